@@ -4,6 +4,7 @@
 //! them by [`Setting`]. Numbers are checked where they are used.
 
 mod faces;
+mod plain;
 mod value;
 
 use serde::{Deserialize, Serialize};
@@ -48,6 +49,15 @@ impl Setting {
     pub fn key(self) -> String {
         self.0.replace('_', "-")
     }
+
+    /// Short help for people: the first paragraph of the setting's documentation, on one line.
+    #[must_use]
+    pub fn help(self) -> String {
+        let place = Settings::ALL.iter().position(|known| *known == self);
+        let lines = place.map_or(&[][..], |place| Settings::DOCS[place]);
+        let first = lines.iter().map(|line| line.trim()).take_while(|line| !line.is_empty());
+        first.collect::<Vec<_>>().join(" ")
+    }
 }
 
 impl std::fmt::Display for Setting {
@@ -75,6 +85,9 @@ macro_rules! settings {
             /// All settings, in the order of the program's help.
             pub const ALL: &[Setting] = &[$(Setting(stringify!($name))),*];
 
+            /// The lines of documentation of each setting, in the same order.
+            const DOCS: &[&[&str]] = &[$(&[$($doc),*]),*];
+
             /// Sets what is called so in snake case from a caller's value; `false` where nothing is.
             ///
             /// # Errors
@@ -85,6 +98,15 @@ macro_rules! settings {
                     _ => return Ok(false),
                 }
                 Ok(true)
+            }
+
+            /// Returns the setting of this name in snake case to its default; `false` if no setting has the name.
+            pub fn clear(&mut self, name: &str) -> bool {
+                match name {
+                    $(stringify!($name) => self.$name = Default::default(),)*
+                    _ => return false,
+                }
+                true
             }
 
             /// The first setting that is given, differs from another one's, and is one of those that are meant.
@@ -411,6 +433,19 @@ mod tests {
         let version = env!("CARGO_PKG_VERSION");
         assert_eq!(differing(version, &by_radius, &nothing), "spacing");
         assert_eq!(differing("0.1", &by_radius, &nothing), "version");
+    }
+
+    #[test]
+    fn every_setting_has_help_of_one_line_and_can_be_cleared() {
+        let mut settings = all();
+        for setting in Settings::ALL {
+            let help = setting.help();
+            assert!(help.len() > 10 && !help.contains('\n') && !help.contains("  "), "{setting}: {help}");
+            assert!(settings.clear(setting.name()), "{setting}");
+        }
+        assert_eq!(settings, Settings::default());
+        assert_eq!(Setting("radius").help(), "Half of the spacing.");
+        assert!(!settings.clear("spacng") && Setting("spacng").help().is_empty());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Boxes and points as people write them: numbers with commas between.
+//! Boxes and points as people write them: numbers with commas or blanks between.
 
 use std::str::FromStr;
 
@@ -51,11 +51,11 @@ impl FromStr for Faces {
 
     /// Reads six ends, of which both of an axis may be `-`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let end = |part: &str| match part.trim() {
+        let end = |part: &str| match part {
             "-" => Ok(None),
             number => number.parse().map(Some).map_err(|e| format!("{number:?}: {e}")),
         };
-        let ends: Vec<Option<f64>> = text.split(',').map(end).collect::<Result<_, String>>()?;
+        let ends: Vec<Option<f64>> = parts(text).map(end).collect::<Result<_, String>>()?;
         let count = ends.len();
         let ends: [_; 6] =
             ends.try_into().map_err(|_| format!("6 numbers with commas between, not {count}"))?;
@@ -64,9 +64,16 @@ impl FromStr for Faces {
 }
 
 /// Reads three numbers.
-#[cfg(feature = "cli")]
 pub(super) fn point(text: &str) -> Result<[f64; 3], String> {
-    let values: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    let values: Result<Vec<f64>, _> = parts(text).map(str::parse).collect();
     let values = values.map_err(|e| e.to_string())?;
     values.try_into().map_err(|v: Vec<f64>| format!("3 numbers with commas between, not {}", v.len()))
+}
+
+/// Splits a list at its commas, or at its blanks if it has no commas.
+fn parts(text: &str) -> impl Iterator<Item = &str> {
+    let by_commas = text.contains(',');
+    text.split(move |c: char| if by_commas { c == ',' } else { c.is_whitespace() })
+        .map(str::trim)
+        .filter(move |part| by_commas || !part.is_empty())
 }

@@ -71,7 +71,7 @@ pub trait Source {
     type Error;
     fn number(&self) -> Result<f64, Self::Error>;
     /// Takes a whole number that is not negative.
-    fn count(&self) -> Result<u32, Self::Error>;
+    fn count<T: TryFrom<u64>>(&self) -> Result<T, Self::Error>;
     fn switch(&self) -> Result<bool, Self::Error>;
     fn text(&self) -> Result<String, Self::Error>;
     /// Takes the one of some words that was given, by its place among them.
@@ -155,7 +155,7 @@ mod tests {
         fn number(&self) -> Result<f64, ()> {
             Err(())
         }
-        fn count(&self) -> Result<u32, ()> {
+        fn count<T: TryFrom<u64>>(&self) -> Result<T, ()> {
             Err(())
         }
         fn switch(&self) -> Result<bool, ()> {

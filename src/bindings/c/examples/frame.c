@@ -29,9 +29,12 @@ int main(int count, char **arguments) {
                                        .stride = sizeof *water,
                                        .attributes = &velocity,
                                        .attribute_count = 1};
-  const MeniscusOptions options = {.size = sizeof options, .spacing = 0.05, .normals = 1, .progress = tell, .user = stderr};
-  MeniscusMesh *mesh;
-  MeniscusStatus status = meniscus_reconstruct(&particles, &options, &mesh);
+  MeniscusOptions *options = meniscus_options_new();
+  MeniscusMesh *mesh = NULL;
+  MeniscusStatus status = meniscus_options_set_number(options, "spacing", 0.05);
+  if (status == MENISCUS_STATUS_OK) status = meniscus_options_set(options, "normals", "true");
+  if (status == MENISCUS_STATUS_OK) status = meniscus_options_on_progress(options, tell, stderr);
+  if (status == MENISCUS_STATUS_OK) status = meniscus_reconstruct(&particles, options, &mesh);
   if (status == MENISCUS_STATUS_OK) status = meniscus_mesh_write(mesh, count > 1 ? arguments[1] : "water.ply", 1, NULL);
   if (status != MENISCUS_STATUS_OK) {
     fprintf(stderr, "%s\n", meniscus_last_error());
@@ -39,5 +42,6 @@ int main(int count, char **arguments) {
     printf("%llu triangles\n", (unsigned long long)meniscus_mesh_triangle_count(mesh));
   }
   meniscus_mesh_free(mesh);
+  meniscus_options_free(options);
   return status;
 }

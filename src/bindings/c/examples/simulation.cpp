@@ -31,9 +31,7 @@ struct Solver {
 int main(int count, char **arguments) try {
   const std::string folder = count > 1 ? arguments[1] : ".";
   Solver solver;
-  meniscus::Options options;
-  options.spacing = 0.05, options.smooth = 1.2;
-  meniscus::Simulation simulation(options);
+  meniscus::Simulation simulation(meniscus::Options().set("spacing", 0.05).set("smooth", 1.2));
   for (int frame = 0; frame < 5; frame++) {
     solver.step(0.04);
     auto water = meniscus::Particles(solver.positions).attribute("velocity", solver.velocities[0].data(), 3);

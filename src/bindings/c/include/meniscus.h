@@ -5,12 +5,17 @@
    Calls. Every function that can fail returns a MeniscusStatus; meniscus_last_error() says what is wrong, and where. NULL, wrong sizes,
    numbers that are none or out of range, and what is wrong with particles or files are such failures, and never a crash.
 
-   Structures. Those whose first field is `size` may grow: fill them with zeros, set their size and what you want to say, as by
-   `MeniscusOptions options = {.size = sizeof options, .spacing = 0.05};`. The library takes structures of older headers, and those of
-   newer ones as long as what it does not know of is 0.
+   Options. The options of a call are the program's, set by their keys:
+   `meniscus_options_set(options, "spacing", "0.05")`.
 
-   Memory. Handles (MeniscusMesh, MeniscusFrame, MeniscusSimulation, MeniscusCancel) are the library's, and each is freed by the function
-   that says so. Copies go to memory of the caller's, who says how many numbers that holds. What is lent lives as long as its handle.
+   Structures. Those whose first field is `size` may grow: fill them with zeros, set their size and
+   what you want to say, as by `MeniscusReport report = {.size = sizeof report};`. The library takes
+   structures of older headers, and those of newer ones if the fields it does not know are 0.
+
+   Memory. Handles (MeniscusOptions, MeniscusMesh, MeniscusFrame, MeniscusSimulation,
+   MeniscusCancel) are the library's, and each is freed by the function that says so. Copies go to
+   memory of the caller's, who says how many numbers that holds. What is lent lives as long as its
+   handle.
 
    Threads. Functions may be called from any number of threads at once. A handle may be used by several threads at once, unless it is
    said otherwise, as long as none frees it. Every call computes on threads of its own.
@@ -104,156 +109,6 @@ typedef int32_t MeniscusType;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// How a cell's share of fluid is told from its particles.
-enum MeniscusIndicator
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-  // Not said: clouds.
-  MENISCUS_INDICATOR_DEFAULT = 0,
-  // Clouds.
-  MENISCUS_INDICATOR_CLOUD = 1,
-  // Counting, as in the paper.
-  MENISCUS_INDICATOR_COUNTING = 2,
-  // Symmetry, as in the paper.
-  MENISCUS_INDICATOR_SYMMETRY = 3,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum MeniscusIndicator MeniscusIndicator;
-#else
-typedef int32_t MeniscusIndicator;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// How the field is made.
-enum MeniscusMethod
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-  // By discrete indicator functions.
-  MENISCUS_METHOD_DIF = 0,
-  // By the kernels of Mueller, Charypar and Gross 2003.
-  MENISCUS_METHOD_MUELLER = 1,
-  // By the kernels of Zhu and Bridson 2005.
-  MENISCUS_METHOD_ZHU_BRIDSON = 2,
-  // By the kernels of Yu and Turk 2013.
-  MENISCUS_METHOD_YU_TURK = 3,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum MeniscusMethod MeniscusMethod;
-#else
-typedef int32_t MeniscusMethod;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// Where a mesh ends at the faces of a periodic box.
-enum MeniscusPeriodicMesh
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-  // Not said: on them.
-  MENISCUS_PERIODIC_MESH_DEFAULT = 0,
-  // On the faces, where it is closed as at the walls of a tank.
-  MENISCUS_PERIODIC_MESH_CUT = 1,
-  // Beyond the faces, by as far as filters reach: copies side by side overlap.
-  MENISCUS_PERIODIC_MESH_OVERLAP = 2,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum MeniscusPeriodicMesh MeniscusPeriodicMesh;
-#else
-typedef int32_t MeniscusPeriodicMesh;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// An axis that points up.
-enum MeniscusUp
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-  // Not said.
-  MENISCUS_UP_DEFAULT = 0,
-  // The y axis.
-  MENISCUS_UP_Y = 1,
-  // The z axis.
-  MENISCUS_UP_Z = 2,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum MeniscusUp MeniscusUp;
-#else
-typedef int32_t MeniscusUp;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// A format of particle files.
-enum MeniscusFormat
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-  // Not said: the one that the extension names.
-  MENISCUS_FORMAT_DEFAULT = 0,
-  // Houdini's classic .bgeo.
-  MENISCUS_FORMAT_BGEO = 1,
-  // DualSPHysics' .bi4.
-  MENISCUS_FORMAT_BI4 = 2,
-  // Tables of text, as in .csv and .txt.
-  MENISCUS_FORMAT_CSV = 3,
-  // HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
-  MENISCUS_FORMAT_HDF5 = 4,
-  // An array of NumPy.
-  MENISCUS_FORMAT_NPY = 5,
-  // Arrays of NumPy in one file.
-  MENISCUS_FORMAT_NPZ = 6,
-  // Stanford's .ply.
-  MENISCUS_FORMAT_PLY = 7,
-  // Parallel VTK, .pvtp and .pvtu.
-  MENISCUS_FORMAT_PVTP = 8,
-  // Legacy VTK.
-  MENISCUS_FORMAT_VTK = 9,
-  // VTK's XML, .vtp and .vtu.
-  MENISCUS_FORMAT_VTP = 10,
-  // Floats of 32 bits without a header, three for each particle.
-  MENISCUS_FORMAT_XYZ = 11,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum MeniscusFormat MeniscusFormat;
-#else
-typedef int32_t MeniscusFormat;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
-// Where the stages run; the bytes of the result are the same.
-enum MeniscusBackend
-#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
-  : int32_t
-#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
- {
-  // Not said: a device where one is named, else the CPU.
-  MENISCUS_BACKEND_DEFAULT = 0,
-  // A discrete GPU where there is one and it is worth while, else the CPU.
-  MENISCUS_BACKEND_AUTO = 1,
-  // The CPU.
-  MENISCUS_BACKEND_CPU = 2,
-  // A Vulkan device.
-  MENISCUS_BACKEND_VULKAN = 3,
-};
-#ifndef __cplusplus
-#if __STDC_VERSION__ >= 202311L
-typedef enum MeniscusBackend MeniscusBackend;
-#else
-typedef int32_t MeniscusBackend;
-#endif // __STDC_VERSION__ >= 202311L
-#endif // __cplusplus
-
 // Where a spacing comes from.
 enum MeniscusSpacingSource
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -335,174 +190,23 @@ typedef struct MeniscusFrame MeniscusFrame;
 // Several threads may use it at once, as long as none frees it.
 typedef struct MeniscusMesh MeniscusMesh;
 
+// Options of a call, by the keys of the program's options: "spacing", "cell-size", "threads".
+// Freed by meniscus_options_free.
+//
+// `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
+// An option that is not set has the program's default, except that stages run on the CPU unless
+// "backend" or "device" is set. NULL instead of options sets none.
+//
+// A call copies the options when it begins, so that they may be changed or freed as soon as it
+// returns. Several threads may use the same options at once, as long as none changes or frees
+// them.
+typedef struct MeniscusOptions MeniscusOptions;
+
 // A simulation whose frames come from memory, one after the other. Freed by meniscus_simulation_free.
 //
 // Cells, grid and calibration are measured on the first frame with fluid deeper than the filters reach, and frozen: the frames from
 // then on are alike. It makes one frame at a time.
 typedef struct MeniscusSimulation MeniscusSimulation;
-
-// An event of a conversion. The library fills it, and a later version may put more behind.
-typedef struct MeniscusEvent {
-  // Bytes of this structure as the library knows it.
-  size_t size;
-  // The event as a line for people; valid during the callback.
-  const char *text;
-  // The doubts about a frame that is done, a line each; NULL where there are none. Valid during the callback.
-  const char *warnings;
-  // The number of the frame, for stages, and for frames that are done or failed.
-  uint64_t frame;
-  // Frames that are done or have failed so far, where that is known.
-  uint64_t done;
-  // Frames that are to be made, where that is known.
-  uint64_t total;
-  // Frames that have failed so far, where that is known.
-  uint64_t failed;
-  // One of MeniscusEventKind.
-  int32_t kind;
-} MeniscusEvent;
-
-// A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
-// stay.
-//
-// It is called from threads of the library, but never from two at once in the same conversion, and never after that has returned. It
-// must not throw, nor leave by longjmp.
-typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent *event);
-
-// A conversion of files, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said.
-typedef struct MeniscusConversion {
-  // sizeof(MeniscusConversion).
-  size_t size;
-  // The frames: one name with {} for the number, a folder, a glob or a file of several steps; or the files of frames one by one.
-  const char *const *inputs;
-  // How many names there are, at least 1.
-  size_t input_count;
-  // The meshes: a name with {} or {:04} for the number, or a folder.
-  const char *output;
-  // The first frame of the simulation.
-  uint64_t start;
-  // The last frame of the simulation: 1 number; NULL for the last that there is.
-  const uint64_t *end;
-  // Every so many frames of the simulation; 0 for every one.
-  uint64_t step;
-  // Convert these frames of the simulation only, as one of several jobs: 2 numbers, the first and the last; NULL for all.
-  const uint64_t *frames;
-  // Follow a simulation that runs, until its last frame, or until nothing has come for so many seconds, or for ever by INFINITY; 0
-  // not to follow.
-  double watch;
-  // Frames a second, for times where the files have none; 0 where they have.
-  double fps;
-  // Told of events.
-  MeniscusEventCallback event;
-  // Given to event.
-  void *user;
-  // Not 0: go on with a conversion that was begun; skip what is done, whole, and made with the same settings.
-  int32_t resume;
-  // Not 0: replace outputs that exist.
-  int32_t overwrite;
-} MeniscusConversion;
-
-// Progress of a frame. The library fills it, and a later version may put more behind.
-typedef struct MeniscusProgress {
-  // Bytes of this structure as the library knows it.
-  size_t size;
-  // The stage in one word, such as "meshing"; valid during the callback.
-  const char *name;
-  // The share of this stage that is done, from 0 to 1.
-  double done;
-  // The stage, one of MeniscusStage.
-  int32_t stage;
-} MeniscusProgress;
-
-// A function that is told of progress. It returns 0 for the work to go on, and anything else to end it early: the call then returns
-// MENISCUS_STATUS_CANCELLED.
-//
-// It is called from threads of the library, but never from two at once in the same call, and never after the call has returned. It
-// must not throw, nor leave by longjmp.
-typedef int32_t (*MeniscusProgressCallback)(void *user, const struct MeniscusProgress *progress);
-
-// Options of a surface, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said: 0 and NULL
-// mean that an option is not said, and what it is then is chosen as by the program. Lengths are in the unit of the positions.
-//
-// What it points to has to be there while the call lasts that is given it; only `progress` and `user` are held longer, by a
-// MeniscusSimulation.
-typedef struct MeniscusOptions {
-  // sizeof(MeniscusOptions).
-  size_t size;
-  // Distance between neighbouring particles, positive; not said, it is that of the file or of the scene beside it, or estimated.
-  double spacing;
-  // Half of the spacing, to be given instead of it.
-  double radius;
-  // Edge of a cell, positive.
-  double cell_size;
-  // Edge of a cell in spacings, positive, to be given instead of cell_size; not said, it is 0.5, and 2/3 for the paper's indicators.
-  double cell;
-  // A corner of the grid's cells: 3 numbers. Not said, it is 0, 0, 0, or moved to suit particles on a lattice.
-  const double *origin;
-  // A tank with walls, at which the surface ends: 6 numbers, the lowest corner and the highest; particles outside are not counted.
-  // -INFINITY and INFINITY leave an axis without walls.
-  const double *domain;
-  // A box beyond whose faces the fluid repeats itself: 6 numbers, the lowest corner and the highest. -INFINITY and INFINITY leave an
-  // axis open. Particles on an upper face count as on the lower one; others outside are refused.
-  const double *periodic;
-  // The type of particles, of an input that holds several: PartType1 of a snapshot, an array of PySPH, a species of openPMD.
-  const char *particle_type;
-  // Mean number of particles in a full cell, positive, for counting; not said, it is measured.
-  double mu0;
-  // Width of smoothing in spacings, for clouds: not said, it is 1.6; more is calmer.
-  double smooth;
-  // Width of the Gaussian in cells, positive, for the paper's indicators: not said, a spacing, and a cell at the least.
-  double sigma;
-  // Isovalue between 0 and 1, for the paper's indicators and for the kernels of Mueller and of Yu and Turk: not said, it is measured,
-  // and 0.5 for kernels.
-  double iso;
-  // Use fewer triangles, none farther off than so many cells; positive.
-  double simplify;
-  // Leave out components, drops or bubbles, of less volume than so many cells; positive.
-  double smallest_component;
-  // The names of the particles' attributes to carry to the vertices; the one name "none" for none. Not said, it is their velocity, if
-  // they have one.
-  const char *const *attributes;
-  // How many names there are.
-  size_t attribute_count;
-  // Bytes of memory that may be used, beside the particles and the mesh; not said, three quarters of what is available.
-  uint64_t memory;
-  // Folder for what exceeds the memory; not said, that of the system's temporary files, or of a conversion's output.
-  const char *scratch;
-  // The Vulkan device, by its number, its UUID or a part of its name; not said, the best.
-  const char *device;
-  // Told of progress. Not of a conversion's, which tells of events.
-  MeniscusProgressCallback progress;
-  // Given to progress.
-  void *user;
-  // A handle by which any thread can end the work early. If progress ends it, it is as if this handle had been cancelled.
-  const struct MeniscusCancel *cancel;
-  // Leave out drops of fewer particles, as told by their volume.
-  uint32_t smallest_drop;
-  // Threads to use, at most 1024; not said, one for each core. Every call has its own.
-  uint32_t threads;
-  // One of MeniscusIndicator.
-  int32_t indicator;
-  // One of MeniscusMethod.
-  int32_t method;
-  // One of MeniscusPeriodicMesh.
-  int32_t periodic_mesh;
-  // The axis that points up in mesh files, one of MeniscusUp; not said, that of the particles.
-  int32_t up;
-  // The axis that points up in the particles, one of MeniscusUp; not said, z for .bi4 files, else y.
-  int32_t particles_up;
-  // One of MeniscusBackend.
-  int32_t backend;
-  // Not 0: leave out particles that are not finite or too far away, and count them, where they would be an error.
-  int32_t skip_invalid;
-  // Not 0: recover details that smoothing loses, for the paper's indicators.
-  int32_t detail;
-  // Not 0: make vertex normals, from the field's gradient.
-  int32_t normals;
-  // Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
-  int32_t compress;
-  // The format of an input, whatever its extension says, one of MeniscusFormat.
-  int32_t format;
-} MeniscusOptions;
 
 // The end of a conversion. The caller sets `size`, and the library fills the rest.
 typedef struct MeniscusSummary {
@@ -671,6 +375,52 @@ typedef struct MeniscusCheck {
   int32_t reserved;
 } MeniscusCheck;
 
+// Progress of a frame. The library fills it, and a later version may put more behind.
+typedef struct MeniscusProgress {
+  // Bytes of this structure as the library knows it.
+  size_t size;
+  // The stage in one word, such as "meshing"; valid during the callback.
+  const char *name;
+  // The share of this stage that is done, from 0 to 1.
+  double done;
+  // The stage, one of MeniscusStage.
+  int32_t stage;
+} MeniscusProgress;
+
+// A function that is told of progress. It returns 0 for the work to go on, and anything else to end it early: the call then returns
+// MENISCUS_STATUS_CANCELLED.
+//
+// It is called from threads of the library, but never from two at once in the same call, and never after the call has returned. It
+// must not throw, nor leave by longjmp.
+typedef int32_t (*MeniscusProgressCallback)(void *user, const struct MeniscusProgress *progress);
+
+// An event of a conversion. The library fills it, and a later version may put more behind.
+typedef struct MeniscusEvent {
+  // Bytes of this structure as the library knows it.
+  size_t size;
+  // The event as a line for people; valid during the callback.
+  const char *text;
+  // The doubts about a frame that is done, a line each; NULL where there are none. Valid during the callback.
+  const char *warnings;
+  // The number of the frame, for stages, and for frames that are done or failed.
+  uint64_t frame;
+  // Frames that are done or have failed so far, where that is known.
+  uint64_t done;
+  // Frames that are to be made, where that is known.
+  uint64_t total;
+  // Frames that have failed so far, where that is known.
+  uint64_t failed;
+  // One of MeniscusEventKind.
+  int32_t kind;
+} MeniscusEvent;
+
+// A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
+// stay.
+//
+// It is called from threads of the library, but never from two at once in the same conversion, and never after that has returned. It
+// must not throw, nor leave by longjmp.
+typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent *event);
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -693,11 +443,17 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 
 // Converts the frames of a simulation from files to files, as the program does: all alike, side by side, whole or not at all.
 //
-// `options` may be NULL for all defaults; its progress is not told of. `summary`: NULL, or where to put what was done.
+// `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
+// files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
+// `options`: which frames, and how; NULL for all defaults. Its function for progress is not called.
+// `summary`: NULL, or where to put what was done.
+//
 // MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are done: the message says of the first.
 //
 // Pointers are NULL or point to what they say.
-MeniscusStatus meniscus_convert(const struct MeniscusConversion *conversion,
+MeniscusStatus meniscus_convert(const char *const *inputs,
+                                size_t input_count,
+                                const char *output,
                                 const struct MeniscusOptions *options,
                                 struct MeniscusSummary *summary);
 
@@ -944,15 +700,89 @@ MeniscusStatus meniscus_mesh_format_warnings(const struct MeniscusMesh *mesh,
                                              size_t capacity,
                                              size_t *length);
 
-// Makes sure, before the work, that a mesh could be written to `path`, whose extension says the format, and that the format can hold
-// what is asked for. Leaves nothing there.
+// Makes options of which none is set, to be freed by meniscus_options_free.
+struct MeniscusOptions *meniscus_options_new(void);
+
+// Copies options, with their callbacks and their cancel handle, to be freed by
+// meniscus_options_free. A copy of NULL has none set.
 //
-// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be replaced.
+// `options` is NULL, or a handle that is not freed yet.
+struct MeniscusOptions *meniscus_options_copy(const struct MeniscusOptions *options);
+
+// Frees options; NULL is ignored.
+//
+// `options` is NULL, or a handle that is not freed yet.
+void meniscus_options_free(struct MeniscusOptions *options);
+
+// Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
+// "0,0,-,1,2,-")`.
+//
+// Numbers have a '.' whatever the locale is. Numbers of a list are separated by commas or blanks,
+// names by commas. Switches such as "normals" are "true" or "false". `value`: NULL returns the
+// option to its default.
+//
+// MENISCUS_STATUS_REQUEST for an unknown key and for a value of another type: the message names
+// the key, the value and the type that is expected, and the option keeps its value. A call that
+// uses the options refuses numbers out of range, and options that exclude each other.
 //
 // Pointers are NULL or as is said.
-MeniscusStatus meniscus_check_output(const char *path,
-                                     const struct MeniscusOptions *options,
-                                     int32_t overwrite);
+MeniscusStatus meniscus_options_set(struct MeniscusOptions *options, const char *key, const char *value);
+
+// Sets an option from a number. A switch is 0 or 1. Otherwise as meniscus_options_set.
+//
+// Pointers are NULL or as is said.
+MeniscusStatus meniscus_options_set_number(struct MeniscusOptions *options, const char *key, double value);
+
+// Sets an option from several numbers: 3 for a point, 6 for a box, its lowest corner first.
+// -INFINITY and INFINITY leave an axis of a box open. Otherwise as meniscus_options_set.
+//
+// Pointers are NULL or as is said; `values` points to `count` numbers.
+MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
+                                            const char *key,
+                                            const double *values,
+                                            size_t count);
+
+// Sets the function that is called with the progress of a frame, and the pointer that it is given;
+// a conversion calls none. NULL for no function.
+//
+// A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
+// until the call returns.
+//
+// `options` is NULL, or a handle that is not freed yet.
+MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
+                                            MeniscusProgressCallback progress,
+                                            void *user);
+
+// Sets the function that meniscus_convert calls with the events of a conversion, and the pointer
+// that it is given. NULL for no function.
+//
+// `options` is NULL, or a handle that is not freed yet.
+MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, MeniscusEventCallback event, void *user);
+
+// Sets the handle by which any thread can end the work early; NULL for none. The handle may be
+// freed before the options are.
+//
+// If a callback ends the work, the handle counts as cancelled.
+//
+// Pointers are NULL, or handles that are not freed yet.
+MeniscusStatus meniscus_options_cancel_by(struct MeniscusOptions *options, const struct MeniscusCancel *cancel);
+
+// Returns the key of an option by its number from 0; NULL where there is no such option. The text
+// lives for ever.
+const char *meniscus_options_key(size_t index);
+
+// Returns one line of help on an option by its number from 0; NULL where there is no such option.
+// The text lives for ever.
+const char *meniscus_options_help(size_t index);
+
+// Makes sure, before the work, that a mesh could be written to `path`, whose extension says the
+// format, and that the format can hold what is asked for. Leaves nothing there.
+//
+// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be
+// replaced.
+//
+// Pointers are NULL or as is said.
+MeniscusStatus meniscus_check_output(const char *path, const struct MeniscusOptions *options, int32_t overwrite);
 
 // Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what is wrong, and where. Empty where
 // there was none.

@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <exception>
 #include <functional>
+#include <initializer_list>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -88,51 +89,7 @@ class Particles {
   std::vector<MeniscusAttribute> attributes_;
 };
 
-// Options by their names: the fields of MeniscusOptions, but for those that are here.
-struct Options : MeniscusOptions {
-  Options() : MeniscusOptions{} { size = sizeof(MeniscusOptions); }
-  // The names of the attributes that go to the vertices.
-  std::vector<std::string> carried;
-  // Told of progress; false ends the work.
-  std::function<bool(const MeniscusProgress &)> on_progress;
-};
-
 namespace detail {
-
-// Options as C has them, as long as this lives.
-class Asked {
- public:
-  explicit Asked(const Options &options) : options_(options), c_(options) {
-    for (const auto &name : options_.carried) names_.push_back(name.c_str());
-    if (!names_.empty()) c_.attributes = names_.data(), c_.attribute_count = names_.size();
-    if (options_.on_progress) c_.progress = &Asked::hear, c_.user = this;
-  }
-  Asked(const Asked &) = delete;
-  Asked &operator=(const Asked &) = delete;
-  const MeniscusOptions *c() const { return &c_; }
-
-  // Throws what the callback threw, or what went wrong.
-  void check(MeniscusStatus status) {
-    if (auto thrown = std::exchange(thrown_, nullptr)) std::rethrow_exception(thrown);
-    meniscus::check(status);
-  }
-
- private:
-  static int32_t hear(void *user, const MeniscusProgress *progress) noexcept {
-    auto *self = static_cast<Asked *>(user);
-    try {
-      return self->options_.on_progress(*progress) ? 0 : 1;
-    } catch (...) {
-      self->thrown_ = std::current_exception();
-      return 1;
-    }
-  }
-
-  const Options options_;
-  MeniscusOptions c_;
-  std::vector<const char *> names_;
-  std::exception_ptr thrown_;
-};
 
 template <auto free>
 struct Free {
@@ -147,7 +104,7 @@ using Handle = std::unique_ptr<T, Free<free>>;
 
 }  // namespace detail
 
-// A handle by which any thread can end work early: its pointer goes to Options::cancel.
+// A handle by which any thread can end work early: Options::cancel_by takes it.
 class Cancel {
  public:
   void cancel() { meniscus_cancel(handle_.get()); }
@@ -156,6 +113,106 @@ class Cancel {
  private:
   detail::Handle<MeniscusCancel, meniscus_cancel_free> handle_{meniscus_cancel_new()};
 };
+
+// Options by the program's keys: `Options().set("spacing", 0.05).set("normals", true)`.
+class Options {
+ public:
+  Options() = default;
+  Options(const Options &other) : on_progress_(other.on_progress_), handle_(meniscus_options_copy(other.c())) {}
+  Options(Options &&) = default;
+  Options &operator=(Options other) {
+    on_progress_ = std::move(other.on_progress_), handle_ = std::move(other.handle_);
+    return *this;
+  }
+
+  // Sets an option from a number, a switch or text. Throws if the key is unknown, or the value of
+  // another type.
+  template <class T>
+  Options &set(const std::string &key, const T &value) {
+    if constexpr (std::is_same_v<T, bool>) {
+      check(meniscus_options_set(handle_.get(), key.c_str(), value ? "true" : "false"));
+    } else if constexpr (std::is_arithmetic_v<T>) {
+      check(meniscus_options_set_number(handle_.get(), key.c_str(), static_cast<double>(value)));
+    } else {
+      check(meniscus_options_set(handle_.get(), key.c_str(), std::string(value).c_str()));
+    }
+    return *this;
+  }
+  // Sets an option from several numbers: `set("origin", {0, 0, 0.5})`.
+  Options &set(const std::string &key, std::initializer_list<double> values) {
+    return set_numbers(key, values.begin(), values.size());
+  }
+  Options &set(const std::string &key, const std::vector<double> &values) {
+    return set_numbers(key, values.data(), values.size());
+  }
+  // Returns an option to its default.
+  Options &clear(const std::string &key) {
+    check(meniscus_options_set(handle_.get(), key.c_str(), nullptr));
+    return *this;
+  }
+  // Sets the function that is called with progress; it returns false to end the work.
+  Options &on_progress(std::function<bool(const MeniscusProgress &)> progress) {
+    on_progress_ = std::move(progress);
+    return *this;
+  }
+  const std::function<bool(const MeniscusProgress &)> &on_progress() const { return on_progress_; }
+  // Sets the handle by which any thread can end the work.
+  Options &cancel_by(const Cancel &cancel) {
+    check(meniscus_options_cancel_by(handle_.get(), cancel.c()));
+    return *this;
+  }
+
+  const MeniscusOptions *c() const { return handle_.get(); }
+
+ private:
+  using Handle = detail::Handle<MeniscusOptions, meniscus_options_free>;
+
+  Options &set_numbers(const std::string &key, const double *values, std::size_t count) {
+    check(meniscus_options_set_numbers(handle_.get(), key.c_str(), values, count));
+    return *this;
+  }
+
+  std::function<bool(const MeniscusProgress &)> on_progress_;
+  Handle handle_{meniscus_options_new()};
+};
+
+namespace detail {
+
+// Options of one call, which calls this object with its progress.
+class Asked {
+ public:
+  explicit Asked(const Options &options)
+      : on_progress_(options.on_progress()), handle_(meniscus_options_copy(options.c())) {
+    if (!on_progress_) return;
+    meniscus::check(meniscus_options_on_progress(handle_.get(), &Asked::hear, this));
+  }
+  Asked(const Asked &) = delete;
+  Asked &operator=(const Asked &) = delete;
+  const MeniscusOptions *c() const { return handle_.get(); }
+
+  // Throws what the callback threw, or what went wrong.
+  void check(MeniscusStatus status) {
+    if (auto thrown = std::exchange(thrown_, nullptr)) std::rethrow_exception(thrown);
+    meniscus::check(status);
+  }
+
+ private:
+  static int32_t hear(void *user, const MeniscusProgress *progress) noexcept {
+    auto *self = static_cast<Asked *>(user);
+    try {
+      return self->on_progress_(*progress) ? 0 : 1;
+    } catch (...) {
+      self->thrown_ = std::current_exception();
+      return 1;
+    }
+  }
+
+  const std::function<bool(const MeniscusProgress &)> on_progress_;
+  Handle<MeniscusOptions, meniscus_options_free> handle_;
+  std::exception_ptr thrown_;
+};
+
+}  // namespace detail
 
 // A surface: a closed, oriented 2-manifold.
 class Mesh {

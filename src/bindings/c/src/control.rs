@@ -114,9 +114,9 @@ pub unsafe fn free<T>(handle: *mut T) {
 
 /// A callback, and what it is called with.
 #[derive(Clone, Copy)]
-struct Listener {
-    callback: unsafe extern "C" fn(*mut c_void, *const MeniscusProgress) -> i32,
-    user: *mut c_void,
+pub struct Listener {
+    pub callback: unsafe extern "C" fn(*mut c_void, *const MeniscusProgress) -> i32,
+    pub user: *mut c_void,
 }
 
 /// A callback that hears only while a call lasts: surfaces hold whoever was told of their progress, and may outlive what the callback
@@ -147,15 +147,9 @@ pub struct Listening<'a>(&'a Control);
 
 impl Control {
     /// Takes a callback, if there is one, and a handle to end by, if there is one.
-    pub fn new(
-        callback: MeniscusProgressCallback,
-        user: *mut c_void,
-        cancel: Option<&MeniscusCancel>,
-    ) -> Self {
+    pub fn new(listener: Option<Listener>, cancel: Option<Cancel>) -> Self {
         let is_given = cancel.is_some();
-        let cancel = cancel.map_or_else(Cancel::new, |handle| handle.cancel.clone());
-        let listener = callback.map(|callback| Listener { callback, user });
-        Self { cancel, is_given, listener, ear: Ear::deaf() }
+        Self { cancel: cancel.unwrap_or_default(), is_given, listener, ear: Ear::deaf() }
     }
 
     /// Makes the same for other work, that a callback's end of this does not end.

@@ -1,14 +1,15 @@
 //! Files of a simulation to mesh files, with the program's own state and records beside them.
 
 use std::ffi::{CString, c_char, c_void};
+use std::path::PathBuf;
 
-use meniscus::{Cancel, Event, Simulation, Summary};
+use meniscus::{Cancel, Event, Summary};
 use parking_lot::ReentrantMutex;
 
 use crate::options::{Asked, MeniscusOptions};
-use crate::sized::{Growing, check, fill, read};
-use crate::status::{Failure, MeniscusStatus, Outcome, by_options, c_text, call};
-use crate::text::{numbers, path, pointers};
+use crate::sized::{Growing, check, fill};
+use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call};
+use crate::text::{path, pointers};
 
 /// News of a conversion.
 #[repr(i32)]
@@ -72,39 +73,11 @@ pub struct MeniscusEvent {
 pub type MeniscusEventCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
 
-/// A conversion of files, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said.
-#[repr(C)]
-#[derive(Debug, Clone, Copy)]
-pub struct MeniscusConversion {
-    /// sizeof(MeniscusConversion).
-    pub size: usize,
-    /// The frames: one name with {} for the number, a folder, a glob or a file of several steps; or the files of frames one by one.
-    pub inputs: *const *const c_char,
-    /// How many names there are, at least 1.
-    pub input_count: usize,
-    /// The meshes: a name with {} or {:04} for the number, or a folder.
-    pub output: *const c_char,
-    /// The first frame of the simulation.
-    pub start: u64,
-    /// The last frame of the simulation: 1 number; NULL for the last that there is.
-    pub end: *const u64,
-    /// Every so many frames of the simulation; 0 for every one.
-    pub step: u64,
-    /// Convert these frames of the simulation only, as one of several jobs: 2 numbers, the first and the last; NULL for all.
-    pub frames: *const u64,
-    /// Follow a simulation that runs, until its last frame, or until nothing has come for so many seconds, or for ever by INFINITY; 0
-    /// not to follow.
-    pub watch: f64,
-    /// Frames a second, for times where the files have none; 0 where they have.
-    pub fps: f64,
-    /// Told of events.
-    pub event: MeniscusEventCallback,
-    /// Given to event.
+/// A callback, and what it is called with.
+#[derive(Clone, Copy)]
+pub struct EventListener {
+    pub callback: unsafe extern "C" fn(*mut c_void, *const MeniscusEvent) -> i32,
     pub user: *mut c_void,
-    /// Not 0: go on with a conversion that was begun; skip what is done, whole, and made with the same settings.
-    pub resume: i32,
-    /// Not 0: replace outputs that exist.
-    pub overwrite: i32,
 }
 
 /// The end of a conversion. The caller sets `size`, and the library fills the rest.
@@ -127,11 +100,6 @@ pub struct MeniscusSummary {
     pub seconds: f64,
 }
 
-// SAFETY: numbers, pointers and a nullable callback.
-unsafe impl Growing for MeniscusConversion {
-    const NAME: &str = "MeniscusConversion";
-}
-
 // SAFETY: numbers.
 unsafe impl Growing for MeniscusSummary {
     const NAME: &str = "MeniscusSummary";
@@ -139,8 +107,7 @@ unsafe impl Growing for MeniscusSummary {
 
 /// Tells a caller of events, one at a time, and keeps what went wrong first.
 struct Teller<'a> {
-    callback: MeniscusEventCallback,
-    user: *mut c_void,
+    listener: Option<EventListener>,
     cancel: &'a Cancel,
     first: ReentrantMutex<std::cell::RefCell<Option<String>>>,
 }
@@ -152,21 +119,21 @@ impl Teller<'_> {
     fn hear(&self, event: Event<'_>) {
         let first = self.first.lock();
         let wrong = match event {
-            Event::Failed(failed) => Some(by_options(&failed.error)),
-            Event::SimulationFailed(error) => Some(by_options(error)),
+            Event::Failed(failed) => Some(failed.error.to_string()),
+            Event::SimulationFailed(error) => Some(error.to_string()),
             _ => None,
         };
         if let Some(wrong) = wrong {
             first.borrow_mut().get_or_insert(wrong);
         }
-        let Some(callback) = self.callback else { return };
+        let Some(EventListener { callback, user }) = self.listener else { return };
         let text = c_text(event.to_string());
         let (told, warnings) = described(event);
         let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
         let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
         let told = MeniscusEvent { text: text.as_ptr(), warnings, ..told };
         // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
-        if unsafe { callback(self.user, &raw const told) } != 0 {
+        if unsafe { callback(user, &raw const told) } != 0 {
             self.cancel.cancel();
         }
     }
@@ -226,79 +193,52 @@ impl MeniscusEvent {
     }
 }
 
-/// The simulation that a caller asks for.
+/// The paths of a conversion's inputs.
 ///
 /// # Safety
-/// What the structure points to is as its fields say.
-unsafe fn simulation(said: &MeniscusConversion) -> Outcome<Simulation> {
+/// As for [`pointers`].
+unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathBuf>> {
     // SAFETY: as for this function.
-    let (names, output) = unsafe {
-        let names = pointers(said.inputs, said.input_count, "conversion.inputs")?;
-        (names, path(said.output, "conversion.output")?)
-    };
+    let names = unsafe { pointers(inputs, count, "inputs") }?;
     if names.is_empty() {
-        return Err(Failure::request("conversion.input_count is 0"));
+        return Err(Failure::request("input_count is 0"));
     }
-    let mut inputs = Vec::new();
-    for (index, &name) in names.iter().enumerate() {
-        // SAFETY: as for this function.
-        inputs.push(unsafe { path(name, &format!("conversion.inputs[{index}]")) }?);
-    }
-    let mut simulation = Simulation::of_files(inputs, output).start(said.start);
     // SAFETY: as for this function.
-    let (end, frames) = unsafe { (numbers::<u64, 1>(said.end), numbers::<u64, 2>(said.frames)) };
-    if let Some([number]) = end {
-        simulation = simulation.end(number);
-    }
-    if said.step != 0 {
-        simulation = simulation.step(said.step);
-    }
-    if let Some([first, last]) = frames {
-        if first > last {
-            return Err(Failure::request(format!(
-                "conversion.frames: there are none from {first} to {last}"
-            )));
-        }
-        simulation = simulation.frames(first..=last);
-    }
-    if said.watch != 0.0 {
-        simulation = simulation.watch(said.watch);
-    }
-    if said.fps != 0.0 {
-        simulation = simulation.fps(said.fps);
-    }
-    if said.resume != 0 {
-        simulation = simulation.resume();
-    }
-    Ok(if said.overwrite != 0 { simulation.overwrite() } else { simulation })
+    names.iter().map(|&name| unsafe { path(name, "inputs") }).collect()
 }
 
 /// Converts the frames of a simulation from files to files, as the program does: all alike, side by side, whole or not at all.
 ///
-/// `options` may be NULL for all defaults; its progress is not told of. `summary`: NULL, or where to put what was done.
+/// `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
+/// files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
+/// `options`: which frames, and how; NULL for all defaults. Its function for progress is not called.
+/// `summary`: NULL, or where to put what was done.
+///
 /// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are done: the message says of the first.
 ///
 /// Pointers are NULL or point to what they say.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_convert(
-    conversion: *const MeniscusConversion,
+    inputs: *const *const c_char,
+    input_count: usize,
+    output: *const c_char,
     options: *const MeniscusOptions,
     summary: *mut MeniscusSummary,
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: as for this function.
-        let (said, asked) = unsafe { (read(conversion, "conversion")?, Asked::new(options)?) };
+        let (inputs, output) = unsafe { (paths(inputs, input_count)?, path(output, "output")?) };
+        // SAFETY: as for this function.
+        let asked = unsafe { Asked::for_frames(options) };
         if !summary.is_null() {
             // SAFETY: as for this function.
             unsafe { check(summary, "summary") }?;
         }
-        // SAFETY: as for this function.
-        let simulation = unsafe { simulation(&said) }?.reconstruction(asked.request.clone());
+        let simulation = asked.simulation(inputs, output);
         simulation.check()?;
         let asked = asked.on_machine(|_| simulation.input_bytes())?;
         let teller = Teller {
-            callback: said.event,
-            user: said.user,
+            listener: asked.event,
             cancel: asked.control.cancel(),
             first: ReentrantMutex::default(),
         };

@@ -5,7 +5,6 @@
 // The safety of functions is said in the header's words.
 #![allow(clippy::missing_safety_doc)]
 
-mod coded;
 mod control;
 mod conversion;
 mod frame;

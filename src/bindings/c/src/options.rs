@@ -1,278 +1,277 @@
-//! The options of a surface: those of the program's `reconstruct`, by their names.
+//! Options by key: the settings of the library, what the machine gives, and which frames are
+//! converted.
 
-use std::ffi::{c_char, c_void};
-use std::path::Path;
+use std::ffi::{CString, c_char, c_void};
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
+use std::ptr::null;
+use std::sync::LazyLock;
 
+use bytesize::ByteSize;
 use meniscus::devices::{DeviceChoice, bytes_of, device, fastest};
-use meniscus::files::{InputFormat, Replace};
+use meniscus::files::Replace;
 use meniscus::{
-    Error, Faces, IndicatorKind, Iso, MemoryBudget, MethodName, PeriodicMesh, Reconstruction, Settings,
-    UpAxis, default_memory,
+    Cancel, Error, MemoryBudget, Reconstruction, Setting, Settings, Simulation, Source, default_memory,
 };
 
-use crate::coded::{coded, codes};
-use crate::control::{Control, MeniscusCancel, MeniscusProgressCallback};
-use crate::sized::{Growing, read};
-use crate::status::{Failure, MeniscusStatus, Outcome, call};
-use crate::text::{numbers, optional, optional_path, path, pointers};
+use crate::control::{Control, Listener, MeniscusCancel, MeniscusProgressCallback, free};
+use crate::conversion::{EventListener, MeniscusEventCallback};
+use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
+use crate::text::{array, optional, optional_path, path};
 
-/// How a cell's share of fluid is told from its particles.
-#[repr(i32)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeniscusIndicator {
-    /// Not said: clouds.
-    Default = 0,
-    /// Clouds.
-    Cloud = 1,
-    /// Counting, as in the paper.
-    Counting = 2,
-    /// Symmetry, as in the paper.
-    Symmetry = 3,
-}
-
-/// How the field is made.
-#[repr(i32)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeniscusMethod {
-    /// By discrete indicator functions.
-    Dif = 0,
-    /// By the kernels of Mueller, Charypar and Gross 2003.
-    Mueller = 1,
-    /// By the kernels of Zhu and Bridson 2005.
-    ZhuBridson = 2,
-    /// By the kernels of Yu and Turk 2013.
-    YuTurk = 3,
-}
-
-/// Where a mesh ends at the faces of a periodic box.
-#[repr(i32)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeniscusPeriodicMesh {
-    /// Not said: on them.
-    Default = 0,
-    /// On the faces, where it is closed as at the walls of a tank.
-    Cut = 1,
-    /// Beyond the faces, by as far as filters reach: copies side by side overlap.
-    Overlap = 2,
-}
-
-/// An axis that points up.
-#[repr(i32)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeniscusUp {
-    /// Not said.
-    Default = 0,
-    /// The y axis.
-    Y = 1,
-    /// The z axis.
-    Z = 2,
-}
-
-/// A format of particle files.
-#[repr(i32)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeniscusFormat {
-    /// Not said: the one that the extension names.
-    Default = 0,
-    /// Houdini's classic .bgeo.
-    Bgeo = 1,
-    /// DualSPHysics' .bi4.
-    Bi4 = 2,
-    /// Tables of text, as in .csv and .txt.
-    Csv = 3,
-    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
-    Hdf5 = 4,
-    /// An array of NumPy.
-    Npy = 5,
-    /// Arrays of NumPy in one file.
-    Npz = 6,
-    /// Stanford's .ply.
-    Ply = 7,
-    /// Parallel VTK, .pvtp and .pvtu.
-    Pvtp = 8,
-    /// Legacy VTK.
-    Vtk = 9,
-    /// VTK's XML, .vtp and .vtu.
-    Vtp = 10,
-    /// Floats of 32 bits without a header, three for each particle.
-    Xyz = 11,
-}
-
-/// Where the stages run; the bytes of the result are the same.
-#[repr(i32)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeniscusBackend {
-    /// Not said: a device where one is named, else the CPU.
-    Default = 0,
-    /// A discrete GPU where there is one and it is worth while, else the CPU.
-    Auto = 1,
-    /// The CPU.
-    Cpu = 2,
-    /// A Vulkan device.
-    Vulkan = 3,
-}
-
-codes!(MeniscusIndicator: Default, Cloud, Counting, Symmetry);
-codes!(MeniscusMethod: Dif, Mueller, ZhuBridson, YuTurk);
-codes!(MeniscusPeriodicMesh: Default, Cut, Overlap);
-codes!(MeniscusUp: Default, Y, Z);
-codes!(MeniscusFormat: Default, Bgeo, Bi4, Csv, Hdf5, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz);
-codes!(MeniscusBackend: Default, Auto, Cpu, Vulkan);
-
-/// Options of a surface, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said: 0 and NULL
-/// mean that an option is not said, and what it is then is chosen as by the program. Lengths are in the unit of the positions.
+/// Options of a call, by the keys of the program's options: "spacing", "cell-size", "threads".
+/// Freed by meniscus_options_free.
 ///
-/// What it points to has to be there while the call lasts that is given it; only `progress` and `user` are held longer, by a
-/// MeniscusSimulation.
-#[repr(C)]
-#[derive(Debug, Clone, Copy)]
+/// `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
+/// An option that is not set has the program's default, except that stages run on the CPU unless
+/// "backend" or "device" is set. NULL instead of options sets none.
+///
+/// A call copies the options when it begins, so that they may be changed or freed as soon as it
+/// returns. Several threads may use the same options at once, as long as none changes or frees
+/// them.
+#[derive(Clone, Default)]
 pub struct MeniscusOptions {
-    /// sizeof(MeniscusOptions).
-    pub size: usize,
-    /// Distance between neighbouring particles, positive; not said, it is that of the file or of the scene beside it, or estimated.
-    pub spacing: f64,
-    /// Half of the spacing, to be given instead of it.
-    pub radius: f64,
-    /// Edge of a cell, positive.
-    pub cell_size: f64,
-    /// Edge of a cell in spacings, positive, to be given instead of cell_size; not said, it is 0.5, and 2/3 for the paper's indicators.
-    pub cell: f64,
-    /// A corner of the grid's cells: 3 numbers. Not said, it is 0, 0, 0, or moved to suit particles on a lattice.
-    pub origin: *const f64,
-    /// A tank with walls, at which the surface ends: 6 numbers, the lowest corner and the highest; particles outside are not counted.
-    /// -INFINITY and INFINITY leave an axis without walls.
-    pub domain: *const f64,
-    /// A box beyond whose faces the fluid repeats itself: 6 numbers, the lowest corner and the highest. -INFINITY and INFINITY leave an
-    /// axis open. Particles on an upper face count as on the lower one; others outside are refused.
-    pub periodic: *const f64,
-    /// The type of particles, of an input that holds several: PartType1 of a snapshot, an array of PySPH, a species of openPMD.
-    pub particle_type: *const c_char,
-    /// Mean number of particles in a full cell, positive, for counting; not said, it is measured.
-    pub mu0: f64,
-    /// Width of smoothing in spacings, for clouds: not said, it is 1.6; more is calmer.
-    pub smooth: f64,
-    /// Width of the Gaussian in cells, positive, for the paper's indicators: not said, a spacing, and a cell at the least.
-    pub sigma: f64,
-    /// Isovalue between 0 and 1, for the paper's indicators and for the kernels of Mueller and of Yu and Turk: not said, it is measured,
-    /// and 0.5 for kernels.
-    pub iso: f64,
-    /// Use fewer triangles, none farther off than so many cells; positive.
-    pub simplify: f64,
-    /// Leave out components, drops or bubbles, of less volume than so many cells; positive.
-    pub smallest_component: f64,
-    /// The names of the particles' attributes to carry to the vertices; the one name "none" for none. Not said, it is their velocity, if
-    /// they have one.
-    pub attributes: *const *const c_char,
-    /// How many names there are.
-    pub attribute_count: usize,
-    /// Bytes of memory that may be used, beside the particles and the mesh; not said, three quarters of what is available.
-    pub memory: u64,
-    /// Folder for what exceeds the memory; not said, that of the system's temporary files, or of a conversion's output.
-    pub scratch: *const c_char,
-    /// The Vulkan device, by its number, its UUID or a part of its name; not said, the best.
-    pub device: *const c_char,
-    /// Told of progress. Not of a conversion's, which tells of events.
-    pub progress: MeniscusProgressCallback,
-    /// Given to progress.
-    pub user: *mut c_void,
-    /// A handle by which any thread can end the work early. If progress ends it, it is as if this handle had been cancelled.
-    pub cancel: *const MeniscusCancel,
-    /// Leave out drops of fewer particles, as told by their volume.
-    pub smallest_drop: u32,
-    /// Threads to use, at most 1024; not said, one for each core. Every call has its own.
-    pub threads: u32,
-    /// One of MeniscusIndicator.
-    pub indicator: i32,
-    /// One of MeniscusMethod.
-    pub method: i32,
-    /// One of MeniscusPeriodicMesh.
-    pub periodic_mesh: i32,
-    /// The axis that points up in mesh files, one of MeniscusUp; not said, that of the particles.
-    pub up: i32,
-    /// The axis that points up in the particles, one of MeniscusUp; not said, z for .bi4 files, else y.
-    pub particles_up: i32,
-    /// One of MeniscusBackend.
-    pub backend: i32,
-    /// Not 0: leave out particles that are not finite or too far away, and count them, where they would be an error.
-    pub skip_invalid: i32,
-    /// Not 0: recover details that smoothing loses, for the paper's indicators.
-    pub detail: i32,
-    /// Not 0: make vertex normals, from the field's gradient.
-    pub normals: i32,
-    /// Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
-    pub compress: i32,
-    /// The format of an input, whatever its extension says, one of MeniscusFormat.
-    pub format: i32,
+    settings: Settings,
+    machine: Machine,
+    frames: Frames,
+    progress: Option<Listener>,
+    event: Option<EventListener>,
+    cancel: Option<Cancel>,
 }
 
-// SAFETY: numbers, pointers and a nullable callback.
-unsafe impl Growing for MeniscusOptions {
-    const NAME: &str = "MeniscusOptions";
+/// Defines options that are no settings of the library: their key, type, help, and the function
+/// that reads a value.
+macro_rules! options {
+    ($(#[$about:meta])* $options:ident: $($(#[doc = $help:literal])* $key:ident: $type:ty = $read:expr,)*) => {
+        $(#[$about])*
+        #[derive(Clone, Default)]
+        struct $options {
+            $($key: Option<$type>,)*
+        }
+
+        impl $options {
+            /// The keys, each with its help.
+            const KEYS: &[(&str, &str)] = &[$((stringify!($key), concat!($($help),*))),*];
+
+            /// Sets the option of a key, to its default without a value; `false` if no option has
+            /// the key.
+            fn set<S: Source<Error = String>>(&mut self, key: &str, value: Option<&S>) -> Result<bool, String> {
+                match key {
+                    $(stringify!($key) => self.$key = value.map($read).transpose()?,)*
+                    _ => return Ok(false),
+                }
+                Ok(true)
+            }
+
+            /// The key of the first option that is set.
+            #[allow(dead_code, reason = "asked of the frames of conversions alone")]
+            fn first(&self) -> Option<&'static str> {
+                [$(self.$key.is_some().then_some(stringify!($key))),*].into_iter().flatten().next()
+            }
+        }
+    };
 }
+
+options! {
+    /// What the machine gives to a call.
+    Machine:
+    /// Where the stages run, auto, cpu or vulkan; the mesh is the same [default: cpu, or vulkan if
+    /// a device is set].
+    backend: Backend = Backend::read,
+    /// The Vulkan device, by its number, its UUID or a part of its name [default: the best].
+    device: String = |device| device.text().or_else(|_| device.count::<u32>().map(|number| number.to_string())),
+    /// Threads to use, at most 1024 [default: all cores].
+    threads: usize = Source::count,
+    /// Memory to use besides particles and mesh, in bytes or as 512MiB [default: three quarters of
+    /// what is available].
+    memory: u64 = bytes,
+    /// Folder for scratch files [default: the system's temporary folder, or a conversion's output].
+    scratch: PathBuf = |folder| folder.text().map(PathBuf::from),
+}
+
+options! {
+    /// The frames that a conversion makes.
+    Frames:
+    /// The first frame of the simulation, for meniscus_convert.
+    start: u64 = Source::count,
+    /// The last frame of the simulation, for meniscus_convert.
+    end: u64 = Source::count,
+    /// Every Nth frame, for meniscus_convert.
+    step: u64 = step,
+    /// Convert these frames of the simulation only, such as 100..199, as one of several jobs, for
+    /// meniscus_convert.
+    frames: (u64, u64) = range,
+    /// Resume an interrupted conversion: skip finished frames that were made with the same
+    /// settings, for meniscus_convert.
+    resume: bool = Source::switch,
+    /// Replace outputs that exist, for meniscus_convert.
+    overwrite: bool = Source::switch,
+    /// Follow a running simulation until its last frame, or until no frame has come for this many
+    /// seconds, for meniscus_convert.
+    watch: f64 = Source::number,
+    /// Frames per second, for times where the files have none, for meniscus_convert.
+    fps: f64 = Source::number,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Backend {
+    Auto,
+    Cpu,
+    Vulkan,
+}
+
+impl Backend {
+    fn read<S: Source>(value: &S) -> Result<Self, S::Error> {
+        Ok([Self::Auto, Self::Cpu, Self::Vulkan][value.one_of(&["auto", "cpu", "vulkan"])?])
+    }
+}
+
+fn bytes<S: Source<Error = String>>(size: &S) -> Result<u64, String> {
+    let bytes = match size.text() {
+        Ok(text) => text.parse().ok().map(|size: ByteSize| size.as_u64()),
+        Err(_) => size.count().ok(),
+    };
+    bytes.ok_or_else(|| "expected a number of bytes, or a size such as 512MiB".into())
+}
+
+fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
+    Some(value.count()?).filter(|&step| step > 0).ok_or_else(|| "expected a whole number from 1".into())
+}
+
+fn range<S: Source<Error = String>>(value: &S) -> Result<(u64, u64), String> {
+    let text = value.text()?;
+    let ends =
+        text.split_once("..").and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
+    ends.filter(|(first, last)| first <= last)
+        .ok_or_else(|| "expected two numbers in order, as 100..199".into())
+}
+
+impl Frames {
+    fn of(&self, simulation: Simulation) -> Simulation {
+        let mut simulation = simulation;
+        if let Some(start) = self.start {
+            simulation = simulation.start(start);
+        }
+        if let Some(end) = self.end {
+            simulation = simulation.end(end);
+        }
+        if let Some(step) = self.step {
+            simulation = simulation.step(step);
+        }
+        if let Some((first, last)) = self.frames {
+            simulation = simulation.frames(first..=last);
+        }
+        if let Some(seconds) = self.watch {
+            simulation = simulation.watch(seconds);
+        }
+        if let Some(fps) = self.fps {
+            simulation = simulation.fps(fps);
+        }
+        if self.resume == Some(true) {
+            simulation = simulation.resume();
+        }
+        if self.overwrite == Some(true) { simulation.overwrite() } else { simulation }
+    }
+}
+
+impl MeniscusOptions {
+    /// Sets the option of a key, to its default without a value; `false` if no option has the key.
+    fn set<S: Source<Error = String>>(&mut self, key: &str, value: Option<&S>) -> Result<bool, String> {
+        let Some(setting) = Setting::by_key(key) else {
+            return Ok(self.machine.set(key, value)? || self.frames.set(key, value)?);
+        };
+        match value {
+            Some(value) => self.settings.set(setting.name(), value),
+            None => Ok(self.settings.clear(setting.name())),
+        }
+    }
+
+    /// Sets the option of a key, or says what is wrong with the key or the value.
+    fn set_or_refuse<S: Source<Error = String> + Debug>(&mut self, key: &str, value: Option<&S>) -> Outcome {
+        match self.set(key, value) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(Failure::request(format!(
+                "no option has the key {key:?}: meniscus_options_key lists all keys"
+            ))),
+            Err(expected) => {
+                let given = value.map_or_else(String::new, |value| format!("{value:?}"));
+                let given: String = given.chars().take(LONGEST_VALUE).collect();
+                Err(Failure::request(format!("{key}: {expected}, got {given}")))
+            }
+        }
+    }
+}
+
+/// Characters of a refused value that a message repeats.
+const LONGEST_VALUE: usize = 100;
 
 /// A request by options, on a machine that is still to be chosen.
 pub struct Asked {
     pub request: Reconstruction,
     pub control: Control,
+    pub event: Option<EventListener>,
     memory: MemoryBudget,
-    backend: MeniscusBackend,
+    backend: Option<Backend>,
     device: Option<String>,
-}
-
-/// A number, where it is said: what is not a number is said, and refused by the library.
-fn given(number: f64) -> Option<f64> {
-    (number != 0.0).then_some(number)
+    frames: Frames,
 }
 
 impl Asked {
-    /// Takes what a caller asks for: all defaults, where it is NULL.
+    /// Takes the options of a call that makes one frame at a time. Options of conversions are
+    /// refused.
     ///
     /// # Safety
-    /// `at` is NULL or points to a structure of the size that it says, and what that points to is as its fields say.
-    pub unsafe fn new(at: *const MeniscusOptions) -> Outcome<Self> {
-        if at.is_null() {
-            let control = Control::new(None, std::ptr::null_mut(), None);
-            let request = control.of(Reconstruction::new());
-            let (memory, backend) = (default_memory(), MeniscusBackend::Default);
-            return Ok(Self { request, control, memory, backend, device: None });
+    /// `options` is NULL, or not freed yet.
+    pub unsafe fn new(options: *const MeniscusOptions) -> Outcome<Self> {
+        // SAFETY: as for this function.
+        let asked = unsafe { Self::for_frames(options) };
+        match asked.frames.first() {
+            Some(key) => Err(Failure::request(format!("{key} is an option of meniscus_convert only"))),
+            None => Ok(asked),
         }
-        // SAFETY: as for this function.
-        let said = unsafe { read(at, "options") }?;
-        // SAFETY: a handle that is not freed yet, or NULL.
-        let control = Control::new(said.progress, said.user, unsafe { said.cancel.as_ref() });
-        // SAFETY: as for this function.
-        let settings = unsafe { settings(&said) }?;
-        let mut request = control.of(Reconstruction::by(settings));
-        if said.threads != 0 {
-            request = request.threads(said.threads as usize);
-        }
-        let memory = if said.memory == 0 { default_memory() } else { MemoryBudget(said.memory) };
-        // SAFETY: as for this function.
-        let scratch = unsafe { optional_path(said.scratch, "options.scratch") }?;
-        if let Some(folder) = scratch {
-            request = request.scratch(folder);
-        }
-        // SAFETY: as for this function.
-        let device = unsafe { optional(said.device, "options.device") }?.map(str::to_owned);
-        let request = request.memory(memory);
-        let backend = coded(said.backend, "options.backend")?;
-        Ok(Self { request, control, memory, backend, device })
     }
 
-    /// Chooses where it runs, for an input of as many bytes as is told where it matters, if that is known.
+    /// Takes the options of a conversion.
+    ///
+    /// # Safety
+    /// As for [`Asked::new`].
+    pub unsafe fn for_frames(options: *const MeniscusOptions) -> Self {
+        // SAFETY: as for this function.
+        let options = unsafe { options.as_ref() }.cloned().unwrap_or_default();
+        let MeniscusOptions { settings, machine, frames, progress, event, cancel } = options;
+        let control = Control::new(progress, cancel);
+        let memory = machine.memory.map_or_else(default_memory, MemoryBudget);
+        let mut request = control.of(Reconstruction::by(settings)).memory(memory);
+        if let Some(threads) = machine.threads {
+            request = request.threads(threads);
+        }
+        if let Some(folder) = machine.scratch {
+            request = request.scratch(folder);
+        }
+        let Machine { backend, device, .. } = machine;
+        Self { request, control, event, memory, backend, device, frames }
+    }
+
+    /// Asks for the frames of a simulation by this request.
+    pub fn simulation(&self, inputs: Vec<PathBuf>, output: PathBuf) -> Simulation {
+        self.frames.of(Simulation::of_files(inputs, output)).reconstruction(self.request.clone())
+    }
+
+    /// Chooses where it runs, for an input of as many bytes as is told where it matters, if that is
+    /// known.
     pub fn on_machine(mut self, input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>) -> Outcome<Self> {
-        use MeniscusBackend::{Auto, Cpu, Default, Vulkan};
+        use Backend::{Auto, Cpu, Vulkan};
         let open = |choice| device(&choice, None).map_err(Error::from);
         let backend = match (self.backend, self.device.take()) {
-            (Default | Cpu, None) => return Ok(self),
-            (Cpu, Some(_)) => return Err(Failure::request("options.device: options.backend is the CPU")),
-            (Auto, None) if !self.request.uses_backend() => return Ok(self),
+            (None | Some(Cpu), None) => return Ok(self),
+            (Some(Cpu), Some(_)) => return Err(Failure::request("device: the backend is cpu")),
+            (Some(Auto), None) if !self.request.uses_backend() => return Ok(self),
             _ if !self.request.uses_backend() => {
-                return Err(Failure::request("options.backend: kernel methods run on the CPU"));
+                return Err(Failure::request("backend: kernel methods run on the CPU"));
             }
-            (Auto, None) => fastest(self.memory, || input_bytes(&self.request), None).0,
-            (Vulkan, None) => open(DeviceChoice::Best)?,
-            (Default | Auto | Vulkan, Some(named)) => open(DeviceChoice::Named(named))?,
+            (Some(Auto), None) => fastest(self.memory, || input_bytes(&self.request), None).0,
+            (Some(Vulkan), None) => open(DeviceChoice::Best)?,
+            (None | Some(Auto | Vulkan), Some(named)) => open(DeviceChoice::Named(named))?,
         };
         self.request = self.request.backend(backend);
         Ok(self)
@@ -284,122 +283,207 @@ impl Asked {
     }
 }
 
-fn up(axis: i32, what: &str) -> Outcome<Option<UpAxis>> {
-    Ok(match coded(axis, what)? {
-        MeniscusUp::Default => None,
-        MeniscusUp::Y => Some(UpAxis::Y),
-        MeniscusUp::Z => Some(UpAxis::Z),
-    })
-}
-
-fn format(format: i32) -> Outcome<Option<InputFormat>> {
-    Ok(Some(match coded(format, "options.format")? {
-        MeniscusFormat::Default => return Ok(None),
-        MeniscusFormat::Bgeo => InputFormat::Bgeo,
-        MeniscusFormat::Bi4 => InputFormat::Bi4,
-        MeniscusFormat::Csv => InputFormat::Csv,
-        MeniscusFormat::Hdf5 => InputFormat::Hdf5,
-        MeniscusFormat::Npy => InputFormat::Npy,
-        MeniscusFormat::Npz => InputFormat::Npz,
-        MeniscusFormat::Ply => InputFormat::Ply,
-        MeniscusFormat::Pvtp => InputFormat::Pvtp,
-        MeniscusFormat::Vtk => InputFormat::Vtk,
-        MeniscusFormat::Vtp => InputFormat::Vtp,
-        MeniscusFormat::Xyz => InputFormat::Xyz,
-    }))
-}
-
-/// Reads the settings of a surface.
-///
-/// # Safety
-/// As for [`Asked::new`].
-unsafe fn settings(said: &MeniscusOptions) -> Outcome<Settings> {
-    if said.radius != 0.0 && said.spacing != 0.0 {
-        return Err(Failure::request("options.radius and options.spacing exclude each other"));
-    }
-    if said.cell != 0.0 && said.cell_size != 0.0 {
-        return Err(Failure::request("options.cell and options.cell_size exclude each other"));
-    }
-    // SAFETY: as for this function.
-    let (origin, domain, periodic) =
-        unsafe { (numbers(said.origin), numbers(said.domain), numbers(said.periodic)) };
-    let faces = |[x0, y0, z0, x1, y1, z1]: [f64; 6]| Faces::from_corners([[x0, y0, z0], [x1, y1, z1]]);
-    // SAFETY: as for this function.
-    let particle_type = unsafe { optional(said.particle_type, "options.particle_type") }?.map(str::to_owned);
-    Ok(Settings {
-        spacing: given(said.spacing),
-        radius: given(said.radius),
-        cell_size: given(said.cell_size),
-        cell: given(said.cell),
-        origin,
-        domain: domain.map(faces),
-        periodic: periodic.map(faces),
-        format: format(said.format)?,
-        particle_type,
-        indicator: match coded(said.indicator, "options.indicator")? {
-            MeniscusIndicator::Default => None,
-            MeniscusIndicator::Cloud => Some(IndicatorKind::Cloud),
-            MeniscusIndicator::Counting => Some(IndicatorKind::Counting),
-            MeniscusIndicator::Symmetry => Some(IndicatorKind::Symmetry),
-        },
-        mu0: given(said.mu0),
-        skip_invalid: said.skip_invalid != 0,
-        smooth: given(said.smooth),
-        method: Some(match coded(said.method, "options.method")? {
-            MeniscusMethod::Dif => MethodName::Dif,
-            MeniscusMethod::Mueller => MethodName::Mueller,
-            MeniscusMethod::ZhuBridson => MethodName::ZhuBridson,
-            MeniscusMethod::YuTurk => MethodName::YuTurk,
-        })
-        .filter(|method| *method != MethodName::Dif),
-        sigma: given(said.sigma),
-        iso: given(said.iso).map(Iso::Value),
-        detail: said.detail != 0,
-        periodic_mesh: match coded(said.periodic_mesh, "options.periodic_mesh")? {
-            MeniscusPeriodicMesh::Default => None,
-            MeniscusPeriodicMesh::Cut => Some(PeriodicMesh::Cut),
-            MeniscusPeriodicMesh::Overlap => Some(PeriodicMesh::Overlap),
-        },
-        normals: said.normals != 0,
-        // SAFETY: as for this function.
-        attributes: unsafe { attributes(said) }?,
-        simplify: given(said.simplify),
-        smallest_component: given(said.smallest_component),
-        smallest_drop: (said.smallest_drop != 0).then_some(said.smallest_drop),
-        compress: said.compress != 0,
-        up: up(said.up, "options.up")?,
-        particles_up: up(said.particles_up, "options.particles_up")?,
-    })
-}
-
-/// Reads the names of attributes.
-///
-/// # Safety
-/// As for [`Asked::new`].
-unsafe fn attributes(said: &MeniscusOptions) -> Outcome<Option<Vec<String>>> {
-    if said.attribute_count == 0 {
-        return Ok(None);
-    }
-    // SAFETY: as for this function.
-    let names = unsafe { pointers(said.attributes, said.attribute_count, "options.attributes") }?;
-    let mut wanted = Vec::new();
-    for (index, &name) in names.iter().enumerate() {
-        // SAFETY: as for this function.
-        let name = unsafe { optional(name, &format!("options.attributes[{index}]")) }?;
-        wanted.extend(name.map(str::to_owned));
-    }
-    Ok(Some(wanted))
-}
-
 /// Whether a file that is there may be replaced.
 pub fn replacing(overwrite: i32) -> Replace {
     if overwrite == 0 { Replace::Refuse } else { Replace::Allow }
 }
 
-/// Makes sure, before the work, that a mesh could be written to `path`, whose extension says the format, and that the format can hold
-/// what is asked for. Leaves nothing there.
+/// The options of a handle.
 ///
-/// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be replaced.
+/// # Safety
+/// `options` is NULL, or a handle that is not freed yet, and that no other thread uses meanwhile.
+unsafe fn of<'a>(options: *mut MeniscusOptions) -> Outcome<&'a mut MeniscusOptions> {
+    // SAFETY: as for this function.
+    unsafe { options.as_mut() }.ok_or_else(|| Failure::request("options is NULL"))
+}
+
+/// The key of an option.
+///
+/// # Safety
+/// As for [`optional`].
+unsafe fn key<'a>(key: *const c_char) -> Outcome<&'a str> {
+    // SAFETY: as for this function.
+    unsafe { optional(key, "key") }?.ok_or_else(|| Failure::request("key is NULL"))
+}
+
+/// Makes options of which none is set, to be freed by meniscus_options_free.
+#[unsafe(no_mangle)]
+pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
+    ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
+}
+
+/// Copies options, with their callbacks and their cancel handle, to be freed by
+/// meniscus_options_free. A copy of NULL has none set.
+///
+/// `options` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_copy(options: *const MeniscusOptions) -> *mut MeniscusOptions {
+    // SAFETY: as for this function.
+    let options = unsafe { options.as_ref() };
+    ask(std::ptr::null_mut(), || Box::into_raw(Box::new(options.cloned().unwrap_or_default())))
+}
+
+/// Frees options; NULL is ignored.
+///
+/// `options` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
+    // SAFETY: as for this function.
+    unsafe { free(options) };
+}
+
+/// Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
+/// "0,0,-,1,2,-")`.
+///
+/// Numbers have a '.' whatever the locale is. Numbers of a list are separated by commas or blanks,
+/// names by commas. Switches such as "normals" are "true" or "false". `value`: NULL returns the
+/// option to its default.
+///
+/// MENISCUS_STATUS_REQUEST for an unknown key and for a value of another type: the message names
+/// the key, the value and the type that is expected, and the option keeps its value. A call that
+/// uses the options refuses numbers out of range, and options that exclude each other.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_set(
+    options: *mut MeniscusOptions,
+    key: *const c_char,
+    value: *const c_char,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (options, key) = unsafe { (of(options)?, self::key(key)?) };
+        if key == "scratch" {
+            // A path need not be UTF-8.
+            // SAFETY: as for this function.
+            options.machine.scratch = unsafe { optional_path(value, key) }?;
+            return Ok(());
+        }
+        // SAFETY: as for this function.
+        let text = unsafe { optional(value, key) }?;
+        options.set_or_refuse(key, text.as_ref())
+    })
+}
+
+/// Sets an option from a number. A switch is 0 or 1. Otherwise as meniscus_options_set.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_set_number(
+    options: *mut MeniscusOptions,
+    key: *const c_char,
+    value: f64,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (options, key) = unsafe { (of(options)?, self::key(key)?) };
+        options.set_or_refuse(key, Some(&[value].as_slice()))
+    })
+}
+
+/// Sets an option from several numbers: 3 for a point, 6 for a box, its lowest corner first.
+/// -INFINITY and INFINITY leave an axis of a box open. Otherwise as meniscus_options_set.
+///
+/// Pointers are NULL or as is said; `values` points to `count` numbers.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_set_numbers(
+    options: *mut MeniscusOptions,
+    key: *const c_char,
+    values: *const f64,
+    count: usize,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (options, key) = unsafe { (of(options)?, self::key(key)?) };
+        // SAFETY: as for this function.
+        let numbers = unsafe { array(values, count, key) }?;
+        options.set_or_refuse(key, Some(&numbers))
+    })
+}
+
+/// Sets the function that is called with the progress of a frame, and the pointer that it is given;
+/// a conversion calls none. NULL for no function.
+///
+/// A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
+/// until the call returns.
+///
+/// `options` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_on_progress(
+    options: *mut MeniscusOptions,
+    progress: MeniscusProgressCallback,
+    user: *mut c_void,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        unsafe { of(options) }?.progress = progress.map(|callback| Listener { callback, user });
+        Ok(())
+    })
+}
+
+/// Sets the function that meniscus_convert calls with the events of a conversion, and the pointer
+/// that it is given. NULL for no function.
+///
+/// `options` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_on_event(
+    options: *mut MeniscusOptions,
+    event: MeniscusEventCallback,
+    user: *mut c_void,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        unsafe { of(options) }?.event = event.map(|callback| EventListener { callback, user });
+        Ok(())
+    })
+}
+
+/// Sets the handle by which any thread can end the work early; NULL for none. The handle may be
+/// freed before the options are.
+///
+/// If a callback ends the work, the handle counts as cancelled.
+///
+/// Pointers are NULL, or handles that are not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_options_cancel_by(
+    options: *mut MeniscusOptions,
+    cancel: *const MeniscusCancel,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (options, cancel) = unsafe { (of(options)?, cancel.as_ref()) };
+        options.cancel = cancel.map(|handle| handle.cancel.clone());
+        Ok(())
+    })
+}
+
+/// All keys, each with its help, as text for C.
+static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
+    let settings = Settings::ALL.iter().map(|setting| (setting.key(), setting.help()));
+    let others = [Machine::KEYS, Frames::KEYS].into_iter().flatten();
+    let others = others.map(|&(key, help)| (key.to_owned(), help.trim().to_owned()));
+    settings.chain(others).map(|(key, help)| (c_text(key), c_text(help))).collect()
+});
+
+/// Returns the key of an option by its number from 0; NULL where there is no such option. The text
+/// lives for ever.
+#[unsafe(no_mangle)]
+pub extern "C" fn meniscus_options_key(index: usize) -> *const c_char {
+    ask(null(), || KEYS.get(index).map_or(null(), |(key, _)| key.as_ptr()))
+}
+
+/// Returns one line of help on an option by its number from 0; NULL where there is no such option.
+/// The text lives for ever.
+#[unsafe(no_mangle)]
+pub extern "C" fn meniscus_options_help(index: usize) -> *const c_char {
+    ask(null(), || KEYS.get(index).map_or(null(), |(_, help)| help.as_ptr()))
+}
+
+/// Makes sure, before the work, that a mesh could be written to `path`, whose extension says the
+/// format, and that the format can hold what is asked for. Leaves nothing there.
+///
+/// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be
+/// replaced.
 ///
 /// Pointers are NULL or as is said.
 #[unsafe(no_mangle)]

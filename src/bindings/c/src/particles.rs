@@ -6,7 +6,6 @@ use std::slice::from_raw_parts;
 use meniscus::Particles;
 use meniscus::files::AttributeInfo;
 
-use crate::coded::{coded, codes};
 use crate::sized::{Growing, read};
 use crate::status::{Failure, Outcome};
 use crate::text::optional;
@@ -21,7 +20,16 @@ pub enum MeniscusType {
     F64 = 1,
 }
 
-codes!(MeniscusType: F32, F64);
+impl MeniscusType {
+    /// The type that a number of a structure stands for: callers may write any number there.
+    fn of(number: i32, what: &str) -> Outcome<Self> {
+        match number {
+            0 => Ok(Self::F32),
+            1 => Ok(Self::F64),
+            _ => Err(Failure::request(format!("{what} is {number}, which is no MeniscusType"))),
+        }
+    }
+}
 
 /// A value that every particle carries: one number, or several. To be filled with zeros but for what is said.
 #[repr(C)]
@@ -184,7 +192,7 @@ impl Borrowed {
     pub unsafe fn new(at: *const MeniscusParticles) -> Outcome<Self> {
         // SAFETY: as for this function.
         let said = unsafe { read(at, "particles") }?;
-        let number = coded(said.number, "particles.number")?;
+        let number = MeniscusType::of(said.number, "particles.number")?;
         if said.reserved != 0 {
             return Err(Failure::request(format!("particles.reserved is {}, and must be 0", said.reserved)));
         }
@@ -250,7 +258,7 @@ impl Borrowed {
             }
             let numbers = Numbers {
                 at: said.values.cast(),
-                number: coded(said.number, &format!("{what}.number"))?,
+                number: MeniscusType::of(said.number, &format!("{what}.number"))?,
                 stride: said.stride,
                 component_stride: said.component_stride,
                 components: said.components as usize,

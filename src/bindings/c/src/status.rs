@@ -47,11 +47,6 @@ impl Failure {
     }
 }
 
-/// The message of an error, with settings called as fields of MeniscusOptions.
-pub fn by_options(error: &Error) -> String {
-    error.told(&|setting| format!("options.{}", setting.name()))
-}
-
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let status = match error.cause() {
@@ -62,7 +57,7 @@ impl From<Error> for Failure {
             Cause::Cancelled => MeniscusStatus::Cancelled,
             _ => MeniscusStatus::Internal,
         };
-        Self { status, message: by_options(&error) }
+        Self { status, message: error.to_string() }
     }
 }
 

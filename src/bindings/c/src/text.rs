@@ -94,15 +94,6 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     Ok(())
 }
 
-/// Reads `N` numbers at an address; `None` where there is no address.
-///
-/// # Safety
-/// `at` is NULL or points to `N` values, however aligned.
-pub unsafe fn numbers<T: Copy, const N: usize>(at: *const T) -> Option<[T; N]> {
-    // SAFETY: as for this function.
-    (!at.is_null()).then(|| unsafe { at.cast::<[T; N]>().read_unaligned() })
-}
-
 /// The buffer of a caller who says how many numbers it holds; it must hold `needed`.
 ///
 /// # Safety

@@ -2,9 +2,6 @@
 #include "water.h"
 
 static float positions[COUNT][3];
-static const double nan_corner[] = {NAN, 0, 0}, flat[] = {0, 0, 0, 1, 0, 1}, inside_out[] = {1, 1, 1, 0, 0, 0};
-static const double open_box[] = {-INFINITY, -INFINITY, -INFINITY, INFINITY, INFINITY, INFINITY};
-static const char *heat[] = {"heat"}, *latin[] = {"\xe9t\xe9"}, *none[] = {NULL};
 
 /// What a call said of the failure of another.
 static void refused(MeniscusStatus status, MeniscusStatus expected, const char *message, const void *made, int line) {
@@ -21,19 +18,33 @@ static void refused(MeniscusStatus status, MeniscusStatus expected, const char *
     refused(status, MENISCUS_STATUS_##kind, message, mesh, __LINE__);                                          \
   } while (0)
 
-/// Refuses options in which one field is wrong.
-#define OPTION(message, ...)                                                                                   \
-  do {                                                                                                         \
-    MeniscusOptions options = {.size = sizeof options, __VA_ARGS__};                                           \
-    REFUSED(REQUEST, message, meniscus_reconstruct(&water, &options, &mesh));                                  \
-    MeniscusSimulation *simulation = (MeniscusSimulation *)&positions;                                         \
-    MeniscusStatus status = meniscus_simulation_new(&options, &simulation);                                    \
-    if (status == MENISCUS_STATUS_OK) { /* Attributes are looked for in frames. */                             \
-      meniscus_simulation_free(simulation);                                                                    \
-    } else {                                                                                                   \
-      refused(status, MENISCUS_STATUS_REQUEST, message, simulation, __LINE__);                                 \
-    }                                                                                                          \
-  } while (0)
+/// Refuses options, either when one of them is set or when particles are reconstructed by them.
+static void refuse_options(const char *message, const char *const *said, int line) {
+  MeniscusOptions *options = meniscus_options_new();
+  MeniscusStatus status = MENISCUS_STATUS_OK;
+  for (; *said && status == MENISCUS_STATUS_OK; said += 2) {
+    status = meniscus_options_set(options, said[0], said[1]);
+  }
+  if (status != MENISCUS_STATUS_OK) {
+    refused(status, MENISCUS_STATUS_REQUEST, message, NULL, line);
+  } else {
+    const MeniscusParticles water = particles_of(positions);
+    MeniscusMesh *mesh = (MeniscusMesh *)&positions;
+    status = meniscus_reconstruct(&water, options, &mesh);
+    refused(status, MENISCUS_STATUS_REQUEST, message, mesh, line);
+    MeniscusSimulation *simulation = (MeniscusSimulation *)&positions;
+    status = meniscus_simulation_new(options, &simulation);
+    if (status == MENISCUS_STATUS_OK) {  // Attributes are looked for in frames.
+      meniscus_simulation_free(simulation);
+    } else {
+      refused(status, MENISCUS_STATUS_REQUEST, message, simulation, line);
+    }
+  }
+  meniscus_options_free(options);
+}
+
+#define OPTION(message, ...) \
+  refuse_options(message, (const char *const[]){__VA_ARGS__, NULL}, __LINE__)
 
 #define PARTICLES(kind, message, ...)                                                                          \
   do {                                                                                                         \
@@ -50,62 +61,105 @@ static void refused(MeniscusStatus status, MeniscusStatus expected, const char *
 #pragma GCC diagnostic ignored "-Woverride-init"
 
 static void options_are_refused(void) {
+  OPTION("spacing must be positive and finite, not -0.05", "spacing", "-0.05");
+  OPTION("spacing must be positive and finite, not NaN", "spacing", "nan");
+  OPTION("spacing must be positive and finite, not inf", "spacing", "inf");
+  OPTION("spacing must be positive and finite, not 0", "spacing", "0");
+  OPTION("radius must be positive and finite, not -1", "radius", "-1");
+  OPTION("radius and spacing exclude each other", "radius", "1", "spacing", "2");
+  OPTION("cell-size and cell exclude each other", "cell", "1", "cell-size", "2");
+  OPTION("cell-size must be positive", "cell-size", "nan");
+  OPTION("cell must be positive", "cell", "-0.5");
+  OPTION("origin", "origin", "nan,0,0");
+  OPTION("domain", "domain", "1,1,1,0,0,0");
+  OPTION("periodic box", "periodic", "0,0,0,1,0,1");
+  OPTION("periodic", "periodic", "-,-,-,-,-,-");
+  OPTION("periodic", "periodic-mesh", "cut");
+  OPTION("smooth must be", "smooth", "-1");
+  OPTION("smooth must be", "smooth", "nan");
+  OPTION("sigma must be", "indicator", "counting", "sigma", "-1");
+  OPTION("mu0 must be", "indicator", "counting", "mu0", "inf");
+  OPTION("mu0 has no meaning for indicator cloud", "mu0", "1");
+  OPTION("iso must be", "indicator", "symmetry", "iso", "2");
+  OPTION("iso has no meaning for this method", "method", "zhu-bridson", "iso", "0.5");
+  OPTION("simplify must be", "simplify", "-1");
+  OPTION("smallest-component must be", "smallest-component", "nan");
+  OPTION("memory of at least", "memory", "1");
+  OPTION("threads cannot be started: their number must be 1 to 1024", "threads", "4000000000");
+  OPTION("device: the backend is cpu", "backend", "cpu", "device", "0");
+  OPTION("backend: kernel methods run on the CPU", "backend", "vulkan", "method", "mueller");
+  OPTION("backend: kernel methods run on the CPU", "device", "0", "method", "yu-turk");
+  OPTION("no attribute \"heat\"", "attributes", "heat");
+  OPTION("fps is an option of meniscus_convert only", "fps", "25");
+  OPTION("resume is an option of meniscus_convert only", "resume", "false");
+}
+
+static void keys_and_values_are_refused(void) {
+  OPTION("no option has the key \"spacng\"", "spacng", "1");
+  OPTION("no option has the key \"cell_size\"", "cell_size", "1");
+  OPTION("no option has the key \"\"", "", "1");
+  OPTION("key is not UTF-8", "\xff", "1");
+  OPTION("spacing: expected a number, got \"thick\"", "spacing", "thick");
+  OPTION("spacing: expected a number, got \"0,05\"", "spacing", "0,05");
+  OPTION("spacing: expected a number, got \"\"", "spacing", "");
+  OPTION("normals: expected true or false, got \"1\"", "normals", "1");
+  OPTION("smallest-drop: expected a whole number from 0, got \"-1\"", "smallest-drop", "-1");
+  OPTION("indicator: expected one of cloud, counting, symmetry, got \"4\"", "indicator", "4");
+  OPTION("method: expected one of dif, ", "method", "Mueller");
+  OPTION("periodic-mesh: expected one of ", "periodic-mesh", "open");
+  OPTION("up: expected one of y, z, got \"x\"", "up", "x");
+  OPTION("particles-up: expected one of y, z", "particles-up", "");
+  OPTION("format: expected one of bgeo, ", "format", "doc");
+  OPTION("backend: expected one of auto, cpu, vulkan, got \"gpu\"", "backend", "gpu");
+  OPTION("origin: expected 3 numbers: x, y, z, got \"1,2\"", "origin", "1,2");
+  OPTION("domain: expected 6 numbers: ", "domain", "0,-,0,1,1,1");
+  OPTION("memory: expected a number of bytes, or a size such as 512MiB", "memory", "much");
+  OPTION("step: expected a whole number from 1, got \"0\"", "step", "0");
+  OPTION("frames: expected two numbers in order, as 100..199, got \"5..3\"", "frames", "5..3");
+  OPTION("device is not UTF-8", "device", "\xff");
+  OPTION("particle-type is not UTF-8", "particle-type", "\xff");
+  OPTION("attributes is not UTF-8", "attributes", "\xe9t\xe9");
+
+  MeniscusOptions *options = meniscus_options_new();
   MeniscusParticles water = particles_of(positions);
-  OPTION("options.spacing must be positive and finite, not -0.05", .spacing = -0.05);
-  OPTION("options.spacing must be positive and finite, not NaN", .spacing = NAN);
-  OPTION("options.spacing must be positive and finite, not inf", .spacing = INFINITY);
-  OPTION("options.radius must be positive and finite, not -1", .radius = -1);
-  OPTION("options.radius and options.spacing exclude each other", .radius = 1, .spacing = 2);
-  OPTION("options.cell and options.cell_size exclude each other", .cell = 1, .cell_size = 2);
-  OPTION("options.cell_size must be positive", .cell_size = NAN);
-  OPTION("options.cell must be positive", .cell = -0.5);
-  OPTION("origin", .origin = nan_corner);
-  OPTION("domain", .domain = inside_out);
-  OPTION("periodic box", .periodic = flat);
-  OPTION("periodic", .periodic = open_box);
-  OPTION("periodic", .periodic_mesh = MENISCUS_PERIODIC_MESH_CUT);
-  OPTION("smooth must be", .smooth = -1);
-  OPTION("smooth must be", .smooth = NAN);
-  OPTION("sigma must be", .indicator = MENISCUS_INDICATOR_COUNTING, .sigma = -1);
-  OPTION("mu0 must be", .indicator = MENISCUS_INDICATOR_COUNTING, .mu0 = INFINITY);
-  OPTION("options.mu0 has no meaning for options.indicator cloud", .mu0 = 1);
-  OPTION("options.iso must be", .indicator = MENISCUS_INDICATOR_SYMMETRY, .iso = 2);
-  OPTION("options.iso has no meaning for this options.method", .method = MENISCUS_METHOD_ZHU_BRIDSON, .iso = 0.5);
-  OPTION("options.simplify must be", .simplify = -1);
-  OPTION("options.smallest_component must be", .smallest_component = NAN);
-  OPTION("memory of at least", .memory = 1);
-  OPTION("threads cannot be started: their number must be 1 to 1024", .threads = 4000000000u);
-  OPTION("options.indicator is 4, which is no MeniscusIndicator", .indicator = 4);
-  OPTION("options.method is -1, which is no MeniscusMethod", .method = -1);
-  OPTION("options.periodic_mesh is 9, which is no MeniscusPeriodicMesh", .periodic_mesh = 9);
-  OPTION("options.up is 3, which is no MeniscusUp", .up = 3);
-  OPTION("options.particles_up is 3, which is no MeniscusUp", .particles_up = 3);
-  OPTION("options.format is 12, which is no MeniscusFormat", .format = 12);
-  OPTION("options.backend is 2147483647, which is no MeniscusBackend", .backend = INT32_MAX);
-  OPTION("options.device: options.backend is the CPU", .backend = MENISCUS_BACKEND_CPU, .device = "0");
-  OPTION("options.backend: kernel methods run on the CPU", .backend = MENISCUS_BACKEND_VULKAN, .method = MENISCUS_METHOD_MUELLER);
-  OPTION("options.backend: kernel methods run on the CPU", .device = "0", .method = MENISCUS_METHOD_YU_TURK);
-  OPTION("options.device is not UTF-8", .device = "\xff");
-  OPTION("options.particle_type is not UTF-8", .particle_type = "\xff");
-  OPTION("no attribute \"heat\"", .attributes = heat, .attribute_count = 1);
-  OPTION("options.attributes[0] is not UTF-8", .attributes = latin, .attribute_count = 1);
-  OPTION("options.attributes[0] is NULL", .attributes = none, .attribute_count = 1);
-  OPTION("options.attributes is NULL, and 3 are said to be there", .attribute_count = 3);
-  OPTION("options.attributes: ", .attributes = heat, .attribute_count = SIZE_MAX);
-  OPTION("options: its size is 0; sizeof(MeniscusOptions) is ", .size = 0);
-  OPTION("options: its size is 13;", .size = 13);
-  OPTION("options: its size is 1048576;", .size = 1 << 20);
-  // A newer caller's structure is taken, as long as it asks for nothing that is not known here.
-  struct { MeniscusOptions options; uint64_t newer[2]; } newer = {{.size = sizeof newer}, {0, 0}};
+  const double numbers[] = {NAN, 0, 0, 1, 1, 1};
+#define SET(message, call) refused(call, MENISCUS_STATUS_REQUEST, message, NULL, __LINE__)
+  SET("options is NULL", meniscus_options_set(NULL, "spacing", "1"));
+  SET("options is NULL", meniscus_options_set_number(NULL, "spacing", 1));
+  SET("options is NULL", meniscus_options_on_progress(NULL, NULL, NULL));
+  SET("options is NULL", meniscus_options_on_event(NULL, NULL, NULL));
+  SET("options is NULL", meniscus_options_cancel_by(NULL, NULL));
+  SET("key is NULL", meniscus_options_set(options, NULL, "1"));
+  SET("no option has the key \"thread\"", meniscus_options_set_number(options, "thread", 1));
+  SET("threads: expected a whole number from 0, got [1.5]",
+      meniscus_options_set_number(options, "threads", 1.5));
+  SET("smallest-drop: expected a smaller number",
+      meniscus_options_set_number(options, "smallest-drop", 1e10));
+  SET("normals: expected true or false, got [2.0]",
+      meniscus_options_set_number(options, "normals", 2));
+  SET("up: expected one of y, z", meniscus_options_set_number(options, "up", 1));
+  SET("attributes: expected text", meniscus_options_set_number(options, "attributes", 1));
+  SET("scratch: expected text", meniscus_options_set_number(options, "scratch", 1));
+  SET("origin: expected 3 numbers: x, y, z, got [NaN, 0.0]",
+      meniscus_options_set_numbers(options, "origin", numbers, 2));
+  SET("origin: expected 3 numbers", meniscus_options_set_numbers(options, "origin", NULL, 0));
+  SET("origin is NULL, and 3 are said to be there",
+      meniscus_options_set_numbers(options, "origin", NULL, 3));
+  SET("origin: ", meniscus_options_set_numbers(options, "origin", numbers, SIZE_MAX));
+  SET("spacing: expected a number, got [NaN, 0.0]",
+      meniscus_options_set_numbers(options, "spacing", numbers, 2));
+  // Whatever was refused has changed nothing, and NULL returns an option to its default.
   MeniscusMesh *mesh;
-  OK(meniscus_reconstruct(&water, &newer.options, &mesh));
+  OK(meniscus_options_set_numbers(options, "origin", numbers, 3));
+  OK(meniscus_options_set_number(options, "watch", INFINITY));
+  OK(meniscus_options_set(options, "origin", NULL));
+  OK(meniscus_options_set(options, "watch", NULL));
+  OK(meniscus_options_set(options, "scratch", NULL));
+  SET("no option has the key \"spacng\"", meniscus_options_set(options, "spacng", NULL));
+  OK(meniscus_reconstruct(&water, options, &mesh));
   meniscus_mesh_free(mesh);
-  newer.newer[1] = 1;
-  REFUSED(REQUEST, "options: it is of a newer version", meniscus_reconstruct(&water, &newer.options, &mesh));
-  // So is an older one's, which ends early: what follows is not looked at.
-  MeniscusOptions older = {.size = offsetof(MeniscusOptions, radius), .spacing = SPACING, .radius = NAN};
-  OK(meniscus_reconstruct(&water, &older, &mesh));
-  meniscus_mesh_free(mesh);
+  meniscus_options_free(options);
+  meniscus_options_free(NULL);
 }
 
 static void particles_are_refused(void) {
@@ -117,8 +171,9 @@ static void particles_are_refused(void) {
   broken[5][1] = 3e38f;
   PARTICLES(INPUT, "particle 5 ", .positions = broken);
   MeniscusParticles far = particles_of(broken);
-  MeniscusOptions near = {.size = sizeof near, .spacing = SPACING};
-  REFUSED(INPUT, "particle 5 ", meniscus_reconstruct(&far, &near, &mesh));
+  MeniscusOptions *near = OPTIONS("spacing", "0.05");
+  REFUSED(INPUT, "particle 5 ", meniscus_reconstruct(&far, near, &mesh));
+  meniscus_options_free(near);
   PARTICLES(INPUT, "no particles", .count = 0);
   PARTICLES(REQUEST, "particles.positions is NULL, and 1005 particles are said to be there", .positions = NULL);
   PARTICLES(REQUEST, "particles.positions: ", .count = UINT64_MAX);
@@ -146,8 +201,9 @@ static void particles_are_refused(void) {
   MeniscusParticles same = particles_of(nowhere);
   REFUSED(INPUT, "spacing", meniscus_reconstruct(&same, NULL, &mesh));
   memset(nowhere, 0xff, sizeof nowhere);
-  MeniscusOptions skip = {.size = sizeof skip, .spacing = 1, .skip_invalid = 1};
-  REFUSED(INPUT, "no particles", meniscus_reconstruct(&same, &skip, &mesh));
+  MeniscusOptions *skip = OPTIONS("spacing", "1", "skip-invalid", "true");
+  REFUSED(INPUT, "no particles", meniscus_reconstruct(&same, skip, &mesh));
+  meniscus_options_free(skip);
 }
 
 static void files_are_refused(const char *folder) {
@@ -177,8 +233,9 @@ static void files_are_refused(const char *folder) {
   WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, "there/is/none/mesh.ply", 0, NULL));
   WRITE(REQUEST, "exists already", meniscus_check_output(path, NULL, 0));
   OK(meniscus_check_output(path, NULL, 1));
-  WRITE(REQUEST, ".obj cannot hold options.attributes",
-        meniscus_check_output("new.obj", &(MeniscusOptions){.size = sizeof(MeniscusOptions), .attributes = heat, .attribute_count = 1}, 0));
+  MeniscusOptions *heat = OPTIONS("attributes", "heat");
+  WRITE(REQUEST, ".obj cannot hold attributes", meniscus_check_output("new.obj", heat, 0));
+  meniscus_options_free(heat);
   OK(meniscus_check_output("new.obj", NULL, 0));
   CHECK(access("new.obj", F_OK) != 0);
   char text[8] = "1234567";
@@ -211,9 +268,10 @@ static void files_are_refused(const char *folder) {
   OK(meniscus_sample(&water, NULL, &frame));
   WRITE(REQUEST, "a.ply: packed frames are .mnf files", meniscus_frame_pack(frame, "a.ply", 0, NULL));
   meniscus_frame_free(frame);
-  MeniscusOptions kernels = {.size = sizeof kernels, .method = MENISCUS_METHOD_ZHU_BRIDSON};
-  OK(meniscus_sample(&water, &kernels, &frame));
-  WRITE(REQUEST, "options.method needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
+  MeniscusOptions *kernels = OPTIONS("method", "zhu-bridson");
+  OK(meniscus_sample(&water, kernels, &frame));
+  meniscus_options_free(kernels);
+  WRITE(REQUEST, "method needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
   meniscus_frame_free(frame);
   // NULL is no handle, and nothing to ask or to free.
   CHECK(!meniscus_mesh_vertex_count(NULL) && !meniscus_mesh_triangle_count(NULL) && !meniscus_mesh_has_normals(NULL));
@@ -229,34 +287,31 @@ static void conversions_are_refused(const char *folder) {
   snprintf(output, sizeof output, "%s/none/mesh_{}.ply", folder);
   snprintf(input, sizeof input, "%s/none_{}.bgeo", folder);
   const char *inputs[] = {input, NULL};
-  const uint64_t backwards[] = {5, 3}, zero = 0;
-#define CONVERT(kind, message, ...)                                                                            \
+#define CONVERT(kind, message, inputs, count, output, ...) \
   do {                                                                                                         \
-    MeniscusConversion wrong = {.size = sizeof wrong, .inputs = inputs, .input_count = 1, .output = output, __VA_ARGS__}; \
-    WRITE(kind, message, meniscus_convert(&wrong, NULL, NULL));                                                \
+    MeniscusOptions *options = OPTIONS(__VA_ARGS__); \
+    WRITE(kind, message, meniscus_convert(inputs, count, output, options, NULL)); \
+    meniscus_options_free(options); \
   } while (0)
-  WRITE(REQUEST, "conversion is NULL", meniscus_convert(NULL, NULL, NULL));
-  CONVERT(INPUT, "there are no frames", .start = 0);
-  CONVERT(REQUEST, "conversion.input_count is 0", .input_count = 0);
-  CONVERT(REQUEST, "conversion.inputs is NULL", .inputs = NULL);
-  CONVERT(REQUEST, "conversion.inputs[1] is NULL", .input_count = 2);
-  CONVERT(REQUEST, "conversion.output is NULL", .output = NULL);
-  CONVERT(REQUEST, "one file for all frames", .output = "one.ply");
-  CONVERT(REQUEST, "there are no frames from 4 to 0", .start = 4, .end = &zero);
-  CONVERT(REQUEST, "conversion.frames: there are none from 5 to 3", .frames = backwards);
-  CONVERT(REQUEST, "fps must be", .fps = -1);
-  CONVERT(REQUEST, "fps must be", .fps = NAN);
-  CONVERT(REQUEST, "watch must be a number of seconds", .watch = NAN);
-  CONVERT(REQUEST, "conversion: its size is 2;", .size = 2);
+  CONVERT(INPUT, "there are no frames", inputs, 1, output, "start", "0");
+  CONVERT(REQUEST, "input_count is 0", inputs, 0, output, "start", "0");
+  CONVERT(REQUEST, "inputs is NULL", NULL, 1, output, "start", "0");
+  CONVERT(REQUEST, "inputs[1] is NULL", inputs, 2, output, "start", "0");
+  CONVERT(REQUEST, "output is NULL", inputs, 1, NULL, "start", "0");
+  CONVERT(REQUEST, "one file for all frames", inputs, 1, "one.ply", "start", "0");
+  CONVERT(REQUEST, "there are no frames from 4 to 0", inputs, 1, output, "start", "4", "end", "0");
+  CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "-1");
+  CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "nan");
+  CONVERT(REQUEST, "watch must be a number of seconds", inputs, 1, output, "watch", "nan");
   MeniscusSummary summary = {.size = 5};
-  MeniscusConversion right = {.size = sizeof right, .inputs = inputs, .input_count = 1, .output = output};
-  WRITE(REQUEST, "summary: its size is 5;", meniscus_convert(&right, NULL, &summary));
+  WRITE(REQUEST, "summary: its size is 5;", meniscus_convert(inputs, 1, output, NULL, &summary));
 }
 
 static int test(int count, char **arguments) {
   CHECK(count == 2);
   pour(positions, 0);
   options_are_refused();
+  keys_and_values_are_refused();
   particles_are_refused();
   files_are_refused(arguments[1]);
   conversions_are_refused(arguments[1]);

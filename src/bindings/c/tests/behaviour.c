@@ -13,13 +13,13 @@ static void copies_are_what_is_lent(void) {
       {.size = sizeof *attributes, .name = "vel", .values = velocity, .components = 3},
       {.size = sizeof *attributes, .name = "heat", .values = heat, .components = 1},
   };
-  const char *names[] = {"velocity", "heat"};
   MeniscusParticles particles = particles_of(positions);
   particles.attributes = attributes, particles.attribute_count = 2;
-  MeniscusOptions options = {.size = sizeof options, .spacing = SPACING, .normals = 1};
-  options.attributes = names, options.attribute_count = 2;
+  MeniscusOptions *options =
+      OPTIONS("spacing", "0.05", "normals", "true", "attributes", "velocity,heat");
   MeniscusMesh *mesh;
-  OK(meniscus_reconstruct(&particles, &options, &mesh));
+  OK(meniscus_reconstruct(&particles, options, &mesh));
+  meniscus_options_free(options);
   MeniscusArrays arrays = {.size = sizeof arrays};
   OK(meniscus_mesh_arrays(mesh, &arrays));
   const uint64_t vertices = meniscus_mesh_vertex_count(mesh), triangles = meniscus_mesh_triangle_count(mesh);
@@ -122,9 +122,10 @@ static int32_t hear(void *user, const MeniscusProgress *progress) {
 static void progress_is_told_and_can_end_the_work(const char *folder) {
   MeniscusParticles particles = particles_of(positions);
   struct told told = {0};
-  MeniscusOptions options = {.size = sizeof options, .simplify = 0.5, .progress = hear, .user = &told};
+  MeniscusOptions *options = OPTIONS("simplify", "0.5");
+  OK(meniscus_options_on_progress(options, hear, &told));
   MeniscusMesh *mesh;
-  OK(meniscus_reconstruct(&particles, &options, &mesh));
+  OK(meniscus_reconstruct(&particles, options, &mesh));
   CHECK(told.stages[MENISCUS_STAGE_COUNTING] && told.stages[MENISCUS_STAGE_MESHING] && told.stages[MENISCUS_STAGE_SIMPLIFYING]);
   // The call is over, and so is what its callback may use.
   int calls = told.calls;
@@ -135,12 +136,13 @@ static void progress_is_told_and_can_end_the_work(const char *folder) {
   meniscus_mesh_free(mesh);
   for (int after = 1; after < calls; after++) {
     told = (struct told){.stop_after = after};
-    CHECK(meniscus_reconstruct(&particles, &options, &mesh) == MENISCUS_STATUS_CANCELLED && mesh == NULL);
+    CHECK(meniscus_reconstruct(&particles, options, &mesh) == MENISCUS_STATUS_CANCELLED && mesh == NULL);
     CHECK(strcmp(meniscus_last_error(), "cancelled") == 0);
   }
   // A frame that a callback ends leaves those to come.
   MeniscusSimulation *simulation;
-  OK(meniscus_simulation_new(&options, &simulation));
+  OK(meniscus_simulation_new(options, &simulation));
+  meniscus_options_free(options);
   for (int stop_after = 2; stop_after >= 0; stop_after -= 2) {
     told = (struct told){.stop_after = stop_after};
     CHECK(meniscus_simulation_frame(simulation, &particles, &mesh) == (stop_after ? MENISCUS_STATUS_CANCELLED : MENISCUS_STATUS_OK));
@@ -152,46 +154,56 @@ static void progress_is_told_and_can_end_the_work(const char *folder) {
 static void a_handle_ends_all_that_is_begun_with_it(void) {
   MeniscusParticles particles = particles_of(positions);
   MeniscusCancel *cancel = meniscus_cancel_new();
-  MeniscusOptions options = {.size = sizeof options, .cancel = cancel};
+  MeniscusOptions *options = meniscus_options_new();
+  OK(meniscus_options_cancel_by(options, cancel));
+  MeniscusOptions *copy = meniscus_options_copy(options);
   MeniscusMesh *mesh;
-  OK(meniscus_reconstruct(&particles, &options, &mesh));
+  OK(meniscus_reconstruct(&particles, options, &mesh));
   meniscus_mesh_free(mesh);
   MeniscusSimulation *simulation;
-  OK(meniscus_simulation_new(&options, &simulation));
+  OK(meniscus_simulation_new(options, &simulation));
   meniscus_cancel(cancel);
-  CHECK(meniscus_reconstruct(&particles, &options, &mesh) == MENISCUS_STATUS_CANCELLED);
+  meniscus_cancel_free(cancel);
+  CHECK(meniscus_reconstruct(&particles, options, &mesh) == MENISCUS_STATUS_CANCELLED);
+  CHECK(meniscus_reconstruct(&particles, copy, &mesh) == MENISCUS_STATUS_CANCELLED);
   CHECK(meniscus_simulation_frame(simulation, &particles, &mesh) == MENISCUS_STATUS_CANCELLED);
   meniscus_simulation_free(simulation);
-  meniscus_cancel_free(cancel);
+  OK(meniscus_options_cancel_by(options, NULL));
+  OK(meniscus_reconstruct(&particles, options, &mesh));
+  meniscus_mesh_free(mesh);
+  meniscus_options_free(options);
+  meniscus_options_free(copy);
 }
 
 static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
   char path[512];
   snprintf(path, sizeof path, "%s/frame.mnf", folder);
   MeniscusParticles particles = particles_of(positions);
-  MeniscusOptions options = {.size = sizeof options, .spacing = SPACING};
+  MeniscusOptions *options = OPTIONS("spacing", "0.05");
   MeniscusFrame *frame;
   MeniscusMesh *mesh;
-  OK(meniscus_sample(&particles, &options, &frame));
+  OK(meniscus_sample(&particles, options, &frame));
   CHECK(meniscus_frame_warning_count(frame) == 0 && meniscus_frame_warning(frame, 0) == NULL);
   uint64_t triangles = 0, bytes = 0;
   for (int i = 0; i < 3; i++) {
-    options.smooth = 1.2 + 0.4 * i;
-    OK(meniscus_frame_surface(frame, &options, &mesh));
+    OK(meniscus_options_set_number(options, "smooth", 1.2 + 0.4 * i));
+    OK(meniscus_frame_surface(frame, options, &mesh));
     CHECK(meniscus_mesh_triangle_count(mesh) != triangles);
     triangles = meniscus_mesh_triangle_count(mesh);
     meniscus_mesh_free(mesh);
   }
-  options.cell = 0.3;
-  CHECK(meniscus_frame_surface(frame, &options, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
-  CHECK(strstr(meniscus_last_error(), "options.cell needs the particles themselves"));
+  OK(meniscus_options_set(options, "cell", "0.3"));
+  CHECK(meniscus_frame_surface(frame, options, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
+  CHECK(strstr(meniscus_last_error(), "cell needs the particles themselves"));
+  meniscus_options_free(options);
   OK(meniscus_frame_pack(frame, path, 1, &bytes));
   CHECK(bytes > 100);
   CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
   meniscus_frame_free(frame);
   // Its doubts take a look at all cells, by threads that end with it.
-  MeniscusOptions symmetry = {.size = sizeof symmetry, .spacing = SPACING, .indicator = MENISCUS_INDICATOR_SYMMETRY};
-  OK(meniscus_sample(&particles, &symmetry, &frame));
+  MeniscusOptions *symmetry = OPTIONS("spacing", "0.05", "indicator", "symmetry");
+  OK(meniscus_sample(&particles, symmetry, &frame));
+  meniscus_options_free(symmetry);
   meniscus_frame_free(frame);
   OK(meniscus_sample_file(path, NULL, &frame));
   OK(meniscus_frame_surface(frame, NULL, &mesh));
@@ -204,9 +216,10 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
   // Deeper than the filters reach.
   enum { DEEP = 16 };
   static float moved[DEEP * DEEP * DEEP][3];
-  MeniscusOptions options = {.size = sizeof options, .smooth = 0.8};
+  MeniscusOptions *options = OPTIONS("smooth", "0.8");
   MeniscusSimulation *simulation;
-  OK(meniscus_simulation_new(&options, &simulation));
+  OK(meniscus_simulation_new(options, &simulation));
+  meniscus_options_free(options);
   CHECK(meniscus_simulation_is_settled(simulation) == 0);
   double cell = 0;
   for (int i = 0; i < 3; i++) {
@@ -263,37 +276,42 @@ static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *fold
     CHECK(fclose(file) == 0);
   }
   snprintf(output, sizeof output, "%s/meshes/mesh_{}.ply", folder);
-  MeniscusConversion conversion = {.size = sizeof conversion, .inputs = names, .input_count = 4, .output = output};
-  conversion.overwrite = 1, conversion.event = note, conversion.user = events;
-  MeniscusOptions options = {.size = sizeof options, .threads = 1};
+  MeniscusOptions *options = OPTIONS("overwrite", "true", "threads", "1");
+  OK(meniscus_options_on_event(options, note, events));
   MeniscusSummary summary = {.size = sizeof summary};
-  CHECK(meniscus_convert(&conversion, &options, &summary) == MENISCUS_STATUS_INCOMPLETE);
+  CHECK(meniscus_convert(names, 4, output, options, &summary) == MENISCUS_STATUS_INCOMPLETE);
   CHECK(summary.made == 3 && summary.failed == 1 && strstr(meniscus_last_error(), "water_2.xyz"));
   CHECK(events[MENISCUS_EVENT_KIND_DONE] == 3 && events[MENISCUS_EVENT_KIND_FAILED] == 1);
   CHECK(events[MENISCUS_EVENT_KIND_BEGINS] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
   CHECK(events[MENISCUS_EVENT_KIND_STAGE] > 3 && events[MENISCUS_EVENT_KIND_OTHER] == 0);
-  conversion.event = stop;
-  CHECK(meniscus_convert(&conversion, &options, NULL) == MENISCUS_STATUS_CANCELLED);
-  conversion.overwrite = 0;
-  CHECK(meniscus_convert(&conversion, &options, NULL) == MENISCUS_STATUS_REQUEST);
+  OK(meniscus_options_on_event(options, stop, NULL));
+  CHECK(meniscus_convert(names, 4, output, options, NULL) == MENISCUS_STATUS_CANCELLED);
+  OK(meniscus_options_set(options, "overwrite", "false"));
+  CHECK(meniscus_convert(names, 4, output, options, NULL) == MENISCUS_STATUS_REQUEST);
+  meniscus_options_free(options);
 }
 
 static void *work(void *threads) {
   MeniscusParticles particles = particles_of(positions);
-  MeniscusOptions options = {.size = sizeof options, .threads = *(unsigned *)threads};
+  const unsigned count = *(unsigned *)threads;
+  MeniscusOptions *options = meniscus_options_new();
+  OK(meniscus_options_set_number(options, "threads", count));
   uint64_t sum = 0;
   for (int i = 0; i < 3; i++) {
     MeniscusMesh *mesh;
-    OK(meniscus_reconstruct(&particles, &options, &mesh));
+    OK(meniscus_reconstruct(&particles, options, &mesh));
     sum += meniscus_mesh_vertex_count(mesh);
     meniscus_mesh_free(mesh);
     // The message of this thread, whatever the other fails by meanwhile.
-    MeniscusOptions wrong = {.size = sizeof wrong, .spacing = -1.0 - options.threads};
+    MeniscusOptions *wrong = meniscus_options_new();
+    OK(meniscus_options_set_number(wrong, "spacing", -1.0 - count));
     char expected[16];
-    snprintf(expected, sizeof expected, "not -%u", 1 + options.threads);
-    CHECK(meniscus_reconstruct(&particles, &wrong, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
+    snprintf(expected, sizeof expected, "not -%u", 1 + count);
+    CHECK(meniscus_reconstruct(&particles, wrong, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
     CHECK(strstr(meniscus_last_error(), expected));
+    meniscus_options_free(wrong);
   }
+  meniscus_options_free(options);
   return (void *)(uintptr_t)sum;
 }
 
@@ -310,10 +328,53 @@ static void two_threads_do_not_disturb_each_other(void) {
   CHECK(sums[0] == sums[1] && sums[0] != NULL);
 }
 
+/// Every key is one that can be set, and has a line of help.
+static void keys_are_listed(void) {
+  MeniscusOptions *options = meniscus_options_new();
+  size_t count = 0;
+  for (const char *key; (key = meniscus_options_key(count)); count++) {
+    const char *help = meniscus_options_help(count);
+    CHECK(help && strlen(help) > 10 && !strchr(help, '\n'));
+    OK(meniscus_options_set(options, key, NULL));
+  }
+  CHECK(count > 30 && !meniscus_options_help(count) && !meniscus_options_key(SIZE_MAX));
+  meniscus_options_free(options);
+}
+
+/// A value is the same as text and as numbers.
+static void text_and_numbers_are_the_same_options(void) {
+  const double origin[] = {0.01, 0, -0.5};
+  const double tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};
+  MeniscusOptions *all[] = {
+      OPTIONS("spacing", "5e-2", "origin", "0.01 0 -0.5", "domain", "-0.02,-,-,0.4,-,-", "normals",
+              "true", "memory", "1GiB"),
+      meniscus_options_new(),
+  };
+  OK(meniscus_options_set_number(all[1], "spacing", 0.05));
+  OK(meniscus_options_set_numbers(all[1], "origin", origin, 3));
+  OK(meniscus_options_set_numbers(all[1], "domain", tank, 6));
+  OK(meniscus_options_set_number(all[1], "normals", 1));
+  OK(meniscus_options_set_number(all[1], "memory", 1 << 30));
+  MeniscusParticles particles = particles_of(positions);
+  MeniscusMesh *meshes[2];
+  MeniscusArrays arrays[2] = {{.size = sizeof arrays[0]}, {.size = sizeof arrays[1]}};
+  for (int i = 0; i < 2; i++) {
+    OK(meniscus_reconstruct(&particles, all[i], &meshes[i]));
+    meniscus_options_free(all[i]);
+    OK(meniscus_mesh_arrays(meshes[i], &arrays[i]));
+    CHECK(arrays[i].normals && arrays[i].vertex_count == arrays[0].vertex_count);
+  }
+  const size_t bytes = 3 * arrays[0].vertex_count * sizeof(double);
+  CHECK(memcmp(arrays[0].positions, arrays[1].positions, bytes) == 0);
+  meniscus_mesh_free(meshes[0]), meniscus_mesh_free(meshes[1]);
+}
+
 static int test(int count, char **arguments) {
   CHECK(count == 2);
   pour(positions, 0);
   CHECK(strcmp(meniscus_last_error(), "") == 0 && strlen(meniscus_version()) >= 5);
+  keys_are_listed();
+  text_and_numbers_are_the_same_options();
   copies_are_what_is_lent();
   positions_may_lie_anywhere();
   progress_is_told_and_can_end_the_work(arguments[1]);

@@ -50,12 +50,6 @@ static double number(double usual) {
   return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + share());
 }
 
-/// An enumeration's number, or none.
-static int32_t code(uint32_t names) {
-  const int32_t odd[] = {-1, INT32_MIN, INT32_MAX, 77};
-  return rarely(12) ? odd[pick(4)] : rarely(2) ? 0 : (int32_t)pick(names);
-}
-
 static size_t size_of(size_t right) {
   const size_t odd[] = {0, 1, 7, 9, 4097, SIZE_MAX, 8};
   return rarely(20) ? odd[pick(7)] : rarely(12) ? 8 * (1 + pick((uint32_t)right / 8)) : right;
@@ -73,16 +67,7 @@ static const double EXTENT = 0.4;
 // As small as what is said to be there, so that valgrind sees whoever looks beyond.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
-static double six[4][6];
-static const char *names[3];
 static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
-
-static const double *box(int which) {
-  for (int i = 0; i < 6; i++) {
-    six[which][i] = rarely(12) ? number(1) : rarely(6) ? (i < 3 ? -INFINITY : INFINITY) : (i < 3 ? -0.2 : 0.7) + 0.1 * share();
-  }
-  return rarely(4) ? six[which] : NULL;
-}
 
 static unsigned char *allocate(size_t bytes) {
   free(memory);
@@ -156,7 +141,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   }
   if (rarely(40)) particles->count = UINT64_MAX >> pick(3);
   if (rarely(40)) particles->positions = NULL;
-  if (rarely(30)) particles->number = code(2) | 4;
+  if (rarely(30)) particles->number = rarely(2) ? -1 : 4 + (int32_t)pick(77);
   return rarely(60) ? NULL : particles;
 }
 
@@ -169,46 +154,117 @@ static int32_t end_sometimes(void *user, const MeniscusProgress *progress) {
 static int left;
 static MeniscusCancel *cancel;
 
-static MeniscusOptions *some_options(MeniscusOptions *options, const char *folder) {
-  memset(options, 0, sizeof *options);
-  options->size = size_of(sizeof *options);
-  options->spacing = rarely(2) ? 0.05 : rarely(8) ? number(0.05) : 0.05;
-  if (rarely(12)) options->radius = number(0.03), options->spacing = rarely(4) ? 1 : 0;
-  if (rarely(10)) options->cell_size = number(0.04);
-  if (rarely(4)) options->cell = number(0.7);
-  if (rarely(12)) options->origin = six[3], six[3][0] = number(0.1), six[3][1] = number(1), six[3][2] = 0;
-  options->domain = rarely(2) ? box(0) : NULL;
-  options->periodic = rarely(4) ? box(1) : NULL;
-  if (rarely(20)) options->particle_type = words[pick(8)];
-  if (rarely(12)) options->mu0 = number(1);
-  if (rarely(5)) options->smooth = number(1.5);
-  if (rarely(12)) options->sigma = number(1.5);
-  if (rarely(12)) options->iso = number(0.4);
-  if (rarely(8)) options->simplify = number(0.5);
-  if (rarely(10)) options->smallest_component = number(5);
-  if (rarely(10)) options->smallest_drop = pick(9);
-  if (rarely(6)) {
-    options->attributes = rarely(20) ? NULL : names;
-    options->attribute_count = pick(4);
-    for (int i = 0; i < 3; i++) names[i] = words[rarely(4) ? pick(8) : 3u * pick(2)];
+/// Looks at the outcome of a call that sets an option: values are taken, or refused with a message.
+static void taken_or_refused(MeniscusStatus status) {
+  CHECK(status == MENISCUS_STATUS_OK || status == MENISCUS_STATUS_REQUEST);
+  CHECK(status == MENISCUS_STATUS_OK || strlen(meniscus_last_error()) > 5);
+}
+
+static void set(MeniscusOptions *options, const char *key, const char *value) {
+  taken_or_refused(meniscus_options_set(options, key, value));
+}
+
+static void set_numbers(MeniscusOptions *options, const char *key, const double *values,
+                        size_t count) {
+  taken_or_refused(meniscus_options_set_numbers(options, key, values, count));
+}
+
+static void set_number(MeniscusOptions *options, const char *key, double value) {
+  taken_or_refused(meniscus_options_set_number(options, key, value));
+}
+
+static void set_box(MeniscusOptions *options, const char *key) {
+  double box[6];
+  for (int i = 0; i < 6; i++) {
+    const double open = i < 3 ? -INFINITY : INFINITY, usual = (i < 3 ? -0.2 : 0.7) + 0.1 * share();
+    box[i] = rarely(12) ? number(1) : rarely(6) ? open : usual;
   }
-  options->memory = rarely(8) ? (uint64_t)fabs(number(1 << 20)) % (1u << 30) : 200 << 20;
-  if (rarely(20)) options->scratch = rarely(2) ? folder : "there/is/none";
-  // Devices are not looked for: most of the time would go to them.
-  if (options->size == sizeof *options && rarely(30)) options->backend = code(3), options->device = rarely(2) ? NULL : options->backend ? "none" : NULL;
-  if (options->backend == MENISCUS_BACKEND_AUTO) options->device = NULL;
-  if (rarely(6)) options->progress = end_sometimes, options->user = &left, left = (int)pick(12);
+  if (rarely(4)) set_numbers(options, key, box, 6);
+}
+
+/// Whether random values of an option do no harm. Others look for devices, which takes most of the
+/// time, wait for frames that never come, write elsewhere, or start too many threads.
+static bool is_harmless(const char *key) {
+  const char *harmful[] = {"backend", "device", "watch", "scratch", "threads"};
+  for (size_t i = 0; i < sizeof harmful / sizeof *harmful; i++) {
+    if (strcmp(key, harmful[i]) == 0) return false;
+  }
+  return true;
+}
+
+/// Sets any option from anything.
+static void set_anything(MeniscusOptions *options) {
+  const char *odd[] = {
+      "",     "0",    "1", "-1", "nan", "1e999", "true",        "false",       "auto",
+      "none", "y",    "z", ",",  "1,2", "1 2 3", "-,-,-,-,-,-", "0,-,0,1,-,1", "velocity,heat",
+      "3..5", "5..3", "5", "\xff", NULL,  "1KiB",  "18446744073709551616",
+  };
+  double numbers[7];
+  const char *key = rarely(10) ? words[pick(8)] : meniscus_options_key(pick(60));
+  if (key && !is_harmless(key)) return;
+  if (rarely(3)) {
+    for (int i = 0; i < 7; i++) numbers[i] = number(1);
+    set_numbers(rarely(50) ? NULL : options, key, numbers, pick(8));
+  } else {
+    set(rarely(50) ? NULL : options, key, odd[pick(sizeof odd / sizeof *odd)]);
+  }
+}
+
+/// Options, right and wrong, to be freed.
+static MeniscusOptions *some_options(const char *folder) {
+  MeniscusOptions *options = rarely(20) ? meniscus_options_copy(NULL) : meniscus_options_new();
+  set_number(options, "spacing", rarely(2) ? 0.05 : rarely(8) ? number(0.05) : 0.05);
+  if (rarely(12)) {
+    set_number(options, "radius", number(0.03));
+    if (!rarely(4)) set(options, "spacing", NULL);
+  }
+  if (rarely(10)) set_number(options, "cell-size", number(0.04));
+  if (rarely(4)) set_number(options, "cell", number(0.7));
+  if (rarely(12)) set_numbers(options, "origin", (double[]){number(0.1), number(1), 0}, 3);
+  if (rarely(2)) set_box(options, "domain");
+  if (rarely(4)) set_box(options, "periodic");
+  if (rarely(20)) set(options, "particle-type", words[pick(8)]);
+  if (rarely(12)) set_number(options, "mu0", number(1));
+  if (rarely(5)) set_number(options, "smooth", number(1.5));
+  if (rarely(12)) set_number(options, "sigma", number(1.5));
+  if (rarely(12)) set_number(options, "iso", number(0.4));
+  if (rarely(8)) set_number(options, "simplify", number(0.5));
+  if (rarely(10)) set_number(options, "smallest-component", number(5));
+  if (rarely(10)) set_number(options, "smallest-drop", pick(9));
+  const char *usual = rarely(2) ? "velocity" : "none";
+  if (rarely(6)) set(options, "attributes", rarely(4) ? words[pick(8)] : usual);
+  const uint64_t budget = rarely(8) ? (uint64_t)fabs(number(1 << 20)) % (1u << 30) : 200 << 20;
+  set_number(options, "memory", (double)budget);
+  if (rarely(20)) set(options, "scratch", rarely(2) ? folder : "there/is/none");
+  if (rarely(30)) {
+    const bool is_cpu = rarely(2);
+    set(options, "backend", is_cpu ? "cpu" : "auto");
+    if (rarely(2)) set(options, "device", is_cpu ? "none" : NULL);
+  }
+  if (rarely(6)) {
+    OK(meniscus_options_on_progress(options, end_sometimes, &left));
+    left = (int)pick(12);
+  }
   if (rarely(15)) {
-    options->cancel = cancel;
+    OK(meniscus_options_cancel_by(options, cancel));
     if (rarely(3)) meniscus_cancel(cancel);
   }
-  options->threads = rarely(50) ? 5000 : 1 + rarely(40);
+  set_number(options, "threads", rarely(50) ? 5000 : 1 + rarely(40));
   if (rarely(3)) {
-    options->indicator = code(4), options->method = rarely(2) ? code(4) : 0, options->periodic_mesh = code(3);
-    options->up = code(3), options->particles_up = code(3);
-    options->skip_invalid = code(2), options->detail = rarely(4), options->normals = code(2), options->compress = rarely(4);
+    const char *indicators[] = {"cloud", "counting", "symmetry", "none"};
+    const char *methods[] = {"dif", "mueller", "zhu-bridson", "yu-turk"};
+    set(options, "indicator", rarely(2) ? NULL : indicators[pick(4)]);
+    if (rarely(2)) set(options, "method", methods[pick(4)]);
+    if (rarely(2)) set(options, "periodic-mesh", rarely(2) ? "cut" : "overlap");
+    if (rarely(2)) set(options, "up", rarely(2) ? "y" : "z");
+    if (rarely(2)) set(options, "particles-up", rarely(2) ? "y" : "z");
+    set_number(options, "skip-invalid", rarely(2)), set_number(options, "detail", rarely(4));
+    set_number(options, "normals", rarely(2)), set_number(options, "compress", rarely(4));
   }
-  return rarely(30) ? NULL : options;
+  if (rarely(4)) set_anything(options);
+  if (!rarely(30)) return options;
+  meniscus_options_free(options);
+  return NULL;
 }
 
 static uint64_t codes[256], calls;
@@ -295,18 +351,29 @@ static void convert(const char *folder, const char *frames) {
   char output[512], one[512];
   snprintf(output, sizeof output, "%s/random_{}.ply", folder);
   snprintf(one, sizeof one, "%s/one.ply", folder);
-  uint64_t ends[] = {pick(9), pick(9)};
-  MeniscusConversion conversion = {.size = size_of(sizeof conversion), .inputs = rarely(20) ? NULL : inputs};
-  conversion.input_count = rarely(4) ? pick(3) : 1, conversion.output = rarely(10) ? NULL : rarely(3) ? one : output;
-  conversion.start = rarely(3) ? pick(9) : 0, conversion.end = rarely(3) ? ends : NULL, conversion.frames = rarely(3) ? ends : NULL;
-  conversion.step = pick(3), conversion.fps = rarely(3) ? number(25) : 0, conversion.watch = rarely(9) ? -number(1) : 0;
-  conversion.overwrite = rarely(2), conversion.resume = rarely(2);
-  if (rarely(2)) conversion.event = end_at_some_event, conversion.user = &left, left = (int)pick(30);
-  // Nobody waits for what never comes.
-  if (conversion.watch > 0) conversion.watch = 1e-9;
-  MeniscusOptions options, *some = some_options(&options, folder);
+  MeniscusOptions *some = some_options(folder);
+  if (some) {
+    char range[24];
+    snprintf(range, sizeof range, "%u..%u", pick(9), pick(9));
+    if (rarely(3)) set_number(some, "start", pick(9));
+    if (rarely(3)) set_number(some, "end", pick(9));
+    if (rarely(3)) set(some, "frames", range);
+    if (rarely(2)) set_number(some, "step", pick(3));
+    if (rarely(3)) set_number(some, "fps", number(25));
+    // Nobody waits for what never comes.
+    if (rarely(9)) set_number(some, "watch", rarely(2) ? 1e-9 : -fabs(number(1)));
+    set_number(some, "overwrite", rarely(2)), set_number(some, "resume", rarely(2));
+    if (rarely(2)) {
+      OK(meniscus_options_on_event(some, end_at_some_event, &left));
+      left = (int)pick(30);
+    }
+  }
   MeniscusSummary summary = {.size = sizeof summary};
-  note(meniscus_convert(rarely(20) ? NULL : &conversion, some, rarely(3) ? NULL : &summary));
+  const char *to = rarely(10) ? NULL : rarely(3) ? one : output;
+  const char *const *from = rarely(20) ? NULL : inputs;
+  const size_t count = rarely(4) ? pick(3) : 1;
+  note(meniscus_convert(from, count, to, some, rarely(3) ? NULL : &summary));
+  meniscus_options_free(some);
 }
 
 /// Keeps a mesh that was made instead of another: it is closed, whatever it was made of.
@@ -324,7 +391,6 @@ static void make_calls(const char *folder, uint64_t wanted) {
   MeniscusFrame *frame = NULL;
   MeniscusSimulation *simulation = NULL;
   MeniscusParticles particles;
-  MeniscusOptions options;
   char path[512];
   snprintf(path, sizeof path, "%s/random.mnf", folder);
   const char *frames = frames_in(folder);
@@ -334,25 +400,23 @@ static void make_calls(const char *folder, uint64_t wanted) {
     MeniscusFrame *sampled = NULL;
     MeniscusSimulation *begun = NULL;
     uint32_t what = pick(100);
+    MeniscusOptions *options = what < 40 ? some_options(folder) : NULL;
     if (what < 14) {
       const MeniscusParticles *some = some_particles(&particles);
-      note(meniscus_reconstruct(some, some_options(&options, folder), rarely(60) ? NULL : &made));
+      note(meniscus_reconstruct(some, options, rarely(60) ? NULL : &made));
     } else if (what < 20) {
       const MeniscusParticles *some = some_particles(&particles);
-      note(meniscus_sample(some, some_options(&options, folder), &sampled));
+      note(meniscus_sample(some, options, &sampled));
     } else if (what < 26) {
-      note(meniscus_frame_surface(frame, some_options(&options, folder), &made));
+      note(meniscus_frame_surface(frame, options, &made));
     } else if (what < 29) {
       note(meniscus_frame_pack(frame, rarely(10) ? "a.ply" : path, (int32_t)pick(2), NULL));
     } else if (what < 32) {
-      note(meniscus_reconstruct_file(rarely(3) ? words[pick(8)] : path, some_options(&options, folder), &made));
+      note(meniscus_reconstruct_file(rarely(3) ? words[pick(8)] : path, options, &made));
     } else if (what < 34) {
-      note(meniscus_sample_file(rarely(3) ? words[pick(8)] : path, some_options(&options, folder), &sampled));
+      note(meniscus_sample_file(rarely(3) ? words[pick(8)] : path, options, &sampled));
     } else if (what < 40) {
-      MeniscusOptions *some = some_options(&options, folder);
-      // Held longer than these options are.
-      if (some) some->progress = NULL;
-      note(meniscus_simulation_new(some, &begun));
+      note(meniscus_simulation_new(options, &begun));
     } else if (what < 48) {
       note(meniscus_simulation_frame(simulation, some_particles(&particles), &made));
       (void)meniscus_simulation_is_settled(simulation);
@@ -361,6 +425,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
     } else {
       ask(rarely(50) ? NULL : mesh, folder);
     }
+    meniscus_options_free(options);
     if (made) keep(&mesh, made);
     if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
     if (begun) meniscus_simulation_free(simulation), simulation = begun, calls++;

@@ -82,23 +82,27 @@ static int test(int count, char **arguments) {
   meniscus_mesh_free(of_file);
 
   // Options by their names, and positions among other numbers.
-  const double origin[] = {0.01, 0, 0}, tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};
-  const double box[] = {-0.3, -INFINITY, -0.3, 0.9, INFINITY, 0.9};
-  struct { const char *said; MeniscusOptions options; } all[] = {
-      {"--spacing 0.05 --cell 0.3 --smooth 2", {.spacing = 0.05, .cell = 0.3, .smooth = 2}},
-      {"--radius 0.025 --cell-size 0.03 --normals", {.radius = 0.025, .cell_size = 0.03, .normals = 1}},
-      {"--indicator counting --detail --sigma 1.5", {.indicator = MENISCUS_INDICATOR_COUNTING, .detail = 1, .sigma = 1.5}},
-      {"--indicator counting --mu0 0.3 --cell 0.7", {.indicator = MENISCUS_INDICATOR_COUNTING, .mu0 = 0.3, .cell = 0.7}},
+  struct { const char *said; const char *const options[9]; } all[] = {
+      {"--spacing 0.05 --cell 0.3 --smooth 2", {"spacing", "0.05", "cell", "0.3", "smooth", "2"}},
+      {"--radius 0.025 --cell-size 0.03 --normals",
+       {"radius", "0.025", "cell-size", "0.03", "normals", "true"}},
+      {"--indicator counting --detail --sigma 1.5",
+       {"indicator", "counting", "detail", "true", "sigma", "1.5"}},
+      {"--indicator counting --mu0 0.3 --cell 0.7",
+       {"indicator", "counting", "mu0", "0.3", "cell", "0.7"}},
       {"--indicator symmetry --iso 0.2 --cell 1 --origin 0.01,0,0",
-       {.indicator = MENISCUS_INDICATOR_SYMMETRY, .iso = 0.2, .cell = 1, .origin = origin}},
-      {"--domain -0.02,-,-,0.4,-,- --simplify 0.5", {.domain = tank, .simplify = 0.5}},
+       {"indicator", "symmetry", "iso", "0.2", "cell", "1", "origin", "0.01,0,0"}},
+      {"--domain -0.02,-,-,0.4,-,- --simplify 0.5",
+       {"domain", "-0.02,-,-,0.4,-,-", "simplify", "0.5"}},
       {"--periodic -0.3,-,-0.3,0.9,-,0.9 --periodic-mesh overlap",
-       {.periodic = box, .periodic_mesh = MENISCUS_PERIODIC_MESH_OVERLAP}},
-      {"--method mueller", {.method = MENISCUS_METHOD_MUELLER}},
-      {"--method zhu-bridson", {.method = MENISCUS_METHOD_ZHU_BRIDSON}},
-      {"--method yu-turk --iso 0.4", {.method = MENISCUS_METHOD_YU_TURK, .iso = 0.4}},
-      {"--memory 24MiB --threads 1 --smallest-drop 5", {.memory = 24 << 20, .threads = 1, .smallest_drop = 5}},
-      {"--smallest-component 20 --up z --skip-invalid", {.smallest_component = 20, .up = MENISCUS_UP_Z, .skip_invalid = 1}},
+       {"periodic", "-0.3 - -0.3 0.9 - 0.9", "periodic-mesh", "overlap"}},
+      {"--method mueller", {"method", "mueller"}},
+      {"--method zhu-bridson", {"method", "zhu-bridson"}},
+      {"--method yu-turk --iso 0.4", {"method", "yu-turk", "iso", "0.4"}},
+      {"--memory 24MiB --threads 1 --smallest-drop 5",
+       {"memory", "24MiB", "threads", "1", "smallest-drop", "5"}},
+      {"--smallest-component 20 --up z --skip-invalid",
+       {"smallest-component", "20", "up", "z", "skip-invalid", "true"}},
   };
   MeniscusParticles strided = {.size = sizeof strided,
                                .count = COUNT,
@@ -106,21 +110,24 @@ static int test(int count, char **arguments) {
                                .stride = sizeof *structures,
                                .number = MENISCUS_TYPE_F64};
   for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
-    all[i].options.size = sizeof all[i].options;
     MeniscusMesh *mesh;
-    OK(meniscus_reconstruct(&strided, &all[i].options, &mesh));
+    MeniscusOptions *options = options_of(all[i].options);
+    OK(meniscus_reconstruct(&strided, options, &mesh));
+    meniscus_options_free(options);
     compare("ply", mesh, wide_file, all[i].said);
     meniscus_mesh_free(mesh);
   }
-  MeniscusOptions small = {.size = sizeof small, .compress = 1, .particles_up = MENISCUS_UP_Z};
+  MeniscusOptions *small = OPTIONS("compress", "true", "particles-up", "z");
   MeniscusMesh *mesh;
-  OK(meniscus_reconstruct(&strided, &small, &mesh));
+  OK(meniscus_reconstruct(&strided, small, &mesh));
+  meniscus_options_free(small);
   compare("glb", mesh, wide_file, "--compress --particles-up z");
   meniscus_mesh_free(mesh);
 
   // A device makes the bytes of the CPU.
-  MeniscusOptions device = {.size = sizeof device, .backend = MENISCUS_BACKEND_VULKAN, .normals = 1};
-  MeniscusStatus status = meniscus_reconstruct(&strided, &device, &mesh);
+  MeniscusOptions *device = OPTIONS("backend", "vulkan", "normals", "true");
+  MeniscusStatus status = meniscus_reconstruct(&strided, device, &mesh);
+  meniscus_options_free(device);
   driver_used = true;
   if (status == MENISCUS_STATUS_DEVICE && !getenv("MENISCUS_REQUIRE_VULKAN")) {
     printf("without a Vulkan device: %s\n", meniscus_last_error());
@@ -139,8 +146,9 @@ static int test(int count, char **arguments) {
   meniscus_frame_free(frame);
   run("%s pack %s -o %s/program.mnf --quiet --backend cpu --overwrite", program, wide_file, folder);
   run("cmp %s/program.mnf %s", folder, packed);
-  MeniscusOptions calm = {.size = sizeof calm, .smooth = 2};
-  OK(meniscus_reconstruct_file(packed, &calm, &mesh));
+  MeniscusOptions *calm = OPTIONS("smooth", "2");
+  OK(meniscus_reconstruct_file(packed, calm, &mesh));
+  meniscus_options_free(calm);
   compare("ply", mesh, wide_file, "--smooth 2");
   meniscus_mesh_free(mesh);
 
@@ -156,11 +164,10 @@ static int test(int count, char **arguments) {
   snprintf(frames, sizeof frames, "%s/frames", folder);
   snprintf(meshes, sizeof meshes, "%s/by_library/mesh_{:04}.vtp", folder);
   const char *inputs[] = {frames};
-  const uint64_t end = 3;
-  MeniscusConversion conversion = {.size = sizeof conversion, .inputs = inputs, .input_count = 1, .output = meshes};
-  conversion.start = 1, conversion.end = &end, conversion.step = 2, conversion.fps = 25;
+  MeniscusOptions *options = OPTIONS("start", "1", "end", "3", "step", "2", "fps", "25");
   MeniscusSummary summary = {.size = sizeof summary};
-  OK(meniscus_convert(&conversion, NULL, &summary));
+  OK(meniscus_convert(inputs, 1, meshes, options, &summary));
+  meniscus_options_free(options);
   CHECK(summary.made == 2 && summary.failed == 0 && summary.missing == 0 && summary.particles == 2 * COUNT);
   run("%s reconstruct %s -o '%s/by_program/mesh_{:04}.vtp' --start 1 --end 3 --step 2 --fps 25 --quiet --backend cpu",
       program, frames, folder);

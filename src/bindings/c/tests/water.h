@@ -54,6 +54,17 @@ static inline void pour(float positions[COUNT][3], float shift) {
   }
 }
 
+/// Options by their keys and values, in turn; the caller frees them.
+#define OPTIONS(...) options_of((const char *const[]){__VA_ARGS__, NULL})
+
+static inline MeniscusOptions *options_of(const char *const *said) {
+  MeniscusOptions *options = meniscus_options_new();
+  for (; *said; said += 2) {
+    OK(meniscus_options_set(options, said[0], said[1]));
+  }
+  return options;
+}
+
 static inline MeniscusParticles particles_of(float positions[COUNT][3]) {
   MeniscusParticles particles = {.size = sizeof particles, .count = COUNT, .positions = positions};
   return particles;

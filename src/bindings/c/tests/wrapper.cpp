@@ -32,10 +32,11 @@ static void test(const std::string &folder) {
     water.push_back({0.1 * (i % 8), 0.1 * (i / 8 % 8), 0.1 * (i / 64) + 0.01 * (i % 3)});
     speeds.push_back(2);
   }
-  meniscus::Options options;
-  options.spacing = 0.1, options.normals = 1, options.carried = {"speed"};
+  auto options =
+      meniscus::Options().set("spacing", 0.1).set("normals", true).set("attributes", "speed");
+  options.set("origin", {0, 0, 0}).set("threads", 1).set("up", std::string("y"));
   int told = 0;
-  options.on_progress = [&](const MeniscusProgress &) { return ++told > 0; };
+  options.on_progress([&](const MeniscusProgress &) { return ++told > 0; });
   auto particles = meniscus::Particles(water).attribute("speed", speeds.data(), 1);
   const meniscus::Mesh mesh = meniscus::reconstruct(particles, options);
   CHECK(told > 2 && mesh.vertex_count() > 100 && mesh.checked().is_closed_oriented_manifold);
@@ -57,9 +58,9 @@ static void test(const std::string &folder) {
   CHECK(failure([&] { mesh.write(path); }, "exists already") == MENISCUS_STATUS_REQUEST);
 
   // What a callback says, and what it throws.
-  options.on_progress = [](const MeniscusProgress &) { return false; };
+  options.on_progress([](const MeniscusProgress &) { return false; });
   CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "cancelled") == MENISCUS_STATUS_CANCELLED);
-  options.on_progress = [](const MeniscusProgress &) -> bool { throw 42; };
+  options.on_progress([](const MeniscusProgress &) -> bool { throw 42; });
   int caught = 0;
   try {
     meniscus::reconstruct(particles, options);
@@ -67,19 +68,29 @@ static void test(const std::string &folder) {
     caught = thrown;
   }
   CHECK(caught == 42);
-  options.on_progress = nullptr;
-  options.spacing = -1;
-  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "options.spacing must be positive and finite, not -1") == MENISCUS_STATUS_REQUEST);
+  options.on_progress(nullptr);
+  options.set("spacing", -1);
+  const auto refused = [](auto call, const char *message) {
+    CHECK(failure(call, message) == MENISCUS_STATUS_REQUEST);
+  };
+  refused([&] { meniscus::reconstruct(particles, options); },
+          "spacing must be positive and finite, not -1");
+  refused([&] { options.set("spacng", 1); }, "no option has the key \"spacng\"");
+  refused([&] { options.set("normals", "yes"); }, "normals: expected true or false, got \"yes\"");
+  refused([&] { options.set("origin", std::vector<double>{1}); }, "origin: expected 3 numbers");
   CHECK(failure([&] { meniscus::reconstruct("none.bgeo"); }, "none.bgeo") == MENISCUS_STATUS_INPUT);
   meniscus::Cancel cancel;
-  options.spacing = 0.1, options.cancel = cancel.c();
+  options.set("spacing", 0.1).clear("origin");
+  auto cancelled = options;
+  cancelled.cancel_by(cancel);
   cancel.cancel();
-  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "cancelled") == MENISCUS_STATUS_CANCELLED);
-  options.cancel = nullptr;
+  const auto by_cancelled = [&] { meniscus::reconstruct(particles, cancelled); };
+  CHECK(failure(by_cancelled, "cancelled") == MENISCUS_STATUS_CANCELLED);
+  cancelled = options;
+  CHECK(meniscus::reconstruct(particles, cancelled).vertex_count() == mesh.vertex_count());
 
   const meniscus::Frame frame(particles, options);
-  meniscus::Options calm;
-  calm.smooth = 2, calm.carried = {"speed"};
+  const auto calm = meniscus::Options().set("smooth", 2).set("attributes", "speed");
   CHECK(frame.surface(calm).triangle_count() != frame.surface().triangle_count());
   meniscus::Simulation simulation(options);
   CHECK(simulation.frame(particles).vertex_count() > 100);

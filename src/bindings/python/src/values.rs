@@ -79,7 +79,7 @@ impl Source for Given<'_, '_> {
         self.value.extract().map_err(|_| self.wants("a number"))
     }
 
-    fn count(&self) -> PyResult<u32> {
+    fn count<T: TryFrom<u64>>(&self) -> PyResult<T> {
         self.whole()
     }
 

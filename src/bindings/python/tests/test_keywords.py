@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,6 +51,72 @@ def keywords(function: Any) -> set[str]:
     return {parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
 
 
+STUB = ast.parse((Path(meniscus.__file__).parent / "_meniscus.pyi").read_text())
+CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
+
+
+def assigned(where: ast.Module | ast.ClassDef) -> list[ast.AnnAssign]:
+    return [node for node in where.body if isinstance(node, ast.AnnAssign)]
+
+
+ALIASES = {ast.unparse(node.target): node.value for node in assigned(STUB) if node.value}
+
+
+def typed(name: str) -> dict[str, ast.expr]:
+    """The keys of one of the stub's TypedDicts and of its bases, each with its type."""
+    found: dict[str, ast.expr] = {}
+    for base in CLASSES[name].bases:
+        if ast.unparse(base) != "TypedDict":
+            found |= typed(ast.unparse(base))
+    own = {ast.unparse(item.target): item.annotation for item in assigned(CLASSES[name])}
+    assert not set(found) & set(own), f"{name} repeats a key"
+    return found | own
+
+
+def stub_keywords(function: ast.FunctionDef) -> set[str]:
+    """All that may be said by its name, as the stub has it."""
+    own = {argument.arg for argument in function.args.kwonlyargs}
+    others = function.args.kwarg
+    if others is None or others.annotation is None:
+        return own
+    unpacked = ast.unparse(others.annotation).removeprefix("Unpack[").removesuffix("]")
+    return own | set(typed(unpacked))
+
+
+def in_stub(where: ast.Module | ast.ClassDef, name: str) -> ast.FunctionDef:
+    functions = (node for node in where.body if isinstance(node, ast.FunctionDef))
+    return next(node for node in functions if node.name == name)
+
+
+def members(annotation: ast.expr) -> list[ast.expr]:
+    """The members of a union."""
+    if isinstance(annotation, ast.BinOp):
+        return members(annotation.left) + members(annotation.right)
+    return [annotation]
+
+
+# A value of each type of a keyword that is not a list of words.
+SAMPLES: dict[str, Any] = {
+    "None": None,
+    "bool": False,
+    "int": 3,
+    "float": 0.5,
+    "str": "1",
+    "_Path": ".",
+    "_Point": [0.0, 0.0, 0.0],
+    "_Box": [-9.0, None, -9.0, 9.0, None, 9.0],
+    "tuple[int, int]": (1, 2),
+    "Iterable[str]": ["heat"],
+}
+
+
+def words(member: ast.expr) -> list[str]:
+    """The words of a Literal, or of an alias of one; none of another type."""
+    member = ALIASES.get(ast.unparse(member), member)
+    text = ast.unparse(member)
+    return re.findall(r"'([^']*)'", text) if text.startswith("Literal") else []
+
+
 @pytest.fixture(scope="module")
 def options(program: Any) -> set[str]:
     text = program("reconstruct", "--help")
@@ -77,6 +145,38 @@ def test_a_frame_that_is_sampled_has_the_keywords_of_its_surface(options: set[st
     of_surface = keywords(meniscus.Frame.surface) - {"progress"}
     assert {"smooth", "simplify", "normals"} <= of_surface <= options
     assert keywords(meniscus.Frame.load) == keywords(meniscus.Frame) - {"velocity"} | {"format", "particle_type"}
+
+
+def test_the_stub_has_the_keywords_of_each_function() -> None:
+    frame = CLASSES["Frame"]
+    pairs = [
+        (meniscus.reconstruct, in_stub(STUB, "reconstruct")),
+        (meniscus.Frame, in_stub(frame, "__new__")),
+        (meniscus.Frame.load, in_stub(frame, "load")),
+        (meniscus.Frame.surface, in_stub(frame, "surface")),
+        (meniscus.Simulation, in_stub(CLASSES["Simulation"], "__new__")),
+    ]
+    for function, stub in pairs:
+        assert stub_keywords(stub) == keywords(function), function
+
+
+@pytest.mark.parametrize("name", sorted(typed("_OfFrames")))
+def test_every_type_of_the_stub_is_taken(name: str, tmp_path: Any) -> None:
+    """By a simulation, which takes all keywords: values may be refused, but not their types."""
+    inputs, output = tmp_path / "in_{}.bgeo", tmp_path / "out_{}.ply"
+    known: list[str] = []
+    for member in members(typed("_OfFrames")[name]):
+        known += words(member)
+        values = words(member) or [SAMPLES[ast.unparse(member)]]
+        for value in values:
+            try:
+                meniscus.Simulation(inputs, output, **{name: value})
+            except (meniscus.InputError, meniscus.FileError, meniscus.DeviceError) as error:
+                assert not re.search(" is needed| is none of ", str(error)), (name, value)
+    if known and known != ["auto"]:
+        with pytest.raises(meniscus.InputError) as refused:
+            meniscus.Simulation(**{name: "?"})
+        assert str(refused.value).rpartition("none of ")[2].split(", ") == known
 
 
 @pytest.mark.parametrize("name", sorted(keywords(meniscus.reconstruct) - OWN))

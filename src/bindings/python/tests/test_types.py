@@ -31,14 +31,41 @@ def test_the_stubs_are_those_of_the_module() -> None:
 def test_stubs_of_another_signature_are_found_out(tmp_path: Path) -> None:
     package = Path(meniscus.__file__).parent
     stub = (package / "_meniscus.pyi").read_text()
-    changed = re.sub(r"\n    smooth: float \| None = None,", "", stub, count=1)
+    changed = re.sub(r"overwrite: bool = False, ", "", stub, count=1)
     assert changed != stub
     copy = tmp_path / "meniscus"
     copy.mkdir()
     (copy / "_meniscus.pyi").write_text(changed)
     (copy / "__init__.pyi").write_text("")
     done = stubtest("meniscus._meniscus", env={"MYPYPATH": str(tmp_path), "PATH": ""})
-    assert done.returncode != 0 and "reconstruct" in done.stdout and "smooth" in done.stdout, done.stdout + done.stderr
+    assert done.returncode != 0, done.stdout + done.stderr
+    assert "Mesh.write" in done.stdout and "overwrite" in done.stdout, done.stdout + done.stderr
+
+
+def test_keywords_of_another_name_or_type_are_found_out(tmp_path: Path) -> None:
+    wrong = [
+        'meniscus.reconstruct(points, spacng=1.0)',
+        'meniscus.reconstruct(points, spacing="1")',
+        'meniscus.reconstruct(points, format="csv")',
+        'meniscus.Frame(points, up="x")',
+        'meniscus.Frame(points).surface(spacing=1.0)',
+        'meniscus.Frame.load("a.bgeo", attributes=1)',
+        'meniscus.Simulation("in", "out", frames=3)',
+        'meniscus.Simulation(velocity=points)',
+    ]
+    right = [
+        'meniscus.reconstruct(points, spacing=1, iso="auto", origin=(0, 0, 0), threads=None)',
+        'meniscus.Frame(points, device=0, memory="1GiB").surface(smooth=2.0)',
+        'meniscus.Simulation("in", "out", frames=(1, 2), format="csv", attributes=["heat"])',
+    ]
+    script = tmp_path / "calls.py"
+    head = ["import numpy as np", "", "import meniscus", "", "points = np.zeros((1, 3))"]
+    script.write_text("\n".join(head + wrong + right) + "\n")
+    command = [sys.executable, "-m", "mypy", "--strict", str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    lines = {int(line) for line in re.findall(r"calls\.py:(\d+): error", done.stdout)}
+    first = len(head) + 1
+    assert lines == set(range(first, first + len(wrong))), done.stdout + done.stderr
 
 
 def test_examples_and_the_package_are_strictly_typed() -> None:

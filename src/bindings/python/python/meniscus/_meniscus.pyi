@@ -1,11 +1,11 @@
 import os
 import pathlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, Protocol, TypeAlias, final
+from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final
 
 import numpy as np
 import numpy.typing as npt
-from typing_extensions import Buffer
+from typing_extensions import Buffer, Unpack
 
 __all__ = [
     "Check",
@@ -34,40 +34,78 @@ _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | np
 _Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "npy", "npz", "ply", "pvtp", "vtk", "vtp", "xyz"]
 _Progress: TypeAlias = Callable[[str, float], object]
 
+# Keywords, which are the program's options, each said once.
+
+class _Sampling(TypedDict, total=False):
+    """Keywords that need the particles."""
+
+    spacing: float | None
+    radius: float | None
+    cell: float | None
+    cell_size: float | None
+    origin: _Point | None
+    domain: _Box | None
+    periodic: _Box | None
+    indicator: Literal["cloud", "counting", "symmetry"] | None
+    mu0: float | None
+    method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None
+    skip_invalid: bool | None
+
+class _Surface(TypedDict, total=False):
+    """Keywords of a surface, for which the particles are not needed again."""
+
+    periodic_mesh: Literal["cut", "overlap"] | None
+    smooth: float | None
+    sigma: float | None
+    iso: float | Literal["auto"] | None
+    detail: bool | None
+    normals: bool | None
+    simplify: float | None
+    smallest_component: float | None
+    smallest_drop: int | None
+    compress: bool | None
+    up: Literal["y", "z"] | None
+    particles_up: Literal["y", "z"] | None
+
+class _Machine(TypedDict, total=False):
+    """Keywords of what the machine gives."""
+
+    backend: Literal["auto", "cpu", "vulkan"] | None
+    device: str | int | None
+    threads: int | None
+    memory: int | str | None
+    scratch: _Path | None
+
+class _OfArrays(_Sampling, _Surface, _Machine, total=False):
+    """Keywords of particles in arrays."""
+
+class _OfFiles(_OfArrays, total=False):
+    """Keywords of particles in files."""
+
+    attributes: Iterable[str] | None
+    format: _Format | None
+    particle_type: str | None
+
+class _OfFrames(_OfFiles, total=False):
+    """Keywords of a simulation's frames."""
+
+    start: int | None
+    end: int | None
+    step: int | None
+    frames: tuple[int, int] | None
+    resume: bool | None
+    overwrite: bool | None
+    watch: float | None
+    fps: float | None
+    preview: bool | None
+
 def reconstruct(
     positions: _Array,
     *,
     velocity: _Array | None = None,
     attributes: Mapping[str, _Array] | None = None,
-    spacing: float | None = None,
-    radius: float | None = None,
-    cell: float | None = None,
-    cell_size: float | None = None,
-    origin: _Point | None = None,
-    domain: _Box | None = None,
-    periodic: _Box | None = None,
-    periodic_mesh: Literal["cut", "overlap"] | None = None,
-    indicator: Literal["cloud", "counting", "symmetry"] | None = None,
-    mu0: float | None = None,
-    method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
-    skip_invalid: bool | None = None,
-    smooth: float | None = None,
-    sigma: float | None = None,
-    iso: float | Literal["auto"] | None = None,
-    detail: bool | None = None,
-    normals: bool | None = None,
-    simplify: float | None = None,
-    smallest_component: float | None = None,
-    smallest_drop: int | None = None,
-    compress: bool | None = None,
-    up: Literal["y", "z"] | None = None,
-    particles_up: Literal["y", "z"] | None = None,
-    backend: Literal["auto", "cpu", "vulkan"] | None = None,
-    device: str | int | None = None,
-    threads: int | None = None,
-    memory: int | str | None = None,
-    scratch: _Path | None = None,
     progress: _Progress | None = None,
+    **options: Unpack[_OfArrays],
 ) -> Mesh: ...
 def list_frames(inputs: _Path | Sequence[_Path]) -> list[tuple[int, pathlib.Path]]: ...
 def read_particles(path: _Path, *, format: _Format | None = None, particle_type: str | None = None) -> Particles: ...
@@ -105,91 +143,17 @@ class Frame:
         *,
         velocity: _Array | None = None,
         attributes: Mapping[str, _Array] | None = None,
-        spacing: float | None = None,
-        radius: float | None = None,
-        cell: float | None = None,
-        cell_size: float | None = None,
-        origin: _Point | None = None,
-        domain: _Box | None = None,
-        periodic: _Box | None = None,
-        periodic_mesh: Literal["cut", "overlap"] | None = None,
-        indicator: Literal["cloud", "counting", "symmetry"] | None = None,
-        mu0: float | None = None,
-        method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
-        skip_invalid: bool | None = None,
-        smooth: float | None = None,
-        sigma: float | None = None,
-        iso: float | Literal["auto"] | None = None,
-        detail: bool | None = None,
-        normals: bool | None = None,
-        simplify: float | None = None,
-        smallest_component: float | None = None,
-        smallest_drop: int | None = None,
-        compress: bool | None = None,
-        up: Literal["y", "z"] | None = None,
-        particles_up: Literal["y", "z"] | None = None,
-        backend: Literal["auto", "cpu", "vulkan"] | None = None,
-        device: str | int | None = None,
-        threads: int | None = None,
-        memory: int | str | None = None,
-        scratch: _Path | None = None,
         progress: _Progress | None = None,
+        **options: Unpack[_OfArrays],
     ) -> Frame: ...
     @staticmethod
     def load(
-        path: _Path,
-        *,
-        attributes: Iterable[str] | None = None,
-        format: _Format | None = None,
-        particle_type: str | None = None,
-        spacing: float | None = None,
-        radius: float | None = None,
-        cell: float | None = None,
-        cell_size: float | None = None,
-        origin: _Point | None = None,
-        domain: _Box | None = None,
-        periodic: _Box | None = None,
-        periodic_mesh: Literal["cut", "overlap"] | None = None,
-        indicator: Literal["cloud", "counting", "symmetry"] | None = None,
-        mu0: float | None = None,
-        method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
-        skip_invalid: bool | None = None,
-        smooth: float | None = None,
-        sigma: float | None = None,
-        iso: float | Literal["auto"] | None = None,
-        detail: bool | None = None,
-        normals: bool | None = None,
-        simplify: float | None = None,
-        smallest_component: float | None = None,
-        smallest_drop: int | None = None,
-        compress: bool | None = None,
-        up: Literal["y", "z"] | None = None,
-        particles_up: Literal["y", "z"] | None = None,
-        backend: Literal["auto", "cpu", "vulkan"] | None = None,
-        device: str | int | None = None,
-        threads: int | None = None,
-        memory: int | str | None = None,
-        scratch: _Path | None = None,
-        progress: _Progress | None = None,
+        path: _Path, *, progress: _Progress | None = None, **options: Unpack[_OfFiles]
     ) -> Frame: ...
     @property
     def particles_up(self) -> Literal["y", "z"]: ...
     def surface(
-        self,
-        *,
-        periodic_mesh: Literal["cut", "overlap"] | None = None,
-        smooth: float | None = None,
-        sigma: float | None = None,
-        iso: float | Literal["auto"] | None = None,
-        detail: bool | None = None,
-        normals: bool | None = None,
-        simplify: float | None = None,
-        smallest_component: float | None = None,
-        smallest_drop: int | None = None,
-        compress: bool | None = None,
-        up: Literal["y", "z"] | None = None,
-        particles_up: Literal["y", "z"] | None = None,
-        progress: _Progress | None = None,
+        self, *, progress: _Progress | None = None, **options: Unpack[_Surface]
     ) -> Mesh: ...
     def save(self, path: _Path, *, overwrite: bool = False) -> int: ...
 
@@ -199,47 +163,7 @@ class Simulation:
         cls,
         inputs: _Path | Sequence[_Path] | None = None,
         output: _Path | None = None,
-        *,
-        start: int | None = None,
-        end: int | None = None,
-        step: int | None = None,
-        frames: tuple[int, int] | None = None,
-        resume: bool | None = None,
-        overwrite: bool | None = None,
-        watch: float | None = None,
-        fps: float | None = None,
-        preview: bool | None = None,
-        attributes: Iterable[str] | None = None,
-        format: _Format | None = None,
-        particle_type: str | None = None,
-        spacing: float | None = None,
-        radius: float | None = None,
-        cell: float | None = None,
-        cell_size: float | None = None,
-        origin: _Point | None = None,
-        domain: _Box | None = None,
-        periodic: _Box | None = None,
-        periodic_mesh: Literal["cut", "overlap"] | None = None,
-        indicator: Literal["cloud", "counting", "symmetry"] | None = None,
-        mu0: float | None = None,
-        method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
-        skip_invalid: bool | None = None,
-        smooth: float | None = None,
-        sigma: float | None = None,
-        iso: float | Literal["auto"] | None = None,
-        detail: bool | None = None,
-        normals: bool | None = None,
-        simplify: float | None = None,
-        smallest_component: float | None = None,
-        smallest_drop: int | None = None,
-        compress: bool | None = None,
-        up: Literal["y", "z"] | None = None,
-        particles_up: Literal["y", "z"] | None = None,
-        backend: Literal["auto", "cpu", "vulkan"] | None = None,
-        device: str | int | None = None,
-        threads: int | None = None,
-        memory: int | str | None = None,
-        scratch: _Path | None = None,
+        **options: Unpack[_OfFrames],
     ) -> Simulation: ...
     @property
     def settled(self) -> bool: ...
