@@ -156,7 +156,7 @@ enum MeniscusEventKind
   MENISCUS_EVENT_KIND_BEGINS = 6,
   // A further frame has come.
   MENISCUS_EVENT_KIND_CAME = 7,
-  // A stage of a frame has begun, or the frame is over.
+  // A frame is at a stage, or is over.
   MENISCUS_EVENT_KIND_STAGE = 8,
   // A frame is done: its mesh is whole, and under its name.
   MENISCUS_EVENT_KIND_DONE = 9,
@@ -412,13 +412,14 @@ typedef struct MeniscusEvent {
   uint64_t failed;
   // One of MeniscusEventKind.
   int32_t kind;
+  // How much of its stage is done for a frame that is at one, from 0 to 1.
+  double share;
 } MeniscusEvent;
 
 // A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
 // stay.
 //
-// It is called from threads of the library, but never from two at once in the same conversion, and never after that has returned. It
-// must not throw, nor leave by longjmp.
+// It is called on the thread that called meniscus_convert. It must not throw, nor leave by longjmp.
 typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent *event);
 
 #ifdef __cplusplus

@@ -4,7 +4,6 @@ use std::ffi::{CString, c_char, c_void};
 use std::path::PathBuf;
 
 use meniscus::{Cancel, Event, Summary};
-use parking_lot::ReentrantMutex;
 
 use crate::options::{Asked, MeniscusOptions};
 use crate::sized::{Growing, check, fill};
@@ -31,7 +30,7 @@ pub enum MeniscusEventKind {
     Begins = 6,
     /// A further frame has come.
     Came = 7,
-    /// A stage of a frame has begun, or the frame is over.
+    /// A frame is at a stage, or is over.
     Stage = 8,
     /// A frame is done: its mesh is whole, and under its name.
     Done = 9,
@@ -63,13 +62,14 @@ pub struct MeniscusEvent {
     pub failed: u64,
     /// One of MeniscusEventKind.
     pub kind: i32,
+    /// How much of its stage is done for a frame that is at one, from 0 to 1.
+    pub share: f64,
 }
 
 /// A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
 /// stay.
 ///
-/// It is called from threads of the library, but never from two at once in the same conversion, and never after that has returned. It
-/// must not throw, nor leave by longjmp.
+/// It is called on the thread that called meniscus_convert. It must not throw, nor leave by longjmp.
 pub type MeniscusEventCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
 
@@ -105,42 +105,22 @@ unsafe impl Growing for MeniscusSummary {
     const NAME: &str = "MeniscusSummary";
 }
 
-/// Tells a caller of events, one at a time, and keeps what went wrong first.
-struct Teller<'a> {
-    listener: Option<EventListener>,
-    cancel: &'a Cancel,
-    first: ReentrantMutex<std::cell::RefCell<Option<String>>>,
-}
-
-// SAFETY: the callback and what it is given are used by one thread at a time, and their owner has agreed to any.
-unsafe impl Sync for Teller<'_> {}
-
-impl Teller<'_> {
-    fn hear(&self, event: Event<'_>) {
-        let first = self.first.lock();
-        let wrong = match event {
-            Event::Failed(failed) => Some(failed.error.to_string()),
-            Event::SimulationFailed(error) => Some(error.to_string()),
-            _ => None,
-        };
-        if let Some(wrong) = wrong {
-            first.borrow_mut().get_or_insert(wrong);
-        }
-        let Some(EventListener { callback, user }) = self.listener else { return };
-        let text = c_text(event.to_string());
-        let (told, warnings) = described(event);
-        let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
-        let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
-        let told = MeniscusEvent { text: text.as_ptr(), warnings, ..told };
-        // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
-        if unsafe { callback(user, &raw const told) } != 0 {
-            self.cancel.cancel();
-        }
+/// Tells a caller of an event.
+fn tell(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
+    let Some(EventListener { callback, user }) = listener else { return };
+    let text = c_text(event.to_string());
+    let (told, warnings) = described(event);
+    let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
+    let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
+    let told = MeniscusEvent { text: text.as_ptr(), warnings, ..told };
+    // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
+    if unsafe { callback(user, &raw const told) } != 0 {
+        cancel.cancel();
     }
 }
 
 /// An event in numbers, and the warnings of its frame.
-fn described(event: Event<'_>) -> (MeniscusEvent, Vec<String>) {
+fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
     let mut told = MeniscusEvent {
         size: size_of::<MeniscusEvent>(),
         text: std::ptr::null(),
@@ -150,6 +130,7 @@ fn described(event: Event<'_>) -> (MeniscusEvent, Vec<String>) {
         total: 0,
         failed: 0,
         kind: 0,
+        share: 0.0,
     };
     let mut warnings = Vec::new();
     let kind = match event {
@@ -159,12 +140,13 @@ fn described(event: Event<'_>) -> (MeniscusEvent, Vec<String>) {
         Event::GoesOn { .. } => MeniscusEventKind::GoesOn,
         Event::Measured { .. } => MeniscusEventKind::Measured,
         Event::Begins { frames, done, .. } => {
-            (told.done, told.total) = (done as u64, frames as u64);
+            (told.done, told.total) = (*done as u64, *frames as u64);
             MeniscusEventKind::Begins
         }
         Event::Came { .. } => MeniscusEventKind::Came,
-        Event::Stage { frame, .. } => {
-            told.frame = frame;
+        Event::Stage { frame, progress, .. } => {
+            told.frame = *frame;
+            told.share = progress.map_or(0.0, |progress| progress.done);
             MeniscusEventKind::Stage
         }
         Event::Done(done) => {
@@ -237,19 +219,15 @@ pub unsafe extern "C" fn meniscus_convert(
         let simulation = asked.simulation(inputs, output);
         simulation.check()?;
         let asked = asked.on_machine(|_| simulation.input_bytes())?;
-        let teller = Teller {
-            listener: asked.event,
-            cancel: asked.control.cancel(),
-            first: ReentrantMutex::default(),
-        };
+        let (listener, cancel) = (asked.event, asked.control.cancel());
         let simulation = simulation.reconstruction(asked.request.clone());
-        let summaries = simulation.run(|event| teller.hear(event))?;
+        let summaries = simulation.run(|event| tell(listener, &event, cancel))?;
         let all = summed(&summaries);
         if !summary.is_null() {
             // SAFETY: as for this function.
             unsafe { fill(summary, all, "summary") }?;
         }
-        incomplete(&summaries, all, teller.first.into_inner().into_inner())
+        incomplete(&summaries, all)
     })
 }
 
@@ -258,8 +236,8 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
     MeniscusSummary {
         size: size_of::<MeniscusSummary>(),
         made: sum(&|one| one.made as u64),
-        failed: sum(&|one| one.failed as u64),
-        missing: sum(&|one| one.lacking() - one.failed as u64),
+        failed: sum(&|one| one.failed.len() as u64),
+        missing: sum(&|one| one.lacking() - one.failed.len() as u64),
         particles: sum(&|one| one.left_out.census.binned as u64),
         lost: sum(&|one| one.left_out.lost),
         seconds: summaries.iter().map(|one| one.seconds).sum(),
@@ -267,9 +245,11 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
 }
 
 /// Says what is not there, if anything is not.
-fn incomplete(summaries: &[Summary], all: MeniscusSummary, first: Option<String>) -> Outcome {
-    let missing = summaries.iter().flat_map(|one| &one.missing).next().map(ToString::to_string);
-    let Some(first) = first.or(missing) else { return Ok(()) };
+fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
+    let failed = summaries.iter().flat_map(|one| &one.failed).map(|failed| failed.error.to_string());
+    let ended = summaries.iter().filter_map(|one| one.error.as_ref()).map(ToString::to_string);
+    let missing = summaries.iter().flat_map(|one| &one.missing).map(ToString::to_string);
+    let Some(first) = failed.chain(ended).chain(missing).next() else { return Ok(()) };
     let message = format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing);
     Err(Failure { status: MeniscusStatus::Incomplete, message })
 }

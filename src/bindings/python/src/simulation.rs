@@ -247,7 +247,7 @@ impl Simulation {
         &self,
         py: Python<'_>,
         progress: Option<&Bound<'_, PyAny>>,
-        act: impl FnOnce(&Files, &(dyn Fn(meniscus::Event<'_>) + Sync)) -> Result<T, meniscus::Error> + Send,
+        act: impl FnOnce(&Files, &dyn Fn(meniscus::Event)) -> Result<T, meniscus::Error> + Send,
     ) -> PyResult<T> {
         let Kind::Files(files, _) = &self.kind else {
             return Err(InputError::new_err("the simulation is one that runs: frame() makes its meshes"));

@@ -1,5 +1,6 @@
 //! News of a conversion, and its end, for Python.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use meniscus::{Event as News, Summary as Ended, Tallied};
@@ -17,6 +18,10 @@ use pyo3::prelude::*;
 ///     The frame's number.
 /// output : pathlib.Path or None
 ///     The mesh's file, of a frame that is done.
+/// stage : str or None
+///     "reading", "counting", "waiting", "sampling", "meshing", "simplifying" or "writing", of a frame that is at it.
+/// share : float or None
+///     How much of that stage is done, from 0 to 1.
 /// done, total, failed : int or None
 ///     Frames that are done or have failed, that are to be made, and that have failed, where that is known.
 #[pyclass(frozen, get_all, module = "meniscus")]
@@ -26,6 +31,8 @@ pub struct Event {
     message: String,
     frame: Option<u64>,
     output: Option<PathBuf>,
+    stage: Option<&'static str>,
+    share: Option<f64>,
     done: Option<usize>,
     total: Option<usize>,
     failed: Option<usize>,
@@ -33,7 +40,7 @@ pub struct Event {
 
 impl Event {
     /// Takes what others are told, and what to warn of.
-    pub fn of(news: &News<'_>) -> (Self, Vec<String>) {
+    pub fn of(news: &News) -> (Self, Vec<String>) {
         let counted = |Tallied { done, total, failed, .. }: &Tallied| Self {
             done: Some(*done),
             total: Some(*total),
@@ -54,7 +61,13 @@ impl Event {
                 Self { kind: "begins", done: Some(*done), total: Some(*frames), ..Self::default() }
             }
             News::Came { .. } => Self { kind: "came", ..Self::default() },
-            News::Stage { frame, .. } => Self { kind: "stage", frame: Some(*frame), ..Self::default() },
+            News::Stage { frame, progress, .. } => Self {
+                kind: "stage",
+                frame: Some(*frame),
+                stage: progress.map(|progress| progress.stage.name()),
+                share: progress.map(|progress| progress.done),
+                ..Self::default()
+            },
             News::Done(done) => {
                 warnings.extend(
                     done.warnings.iter().map(|warning| format!("{}: {warning}", done.input.display())),
@@ -92,6 +105,10 @@ impl Event {
 ///     The folder of the meshes.
 /// made, failed : int
 ///     Frames that were made, and that have failed.
+/// failures : dict of int to str
+///     Why each frame that has failed could not be made.
+/// error : str or None
+///     Why no frame was made, of one of several simulations.
 /// missing : list of str
 ///     Frames that are missing between others, a line each.
 /// complete : bool
@@ -105,6 +122,8 @@ pub struct Summary {
     folder: PathBuf,
     made: usize,
     failed: usize,
+    failures: BTreeMap<u64, String>,
+    error: Option<String>,
     missing: Vec<String>,
     complete: bool,
     lost: u64,
@@ -118,7 +137,9 @@ impl From<Ended> for Summary {
             missing: ended.missing.iter().map(ToString::to_string).collect(),
             folder: ended.folder,
             made: ended.made,
-            failed: ended.failed,
+            failed: ended.failed.len(),
+            failures: ended.failed.iter().map(|failed| (failed.frame, failed.error.to_string())).collect(),
+            error: ended.error.map(|error| error.to_string()),
             lost: ended.left_out.lost,
             seconds: ended.seconds,
         }
