@@ -4,6 +4,9 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::thread::{self, Scope};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::Error;
 use crate::frame::Resources;
@@ -124,13 +127,23 @@ impl Conversion<'_> {
         let (to_disk, filled) = mpsc::sync_channel(self.division.lanes);
         let filled = Mutex::new(filled);
         let (results, outcomes) = mpsc::channel();
-        let converted = std::thread::scope(|scope| {
+        let converted = thread::scope(|scope| {
+            let _at_last = AtLast(&self.settled);
             for lane in 0..self.division.lanes {
                 let (jobs, to_disk) = (&jobs, to_disk.clone());
-                scope.spawn(move || self.lane(lane, jobs, &to_disk));
+                let (filled, results) = (&filled, results.clone());
+                let started = start(scope, move || self.keep(filled, &results)).and_then(|()| {
+                    let pool = ThreadPoolBuilder::new().num_threads(self.division.threads).build();
+                    let pool = pool.map_err(|fault| Error::Threads(fault.to_string()))?;
+                    start(scope, move || self.lane(lane, &pool, jobs, &to_disk))
+                });
+                match started {
+                    // Fewer lanes do.
+                    Err(_) if lane > 0 => break,
+                    started => started?,
+                }
             }
-            drop(to_disk);
-            let _at_last = AtLast(&self.settled);
+            drop((to_disk, results));
             let followed = match watch {
                 Some(watch) => Some((watch, to_lanes)),
                 None => {
@@ -139,11 +152,6 @@ impl Conversion<'_> {
                     None
                 }
             };
-            for _ in 0..self.division.lanes {
-                let (filled, results) = (&filled, results.clone());
-                scope.spawn(move || self.keep(filled, &results));
-            }
-            drop(results);
             match followed {
                 Some((watch, to_lanes)) => self.follow(watch, to_lanes, &outcomes, &mut tally),
                 None => outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally)),
@@ -212,11 +220,15 @@ impl Conversion<'_> {
     }
 
     /// Converts frames until there are no more.
-    fn lane(&self, lane: usize, jobs: &Mutex<Receiver<Job>>, to_disk: &SyncSender<Outcome<Filled>>) {
+    fn lane(
+        &self,
+        lane: usize,
+        pool: &ThreadPool,
+        jobs: &Mutex<Receiver<Job>>,
+        to_disk: &SyncSender<Outcome<Filled>>,
+    ) {
         // On one of the pool's own threads, or every step of a frame would wait for another to wake up. This one could be of the pool, too,
         // but rayon would keep that for ever.
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads);
-        let pool = pool.build().expect("threads can be started");
         pool.install(|| {
             while let Some(Job { frame, particles, again }) = next(jobs) {
                 if self.is_over() {
@@ -254,6 +266,12 @@ impl Conversion<'_> {
             }
         }
     }
+}
+
+/// Starts a thread.
+fn start<'scope>(scope: &'scope Scope<'scope, '_>, work: impl FnOnce() + Send + 'scope) -> Result<(), Error> {
+    let started = thread::Builder::new().spawn_scoped(scope, work);
+    started.map(drop).map_err(|fault| Error::Threads(fault.to_string()))
 }
 
 /// Receives the next item, for any of several threads.

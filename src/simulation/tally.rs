@@ -140,12 +140,9 @@ impl<'a> Tally<'a> {
         let alone = self.conversion.store.locked();
         self.list(&self.conversion.setup.all_frames()?, |_| false);
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
-        let (listed, merged) = std::thread::scope(|scope| {
-            let merging = scope.spawn(|| cancel.undisturbed(|| log.merge()));
-            (self.write_series(), merging.join())
-        });
+        let (listed, merged) = rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
         listed?;
-        merged.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        merged?;
         drop(alone);
         if cancel.is_cancelled() && self.done < self.total {
             self.fatal.get_or_insert(Error::Cancelled);

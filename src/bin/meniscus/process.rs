@@ -4,6 +4,15 @@
 pub fn set_up() {
     keep_freed();
     outlive_large_files();
+    start_threads();
+}
+
+/// Starts the threads of commands that have none of their own. Where the system starts none, this one does their work.
+fn start_threads() {
+    let all = rayon::ThreadPoolBuilder::new().build_global();
+    if all.is_err() {
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global();
+    }
 }
 
 /// Keeps up to 8 MiB a thread for whoever allocates next. A frame, and a block of one that exceeds its memory, frees what
