@@ -48,6 +48,8 @@ mod io;
 mod particles;
 mod reconstruction;
 mod settings;
+#[rustfmt::skip]
+mod shaders;
 mod simulation;
 mod surface;
 mod system;
@@ -189,6 +191,10 @@ pub mod internals {
     /// Settings of a surface, each said once.
     pub mod settings {
         pub use crate::settings::*;
+    }
+    /// Every shader, and the push constants that each takes: generated from the WGSL sources.
+    pub mod shaders {
+        pub use crate::shaders::*;
     }
     /// The frames of a simulation: which files they are, what is measured once for all of them, and what is known of each that is done.
     pub mod simulation {

@@ -2,11 +2,12 @@
 
 pub mod choice;
 mod cpu;
-pub mod shaders;
 mod vulkan;
+mod wgsl;
 
 pub use cpu::{Cpu, field};
 pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
+pub use wgsl::wgsl_constants;
 
 use std::fmt::Debug;
 use std::io;

@@ -13,11 +13,12 @@ use petgraph::algo::tarjan_scc;
 use petgraph::graphmap::DiGraphMap;
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 17] = [
+const ROOMS: [&str; 18] = [
     "grid",
     "system",
     "particles",
     "vulkan",
+    "shaders",
     "brick",
     "field",
     "surface",

@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::IVec3;
-use meniscus::internals::backend::shaders::SHADERS;
 use meniscus::internals::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
 use meniscus::internals::brick::vulkan::{DeviceBlock, DeviceBlocks};
 use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
@@ -16,6 +15,7 @@ use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
+use meniscus::internals::shaders::{BLUR, SHADERS};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
@@ -60,7 +60,7 @@ fn random_block(cells: CellBox, seed: u64) -> Block {
 #[test]
 fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
     validated(|device| {
-        let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+        let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
         for (seed, sigma) in (0..).zip([0.5, 0.9, 1.2, 1.6, 2.0, 3.3, 10.0]) {
             let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
             let reach = weights.reach();
@@ -121,7 +121,7 @@ fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
         return;
     }
     let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else { return };
-    let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+    let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
     let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
     // Of the three that blur along an axis each, the second no longer waits for the first.
     device.faults().barrier.store(2, Ordering::Relaxed);
