@@ -137,7 +137,7 @@ pub mod files {
 /// device already, by [`Settings`](devices::Settings) whose types are here or at the root of the library.
 pub mod devices {
     pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
-    pub use crate::backend::{Backend, Cpu, Vulkan, Work};
+    pub use crate::backend::{Backend, Work};
     pub use crate::brick::InvalidParticles;
     pub use crate::brick::vulkan::{Coordinate, DevicePositions};
     pub use crate::field::indicator::IndicatorRequest;
