@@ -2,7 +2,7 @@
 // outermost cell before it. A thread makes a run of RUN = 4 pairs one after the other along the axis, so that a sample that it
 // reads tells of all of them.
 
-struct Push {
+struct AxisPush {
     // The lowest cell within the walls, and the highest.
     walls_lo: vec3<i32>,
     axis: u32,
@@ -14,7 +14,7 @@ struct Push {
     shift: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: AxisPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
 @group(0) @binding(2) var<storage, read_write> filtered: array<u32>;

@@ -2,7 +2,7 @@
 // Where the tiles, vertices and triangles of each block begin among those of the batch: an exclusive prefix sum by one
 // work group. The last entry holds the totals, which also tell how many work groups write them.
 
-struct Push {
+struct BasesPush {
     // Blocks of the batch.
     blocks: u32,
     // Vertices that there is room for.
@@ -11,7 +11,7 @@ struct Push {
     width: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: BasesPush;
 @group(0) @binding(0) var<storage, read_write> tallies: array<Tally>;
 // Work groups, one a tile, in rows; none where vertices do not fit.
 @group(0) @binding(1) var<storage, read_write> groups: array<u32, 3>;

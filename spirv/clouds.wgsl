@@ -2,7 +2,7 @@
 // The discrete indicator function of clouds, a part of a bin's samples a work group: atomic sums in shared memory of what
 // the clouds of the bin's particles leave in the bricks that hold them, and in those bricks' ghost layers.
 
-struct Push {
+struct CloudsPush {
     // The lowest cell within the walls, and the highest.
     walls_lo: vec3<i32>,
     // What a particle makes of the DIF, all around.
@@ -15,7 +15,7 @@ struct Push {
     page_words: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: CloudsPush;
 @group(0) @binding(0) var<storage, read> bins: array<Bin>;
 @group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;

@@ -1,6 +1,6 @@
 // Two surfaces of the bulk: distances told by the shares under three widths, and lines through two of them each to the width of 0.
 
-struct Push {
+struct DepthsOfPush {
     // Words of the field.
     words: u32,
     // What samples are taken by to be shares of the plateau.
@@ -17,7 +17,7 @@ struct Push {
     calm_share: i32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: DepthsOfPush;
 // The field under each width, to become the fine surface, what both are apart by, and the calm surface.
 @group(0) @binding(0) var<storage, read_write> narrow: array<u32>;
 @group(0) @binding(1) var<storage, read_write> middle: array<u32>;

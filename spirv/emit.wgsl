@@ -2,7 +2,7 @@
 // Writes the tiles of a batch and what the field is at both ends of every crossed dual edge: a tile a work group, a
 // cell a thread.
 
-struct Push {
+struct EmitPush {
     // The lowest cell within the walls, and the highest.
     walls_lo: vec3<i32>,
     // Blocks of the batch.
@@ -12,7 +12,7 @@ struct Push {
     normals: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: EmitPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read> signs: array<vec2<u32>>;

@@ -2,7 +2,7 @@
 // Counts the particles of a chunk by bin, and notes each one's: a particle a thread. A bin's first particle takes a slot for it; whether two
 // particles share a bin is read from their keys, which were written before.
 
-struct Push {
+struct EnterPush {
     // Particles of the chunk.
     count: u32,
     // Slots less one.
@@ -17,7 +17,7 @@ struct Census {
     overflow: atomic<u32>,
 }
 
-var<immediate> push: Push;
+var<immediate> push: EnterPush;
 @group(0) @binding(0) var<storage, read> keys: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> slots: array<Slot>;
 @group(0) @binding(2) var<storage, read_write> census: array<Census>;

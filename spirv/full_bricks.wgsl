@@ -2,14 +2,14 @@
 // Which bricks of a bin of wide cells are full: those of which every cube of some spacings that holds any cell holds enough. A work
 // group a bin, with as many cells around as the cubes reach.
 
-struct Push {
+struct FullBricksPush {
     // Edge of the cubes, in parts of two cells.
     width: u32,
     // What they have to hold.
     least: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: FullBricksPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 // A bit for each brick, by its Morton index in the bin.

@@ -10,7 +10,7 @@ struct Full {
     bricks: array<u32, 2>,
 }
 
-struct Push {
+struct FullCellsPush {
     // Of a cell's coordinate, those in what is stored in one piece.
     piece_bits: u32,
     // How many cells around their own pieces hold.
@@ -20,7 +20,7 @@ struct Push {
     page_words: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: FullCellsPush;
 // Piece after piece along the Morton curve, x fastest in each.
 @group(0) @binding(0) var<storage, read> pages: array<u32>;
 @group(0) @binding(1) var<storage, read_write> found: array<Full>;

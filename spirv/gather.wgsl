@@ -1,7 +1,7 @@
 //! with block brick
 // Cuts padded blocks out of the pages: of every cell the sum over the bricks that hold it, or hold it in their ghost layers.
 
-struct Push {
+struct GatherPush {
     // Entries of the table that turns numbers of particles into theta; 0 where pages hold theta.
     decode: u32,
     // Of a cell's coordinate, those in its brick.
@@ -11,7 +11,7 @@ struct Push {
     page_words: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: GatherPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 // For every bin whose bricks and ghost layers a block touches, x fastest, one more than the number of its page, or 0.
 @group(0) @binding(1) var<storage, read> tables: array<u32>;

@@ -1,11 +1,11 @@
 // Section 6.2: of two fields the greater, sample by sample.
 
-struct Push {
+struct GreaterPush {
     // Words of the field.
     words: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: GreaterPush;
 @group(0) @binding(0) var<storage, read> other: array<u32>;
 @group(0) @binding(1) var<storage, read_write> field: array<u32>;
 

@@ -1,7 +1,7 @@
 //! with block
 // Pages of cells twice as wide, of blocks of the cells that leave something in them. A thread makes a word of a page.
 
-struct Push {
+struct HalvePush {
     // Of the finer cells, the lowest within the walls, and the highest.
     walls_lo: vec3<i32>,
     // What the mean of the finer ones is taken by, of 2^16.
@@ -9,7 +9,7 @@ struct Push {
     walls_hi: vec3<i32>,
 }
 
-var<immediate> push: Push;
+var<immediate> push: HalvePush;
 // From one cell below the lowest wide one on: what lies of a bin of wide cells within the walls.
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;

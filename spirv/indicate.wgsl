@@ -2,12 +2,12 @@
 // Cell sums of one octant of a bin a work group, by atomic sums in shared memory, and of them theta by symmetry (eq. 7), or for
 // counting the number of particles, of which a table of the host's makes theta (eq. 6) where they are gathered.
 
-struct Push {
+struct IndicatePush {
     // 0 for symmetry.
     counting: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: IndicatePush;
 @group(0) @binding(0) var<storage, read> bins: array<Bin>;
 @group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;

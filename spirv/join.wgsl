@@ -1,7 +1,7 @@
 //! with block gate
 // The bulk's surface, and where particles lie outside of it near by as much of the drops as they do so.
 
-struct Push {
+struct JoinPush {
     // The sample from which on particles stand out.
     begin: u32,
     // Units until all of it is the drops'.
@@ -13,7 +13,7 @@ struct Push {
     width: i32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: JoinPush;
 // The parts of blocks where particles stand out, the blocks, and for each part the number of the block that it is of.
 @group(0) @binding(0) var<storage, read> parts: array<Block>;
 @group(0) @binding(1) var<storage, read> blocks: array<Block>;

@@ -20,14 +20,14 @@ struct Seen {
     hi: array<u32, 3>,
 }
 
-struct Push {
+struct LookPush {
     // Of the field, above which is the inside.
     threshold: u32,
     // From which sample on particles stand out.
     begin: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: LookPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> looks: array<Look>;
 @group(0) @binding(2) var<storage, read> bulk: array<u32>;

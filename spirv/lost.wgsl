@@ -1,13 +1,13 @@
 // Section 6.2: the DIF where smoothing took it to the isovalue or below, else 0.
 
-struct Push {
+struct LostPush {
     // Words of the field.
     words: u32,
     // The greatest sample that is outside.
     threshold: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: LostPush;
 @group(0) @binding(0) var<storage, read> dif: array<u32>;
 @group(0) @binding(1) var<storage, read> smoothed: array<u32>;
 @group(0) @binding(2) var<storage, read_write> kept: array<u32>;

@@ -2,7 +2,7 @@
 // The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid. There is none
 // where nothing is near, and it is at its greatest in bricks that are inside.
 
-struct Push {
+struct MixBothPush {
     // From where to where what both are apart by makes the fine surface of the calm one.
     apart_begin: u32,
     apart_range: u32,
@@ -13,7 +13,7 @@ struct Push {
     deep_slope: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: MixBothPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 // The calm surface, to become the one that is drawn.
 @group(0) @binding(1) var<storage, read_write> calm: array<u32>;

@@ -1,7 +1,7 @@
 //! with wide float64 grid placing
 // The bin of every particle of a chunk and where it is there, and how many have none: a particle a thread.
 
-struct Push {
+struct PlacePush {
     // Words before the chunk's first coordinate.
     first: u32,
     // Particles of the chunk.
@@ -22,7 +22,7 @@ struct Census {
     overflow: atomic<u32>,
 }
 
-var<immediate> push: Push;
+var<immediate> push: PlacePush;
 @group(0) @binding(0) var<storage, read> grid: Grid;
 @group(0) @binding(1) var<storage, read> positions: array<u32>;
 @group(0) @binding(2) var<storage, read_write> keys: array<vec2<u32>>;

@@ -1,13 +1,13 @@
 // Shares of clouds in what is around them.
 
-struct Push {
+struct QuotientPush {
     // Words of the field.
     words: u32,
     // Of a share.
     bits: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: QuotientPush;
 @group(0) @binding(0) var<storage, read> around: array<u32>;
 // Clouds, to become shares.
 @group(0) @binding(1) var<storage, read_write> field: array<u32>;

@@ -2,7 +2,7 @@
 // A field of wide cells at the middles of cells: the quadratic B-spline whose control points it is. Cells beyond a wall are the
 // outermost before it.
 
-struct Push {
+struct RefinePush {
     // The lowest cell within the walls.
     walls_lo: vec3<i32>,
     // A wide cell is 2^level cells along an axis.
@@ -11,7 +11,7 @@ struct Push {
     walls_hi: vec3<i32>,
 }
 
-var<immediate> push: Push;
+var<immediate> push: RefinePush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 // Blocks of wide cells, and for each of the others the number of the one that it lies in.
 @group(0) @binding(1) var<storage, read> wide_blocks: array<Block>;

@@ -1,11 +1,11 @@
 //! with bin_table
 // Gives the slots that a chunk took the keys of their bins, before the next chunk comes: a slot a thread.
 
-struct Push {
+struct SettlePush {
     slots: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: SettlePush;
 @group(0) @binding(0) var<storage, read> keys: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> slots: array<Slot>;
 

@@ -2,7 +2,7 @@
 // A sign word for every tile to be meshed and for those beyond their upper faces: bit x + 4 y + 16 z is set where that
 // cell is inside the fluid. Of the tiles beyond, only the first layer of cells is known.
 
-struct Push {
+struct SignsPush {
     // The lowest cell within the walls, and the highest; beyond are ghost points, all outside.
     walls_lo: vec3<i32>,
     // The greatest sample that is outside.
@@ -10,7 +10,7 @@ struct Push {
     walls_hi: vec3<i32>,
 }
 
-var<immediate> push: Push;
+var<immediate> push: SignsPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read_write> masks: array<vec2<u32>>;

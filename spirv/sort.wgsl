@@ -1,11 +1,11 @@
 // Drops the packed particles of a chunk each into its bin's place, if the bin is of this run: a particle a thread.
 
-struct Push {
+struct SortPush {
     // Particles of the chunk.
     count: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: SortPush;
 @group(0) @binding(0) var<storage, read> packed: array<vec2<u32>>;
 // The slot of each particle's bin; NO_BIN where it has none.
 @group(0) @binding(1) var<storage, read> homes: array<u32>;

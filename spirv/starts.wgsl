@@ -1,11 +1,11 @@
 //! with tile surface
 // Where the triangles of every tile begin: a block a work group, by a prefix sum over the block's tiles.
 
-struct Push {
+struct StartsPush {
     blocks: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: StartsPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 // By case: the number of triangles, then their edges.

@@ -2,7 +2,7 @@
 // The triangles of every dual cell: a tile a work group, a cell a thread. A vertex's number is its tile's first, plus its
 // rank among the tile's crossed edges.
 
-struct Push {
+struct TrianglesPush {
     // Tiles, from the first on.
     first_tile: u32,
     tiles: u32,
@@ -11,7 +11,7 @@ struct Push {
     first_word: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: TrianglesPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read> begins: array<Start>;

@@ -1,7 +1,7 @@
 //! with wide float64 grid tile surface
 // Where the vertices are (eq. 8), in f64 as the host has it, rounded to f32: a tile a work group, a cell a thread.
 
-struct Push {
+struct VerticesPush {
     // Tiles, from the first on.
     first_tile: u32,
     tiles: u32,
@@ -12,7 +12,7 @@ struct Push {
     threshold: u32,
 }
 
-var<immediate> push: Push;
+var<immediate> push: VerticesPush;
 @group(0) @binding(0) var<storage, read> grid: Grid;
 @group(0) @binding(1) var<storage, read> blocks: array<Block>;
 @group(0) @binding(2) var<storage, read> tiles: array<u32>;

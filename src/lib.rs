@@ -120,6 +120,8 @@ mod io;
 mod particles;
 mod reconstruction;
 mod settings;
+#[rustfmt::skip]
+mod shaders;
 mod simulation;
 mod surface;
 mod system;
@@ -208,7 +210,7 @@ pub mod files {
 /// device already, by [`Settings`](devices::Settings) whose types are here or at the root of the library.
 pub mod devices {
     pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
-    pub use crate::backend::{Backend, Cpu, Vulkan, Work};
+    pub use crate::backend::{Backend, Work};
     pub use crate::brick::InvalidParticles;
     pub use crate::brick::vulkan::{Coordinate, DevicePositions};
     pub use crate::field::indicator::IndicatorRequest;
@@ -263,6 +265,10 @@ pub mod internals {
     /// Settings of a surface, each said once.
     pub mod settings {
         pub use crate::settings::*;
+    }
+    /// Every shader, and the push constants that each takes: generated from the WGSL sources.
+    pub mod shaders {
+        pub use crate::shaders::*;
     }
     /// The frames of a simulation: which files they are, what is measured once for all of them, and what is known of each that is done.
     pub mod simulation {

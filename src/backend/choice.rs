@@ -1,4 +1,4 @@
-//! Where a frame runs, where nobody has said it: on a fast device, if that is worth while.
+//! The backend that frames run on: the processor, a device that the caller names, or the faster of both.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,53 @@ use bytesize::ByteSize;
 use crate::grid::units::MemoryBudget;
 use crate::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
 
-use super::{Backend, Cpu, Vulkan};
+use super::{Cpu, Executor, Vulkan};
+
+/// The processor or a device, on which the stages of frames run. Every backend makes the same bytes.
+///
+/// Clones share the device and its compiled shaders.
+#[derive(Debug, Clone)]
+pub struct Backend(Arc<dyn Executor>);
+
+impl Backend {
+    /// Runs frames on all threads of the pool in which they are made.
+    #[must_use]
+    pub fn cpu() -> Self {
+        Self::of(Cpu)
+    }
+
+    /// Runs frames on a device, opened here or adopted: compiles the shaders for it.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where the driver refuses a shader.
+    pub fn vulkan(device: Device) -> Result<Self, VulkanError> {
+        Ok(Self::of(Vulkan::new(device)?))
+    }
+
+    /// Returns the name of the processor or device, for people.
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.0.name()
+    }
+
+    /// Returns the device, unless frames run on the processor.
+    #[must_use]
+    pub fn device(&self) -> Option<&Device> {
+        self.0.device()
+    }
+
+    // Public for tests, which watch a device; the trait is in `internals` alone.
+    #[doc(hidden)]
+    pub fn of(executor: impl Executor + 'static) -> Self {
+        Self(Arc::new(executor))
+    }
+
+    #[doc(hidden)]
+    #[must_use]
+    pub fn executor(&self) -> &dyn Executor {
+        &*self.0
+    }
+}
 
 /// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to
 /// compile shaders, or find them in its cache: a million particles.
@@ -60,9 +106,9 @@ impl fmt::Display for OnCpu {
 ///
 /// # Errors
 /// [`VulkanError`] where there is no such device, or it cannot be used.
-pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Arc<dyn Backend>, VulkanError> {
+pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, VulkanError> {
     let instance = Instance::connect(false)?;
-    Ok(Arc::new(opened(&instance, &instance.choose(choice)?, cache)?))
+    opened(&instance, &instance.choose(choice)?, cache)
 }
 
 /// Opens the best device if it is worth while for inputs of so many bytes, if that is known, under a budget; else says why not, and takes
@@ -72,10 +118,10 @@ pub fn fastest(
     budget: MemoryBudget,
     input_bytes: impl FnOnce() -> Option<u64>,
     cache: Option<&Path>,
-) -> (Arc<dyn Backend>, Option<OnCpu>) {
+) -> (Backend, Option<OnCpu>) {
     match fast_device(budget, input_bytes, cache) {
-        Ok(vulkan) => (Arc::new(vulkan), None),
-        Err(why) => (Arc::new(Cpu), Some(why)),
+        Ok(backend) => (backend, None),
+        Err(why) => (Backend::cpu(), Some(why)),
     }
 }
 
@@ -83,7 +129,7 @@ fn fast_device(
     budget: MemoryBudget,
     input_bytes: impl FnOnce() -> Option<u64>,
     cache: Option<&Path>,
-) -> Result<Vulkan, OnCpu> {
+) -> Result<Backend, OnCpu> {
     if budget < DRIVERS {
         return Err(OnCpu::LittleMemory(DRIVERS.0));
     }
@@ -104,12 +150,12 @@ fn fast_device(
     opened(&instance, &info, cache).map_err(OnCpu::Vulkan)
 }
 
-fn opened(instance: &Arc<Instance>, info: &DeviceInfo, cache: Option<&Path>) -> Result<Vulkan, VulkanError> {
+fn opened(instance: &Arc<Instance>, info: &DeviceInfo, cache: Option<&Path>) -> Result<Backend, VulkanError> {
     let pipeline_cache = cache.map(PathBuf::from);
     let options =
         DeviceOptions { memory: Some(info.free / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
     let choice = DeviceChoice::Named(info.index.to_string());
-    Vulkan::new(Device::open(instance, &choice, &options)?)
+    Backend::vulkan(Device::open(instance, &choice, &options)?)
 }
 
 /// Bytes of particles in some files, if all of them are there and tell.

@@ -2,11 +2,13 @@
 
 pub mod choice;
 mod cpu;
-pub mod shaders;
 mod vulkan;
+mod wgsl;
 
+pub use choice::Backend;
 pub use cpu::{Cpu, field};
 pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
+pub use wgsl::wgsl_constants;
 
 use std::fmt::Debug;
 use std::io;
@@ -26,12 +28,12 @@ use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 use crate::vulkan::Device;
 
-/// A processor or device that the stages of a frame run on.
-pub trait Backend: Debug + Send + Sync {
-    /// Returns the name of the backend, for people.
+/// Starts frames on the processor or a device: the part of a [`Backend`] that differs between them.
+pub trait Executor: Debug + Send + Sync {
+    /// Returns the name of the processor or device, for people.
     fn name(&self) -> String;
 
-    /// The device that it computes on, unless that is the processor.
+    /// Returns the device, unless frames run on the processor.
     fn device(&self) -> Option<&Device> {
         None
     }

@@ -128,7 +128,7 @@ impl Frame {
             Ok::<_, FrameError>(match *field {
                 FieldRequest::Indicator(asked) => {
                     timings.done("bin");
-                    let stages = resources.backend.start(budget);
+                    let stages = resources.backend.executor().start(budget);
                     let shape = asked.kind.shape(*side);
                     let sink =
                         FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
@@ -172,7 +172,7 @@ impl Frame {
         let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing);
         let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
-        let stages = resources.backend.start(resources.budget);
+        let stages = resources.backend.executor().start(resources.budget);
         Self {
             field: Field::Dif { sampled, stages },
             occupied: Occupied::default(),

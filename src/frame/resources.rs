@@ -2,9 +2,8 @@
 
 use std::io;
 use std::path::PathBuf;
-use std::sync::Arc;
 
-use crate::backend::{Backend, Cpu};
+use crate::backend::Backend;
 use crate::grid::units::MemoryBudget;
 use crate::system::control::Control;
 use crate::system::scratch::free_bytes;
@@ -19,7 +18,7 @@ pub struct Resources {
     /// The folder for what exceeds it.
     pub scratch: PathBuf,
     /// The backend that the stages run on.
-    pub backend: Arc<dyn Backend>,
+    pub backend: Backend,
     /// The caller's hold on the work.
     pub control: Control,
 }
@@ -28,12 +27,12 @@ impl Resources {
     /// Creates resources whose backend is the processor.
     #[must_use]
     pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
-        Self { budget, scratch, backend: Arc::new(Cpu), control: Control::default() }
+        Self { budget, scratch, backend: Backend::cpu(), control: Control::default() }
     }
 
     /// Bytes that the backend takes of the machine's memory.
     pub(super) fn host_bytes(&self) -> u64 {
-        self.backend.host_bytes(self.budget)
+        self.backend.executor().host_bytes(self.budget)
     }
 
     /// Refuses to begin what would fill the disk.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
-use crate::backend::{Backend, Cpu};
+use crate::backend::Backend;
 use crate::baselines::Method;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
@@ -43,7 +43,7 @@ pub struct Reconstruction {
     pub(crate) scratch: Option<PathBuf>,
     pub(crate) threads: Option<usize>,
     pub(crate) pool: Option<Arc<ThreadPool>>,
-    pub(crate) backend: Arc<dyn Backend>,
+    pub(crate) backend: Backend,
     pub(crate) control: Control,
 }
 
@@ -63,7 +63,7 @@ impl Reconstruction {
             scratch: None,
             threads: None,
             pool: None,
-            backend: Arc::new(Cpu),
+            backend: Backend::cpu(),
             control: Control::default(),
         }
     }
@@ -211,7 +211,7 @@ impl Reconstruction {
     }
 
     /// Runs on a backend, such as a Vulkan device. Kernel methods run on the processor.
-    pub fn backend(mut self, backend: Arc<dyn Backend>) -> Self {
+    pub fn backend(mut self, backend: Backend) -> Self {
         self.backend = backend;
         self
     }

@@ -6,7 +6,7 @@ use std::thread::available_parallelism;
 
 use rayon::ThreadPool;
 
-use crate::backend::Cpu;
+use crate::backend::Backend;
 use crate::baselines::Method;
 use crate::brick::InvalidParticles;
 use crate::error::{Conflict, Error, Setting, Unfit};
@@ -74,8 +74,8 @@ impl Reconstruction {
             return Err(Error::LittleMemory { least, simplifying });
         }
         let backend = match sampling.field.indicator() {
-            Some(_) => Arc::clone(&self.backend),
-            None => Arc::new(Cpu),
+            Some(_) => self.backend.clone(),
+            None => Backend::cpu(),
         };
         let resources = Resources {
             budget,

@@ -226,7 +226,7 @@ impl Conversion<'_> {
             Err(FrameError::OverBudget(_)) => false,
             Err(_) => true,
         };
-        let beside = resources.backend.divides() && fits;
+        let beside = resources.backend.executor().divides() && fits;
         control.begin(Stage::Waiting);
         let permit = if beside { self.gate.enter() } else { self.gate.enter_alone() };
         let budget = if beside { share } else { alone };

@@ -85,7 +85,7 @@ impl Setup<'_> {
     /// The division of the machine among so many frames.
     pub(super) fn division(&self, frames: usize) -> Division {
         let Checked { resources, reduction, threads, .. } = self.checked;
-        let frames = if resources.backend.divides() { frames } else { frames.min(2) };
+        let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };
         let chunk = reduction.tolerance.map_or(0, |_| BYTES_A_THREAD);
         Division::of(frames, *threads, resources.budget, chunk)
     }

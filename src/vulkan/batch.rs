@@ -216,7 +216,7 @@ impl Batch {
     ) -> Result<(), VulkanError> {
         let push = bytemuck::bytes_of(push);
         assert_eq!(buffers.len(), pipeline.shader.buffers.len(), "buffers of {pipeline:?}");
-        assert_eq!(push.len(), pipeline.shader.push_bytes() as usize, "push block of {pipeline:?}");
+        assert_eq!(push.len(), pipeline.shader.push_bytes as usize, "push block of {pipeline:?}");
         let limits = self.device.limits;
         assert!(Arc::ptr_eq(&pipeline.device, &self.device), "{pipeline:?} is of another device");
         assert!(buffers.iter().all(|view| self.owns(view)), "a buffer of {pipeline:?} is of another device");

@@ -17,8 +17,7 @@ pub use buffer::{Buffer, Place, View};
 pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, PIECE, Queue, Queues, Timing};
 pub use faults::Faults;
 pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
-pub(crate) use shader::push_block;
-pub use shader::{ComputePipeline, Field, Shader};
+pub use shader::{ComputePipeline, Shader};
 
 use ash::vk;
 use thiserror::Error;

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::device::Shared;
 use super::{Device, VulkanError};
 
-/// A compute shader, and what Rust believes of its interface.
+/// A compute shader and its interface.
 #[derive(Debug, Clone, Copy)]
 pub struct Shader {
     /// The name of the shader's source, without extension, and of its entry point.
@@ -18,50 +18,11 @@ pub struct Shader {
     pub code: &'static [u8],
     /// Storage buffers, bound to 0, 1, ... of set 0, by the names that its source gives them.
     pub buffers: &'static [&'static str],
-    /// The push block's fields.
-    pub push: &'static [Field],
-    /// Threads of a work group along x, y and z.
-    pub group: [u32; 3],
+    /// Bytes of push constants.
+    pub push_bytes: u32,
+    /// Threads of a work group, which is a row.
+    pub group: u32,
 }
-
-impl Shader {
-    /// Bytes of the push block.
-    #[must_use]
-    pub fn push_bytes(&self) -> u32 {
-        self.push.last().map_or(0, |field| field.offset + field.bytes)
-    }
-}
-
-/// A field of a push block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Field {
-    /// The name of the field, as in the shader.
-    pub name: &'static str,
-    /// The offset in bytes from the block's begin.
-    pub offset: u32,
-    /// The size of the field in bytes.
-    pub bytes: u32,
-}
-
-/// Declares a push block: a plain structure, and the list of its fields as [`Shader::push`] wants it.
-macro_rules! push_block {
-    ($(#[$meta:meta])* $visibility:vis struct $name:ident { $($(#[$about:meta])* $field:ident: $kind:ty,)* }) => {
-        $(#[$meta])*
-        #[derive(Debug, Clone, Copy, Default, bytemuck::Pod, bytemuck::Zeroable)]
-        #[repr(C)]
-        $visibility struct $name { $($(#[$about])* pub $field: $kind,)* }
-
-        impl $name {
-            /// The layout of the push block.
-            pub const FIELDS: &'static [$crate::vulkan::Field] = &[$($crate::vulkan::Field {
-                name: stringify!($field),
-                offset: std::mem::offset_of!($name, $field) as u32,
-                bytes: size_of::<$kind>() as u32,
-            },)*];
-        }
-    };
-}
-pub(crate) use push_block;
 
 /// A shader ready to run on a device.
 pub struct ComputePipeline {
@@ -75,6 +36,14 @@ pub struct ComputePipeline {
 impl fmt::Debug for ComputePipeline {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_tuple("ComputePipeline").field(&self.shader.name).finish()
+    }
+}
+
+impl ComputePipeline {
+    /// Returns the number of work groups, in a row, that have at least `threads` threads.
+    #[must_use]
+    pub fn groups(&self, threads: u32) -> u32 {
+        threads.div_ceil(self.shader.group)
     }
 }
 
@@ -108,7 +77,7 @@ impl Device {
         let bindings: Vec<_> = (0..shader.buffers.len() as u32).map(binding).collect();
         let push = [vk::PushConstantRange::default()
             .stage_flags(vk::ShaderStageFlags::COMPUTE)
-            .size(shader.push_bytes())];
+            .size(shader.push_bytes)];
         let binary = self.shared.binaries.get(shader.name).map_or(shader.code, Vec::as_slice);
         let code = read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
         // From here on what is made is dropped with `shader` if a later step fails.
@@ -129,7 +98,7 @@ impl Device {
                 .map_err(self.shared.noting("vkCreateDescriptorSetLayout"))?;
             let sets = [pipeline.sets];
             let mut layout = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
-            if !shader.push.is_empty() {
+            if shader.push_bytes > 0 {
                 layout = layout.push_constant_ranges(&push);
             }
             pipeline.layout = raw

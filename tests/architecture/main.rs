@@ -11,11 +11,12 @@ use std::path::PathBuf;
 use imports::Import;
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 17] = [
+const ROOMS: [&str; 18] = [
     "grid",
     "system",
     "particles",
     "vulkan",
+    "shaders",
     "brick",
     "field",
     "surface",

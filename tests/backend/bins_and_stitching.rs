@@ -155,8 +155,8 @@ fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
         name: "arithmetic",
         code: compile::compiled("arithmetic", &compile::whole(ARITHMETIC).unwrap()).unwrap().leak(),
         buffers: &["cases", "answers"],
-        push: &[],
-        group: [64, 1, 1],
+        push_bytes: 0,
+        group: 64,
     }));
     let mut random = Random::new(5);
     let count = 1 << 20;

@@ -4,8 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::IVec3;
-use meniscus::internals::backend::shaders::SHADERS;
-use meniscus::internals::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
+use meniscus::internals::backend::{Backend, Cpu, Executor, Surfaces, Work};
 use meniscus::internals::brick::vulkan::{DeviceBlock, DeviceBlocks};
 use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
 use meniscus::internals::field::blur::{self, Weights};
@@ -16,6 +15,7 @@ use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
+use meniscus::internals::shaders::{BLUR, SHADERS};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
@@ -23,7 +23,7 @@ use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
 };
 
-use crate::common::device::{self, Watched, contoured};
+use crate::common::device::{self, contoured, watched};
 use crate::common::scene::Random;
 use crate::common::{
     INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
@@ -60,7 +60,7 @@ fn random_block(cells: CellBox, seed: u64) -> Block {
 #[test]
 fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
     validated(|device| {
-        let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+        let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
         for (seed, sigma) in (0..).zip([0.5, 0.9, 1.2, 1.6, 2.0, 3.3, 10.0]) {
             let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
             let reach = weights.reach();
@@ -121,7 +121,7 @@ fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
         return;
     }
     let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else { return };
-    let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+    let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
     let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
     // Of the three that blur along an axis each, the second no longer waits for the first.
     device.faults().barrier.store(2, Ordering::Relaxed);
@@ -142,7 +142,7 @@ fn crowds() -> Vec<[f64; 3]> {
 
 /// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns what the device made of them, each time, and
 /// what there is to make.
-fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
+fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
     let plan =
@@ -152,7 +152,7 @@ fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Wor
     let mut made = Vec::new();
     for indicator in INDICATORS {
         for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
-            let frame = device.start(budget);
+            let frame = device.executor().start(budget);
             let mean = particles.len() as f64 / full_cells(&bins) as f64;
             let rule = PageRule {
                 content: by(indicator, mean).content(),
@@ -179,7 +179,7 @@ fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Wor
 #[test]
 fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
     validated(|device| {
-        same_pages_on(&Watched(Vulkan::new(device.clone()).unwrap()), MemoryBudget(1 << 30));
+        same_pages_on(&watched(device.clone()).unwrap(), MemoryBudget(1 << 30));
     });
 }
 
@@ -187,14 +187,14 @@ fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
 fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_by_the_device() {
     validated(|device| {
         // At most 8 MiB for a batch; the crowd in one bin takes 14.
-        let vulkan = Vulkan::new(device.clone()).unwrap();
+        let vulkan = Backend::vulkan(device.clone()).unwrap();
         let (made, all) = same_pages_on(&vulkan, MemoryBudget(64 << 20));
         assert_eq!(made, [Work { pages: all.pages - 1, ..all }; 9]);
     });
 }
 
 /// All ways to compute a surface, on the CPU and on a device.
-fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
+fn assert_same_surfaces(vulkan: &Backend, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
     for indicator in INDICATORS {
         for walls in [false, true] {
             let mut sampling = Sampling { field: indicator.into(), ..sampling() };
@@ -207,7 +207,7 @@ fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: M
                     Surfacing { smooth, detail, sigma, normals: Normals::Gradient, ..surfacing() };
                 let (_, expected) = reconstruct(particles, &sampling, &surfacing);
                 let mut resources = Resources::new(budget, std::env::temp_dir());
-                resources.backend = Arc::clone(vulkan) as Arc<dyn Backend>;
+                resources.backend = vulkan.clone();
                 let sampling = Sampling { resources, ..sampling.clone() };
                 let (_, surface) = reconstruct(particles, &sampling, &surfacing);
                 assert!(surface.mesh == expected.mesh, "{what}: {indicator:?}, {detail:?}, walls {walls}");
@@ -220,7 +220,7 @@ fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: M
 fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
     let particles = splashes(23);
     validated(|device| {
-        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
         // A quarter of it is the device's, half of that for batches.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
@@ -263,7 +263,7 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
                 let what = format!("{indicator:?}, {side:?}, cells of {cell_size}, walls {walls}");
                 let surfacing = surfacing();
                 let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
-                known.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+                known.resources.backend = watched(device.clone()).unwrap();
                 let frame = Frame::sample(&particles[..], &known, &mut Timings::default()).unwrap();
                 let [made, expected] = [&frame, &expected].map(dif);
                 assert!(made.dif.elsewhere().is_some(), "{what}: it does not stay");
@@ -300,7 +300,7 @@ fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
     let own = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
     validated_with(&own, |device| {
         let mut sampling = sampling.clone();
-        sampling.resources.backend = Arc::new(Vulkan::new(device.clone()).unwrap());
+        sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
         let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
         assert!(dif(&frame).dif.elsewhere().is_some());
         device.faults().submission.store(1, Ordering::Relaxed);
@@ -324,7 +324,7 @@ fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come
         let options = DeviceOptions { shares_host_memory: Some(!own), ..DeviceOptions::default() };
         validated_with(&options, |device| {
             let mut sampling = sampling.clone();
-            sampling.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+            sampling.resources.backend = watched(device.clone()).unwrap();
             let timings = &mut Timings::default();
             let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
             let known = surfacing().calibrate(dif(&frame)).unwrap().calibration;
@@ -354,7 +354,7 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
     assert!(differ > SHADERS.len() / 2, "{differ} shaders check anything");
     let options = DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
     validated_with(&options, |device| {
-        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "with checks");
     });
 }
@@ -374,7 +374,7 @@ fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
             for budget in [12, 16, 24, 32, 48, 64, 128] {
                 let mut sampling = sampling.clone();
                 sampling.resources = Resources::new(MemoryBudget(budget << 20), std::env::temp_dir());
-                sampling.resources.backend = Arc::new(Vulkan::new(device.clone()).unwrap());
+                sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
                 let (_, surface) = reconstruct(&particles[..], &sampling, &surfacing());
                 assert!(surface.mesh == expected.mesh, "{budget} MiB, {shares_host_memory:?}");
             }
@@ -394,7 +394,7 @@ fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
     validated(|device| {
         let mut sampling = sampling.clone();
-        sampling.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        sampling.resources.backend = watched(device.clone()).unwrap();
         let (_, surface) = reconstruct(&particles[..], &sampling, &surfacing);
         assert!(surface.mesh == expected.mesh);
     });
@@ -404,9 +404,8 @@ fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
 fn a_second_frame_makes_no_buffers_of_its_own() {
     let particles = splashes(23);
     validated(|device| {
-        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
         let mut sampling = sampling();
-        sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
+        sampling.resources.backend = watched(device.clone()).unwrap();
         let made = [0, 1, 2].map(|_| {
             let before = device.counters().allocations;
             reconstruct(&particles[..], &sampling, &surfacing());
@@ -425,7 +424,7 @@ fn a_frame_is_the_same_whatever_queues_there_are_and_whosever_the_memory_is() {
             let options = DeviceOptions { queues, shares_host_memory, ..DeviceOptions::default() };
             validated_with(&options, |device| {
                 assert_eq!(device.shares_host_memory(), shares_host_memory == Some(true));
-                let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+                let vulkan = watched(device.clone()).unwrap();
                 let what = format!("{queues:?}, {shares_host_memory:?}");
                 assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), &what);
             });
@@ -473,7 +472,7 @@ fn a_device_is_told_by_its_number_its_uuid_or_a_number_in_its_name() {
 fn the_shared_frames_have_the_same_surfaces_on_the_device() {
     let data = crate::common::files::data("");
     validated(|device| {
-        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        let vulkan = watched(device.clone()).unwrap();
         for (file, spacing) in [
             ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
             ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
@@ -490,7 +489,7 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
                     sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
                     let surfacing = Surfacing { detail, normals: Normals::Gradient, ..surfacing() };
                     let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
-                    sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
+                    sampling.resources.backend = vulkan.clone();
                     let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                     let what = format!("{file}, {indicator:?}, {detail:?}, cells of {cell}");
                     assert!(surface.mesh == expected.mesh, "{what}");
@@ -526,10 +525,10 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let vertices: usize = expected.iter().flatten().map(|mesh| mesh.ends.len()).sum();
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
-        let vulkan = Watched(Vulkan::new(device.clone()).unwrap());
+        let vulkan = watched(device.clone()).unwrap();
         // With a large share they are emitted at once, with a small one in halves.
         for budget in [budget, MemoryBudget(96 << 20)] {
-            let frame = vulkan.start(budget);
+            let frame = vulkan.executor().start(budget);
             assert!(contoured(&*frame, &surfaces, &regions) == expected);
         }
     });
@@ -571,17 +570,17 @@ impl Scene {
         reconstruct(&splashes(29)[..], &self.sampling(), &surfacing()).1.mesh
     }
 
-    fn frame_on(self, backend: impl Backend + 'static) -> Outcome {
+    fn frame_on(self, backend: Backend) -> Outcome {
         let mut sampling = self.sampling();
         sampling.resources.budget = MemoryBudget(64 << 20);
-        sampling.resources.backend = Arc::new(backend);
+        sampling.resources.backend = backend;
         let (frame, Reconstructed { mesh, .. }) = reconstruct(&splashes(29)[..], &sampling, &surfacing());
         Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
     }
 
     /// All of its work, if there is a device to do it.
     fn whole_work(self) -> Option<Work> {
-        let run = |device: &Device| self.frame_on(Watched(Vulkan::new(device.clone()).unwrap())).on_device;
+        let run = |device: &Device| self.frame_on(watched(device.clone()).unwrap()).on_device;
         validated_with(&self.options(), run)
     }
 
@@ -594,7 +593,7 @@ impl Scene {
             let number = failed.len() as u64 + 1;
             let run = |device: &Device| {
                 fault(device.faults()).store(number, Ordering::Relaxed);
-                let outcome = self.frame_on(Vulkan::new(device.clone()).unwrap());
+                let outcome = self.frame_on(Backend::vulkan(device.clone()).unwrap());
                 (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
             };
             let Some((outcome, struck)) = validated_with(&self.options(), run) else { return failed };
@@ -663,7 +662,7 @@ fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
         for memory in [4096, 100_000, 1 << 20, 3 << 20] {
             let options = DeviceOptions { memory: Some(memory), ..scene.options() };
             let (device, log) = device::open(&options).unwrap();
-            let Outcome { mesh, on_device, warnings } = scene.frame_on(Vulkan::new(device).unwrap());
+            let Outcome { mesh, on_device, warnings } = scene.frame_on(Backend::vulkan(device).unwrap());
             let what = format!("{scene:?}, {memory} bytes: {warnings:?}");
             assert!(mesh == expected, "{what}");
             let handed_over = warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
@@ -681,7 +680,7 @@ fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
         DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
     let run = || {
         let (device, log) = device::open(&options).map_err(device::skip).ok()?;
-        let Outcome { mesh, .. } = Scene::Shared.frame_on(Watched(Vulkan::new(device).unwrap()));
+        let Outcome { mesh, .. } = Scene::Shared.frame_on(watched(device).unwrap());
         assert_clean(&log);
         Some(mesh)
     };

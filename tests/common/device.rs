@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock};
 
-use meniscus::internals::backend::{Backend, Stages, Surfaces, Take, Vulkan, Work};
+use meniscus::internals::backend::{Backend, Executor, Stages, Surfaces, Take, Vulkan, Work};
 use meniscus::internals::brick::{Bins, DifField, Pages};
 use meniscus::internals::field::indicator::PageRule;
 use meniscus::internals::grid::CellBox;
@@ -16,11 +16,15 @@ use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
 };
 
-/// A device whose frames fail their test if any of their work is not done on the device, or has to be made good.
-#[derive(Debug)]
-pub struct Watched(pub Vulkan);
+/// Runs frames on a device, and fails the test if any of their work is not done there or has to be made good.
+pub fn watched(device: Device) -> Result<Backend, VulkanError> {
+    Ok(Backend::of(Watched(Vulkan::new(device)?)))
+}
 
-impl Backend for Watched {
+#[derive(Debug)]
+struct Watched(Vulkan);
+
+impl Executor for Watched {
     fn name(&self) -> String {
         self.0.name()
     }
@@ -141,15 +145,15 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
 }
 
 /// One for all tests of a file, watched. What validation has found by now fails the test that asks.
-pub fn shared() -> Result<Arc<Watched>, &'static VulkanError> {
-    static SHARED: OnceLock<Result<(Arc<Watched>, ValidationLog), VulkanError>> = OnceLock::new();
+pub fn shared() -> Result<Backend, &'static VulkanError> {
+    static SHARED: OnceLock<Result<(Backend, ValidationLog), VulkanError>> = OnceLock::new();
     let open_watched = || {
         let (device, log) = open(&DeviceOptions::default())?;
-        Ok((Arc::new(Watched(Vulkan::new(device)?)), log))
+        Ok((watched(device)?, log))
     };
-    let (vulkan, log) = SHARED.get_or_init(open_watched).as_ref()?;
+    let (backend, log) = SHARED.get_or_init(open_watched).as_ref()?;
     assert_eq!(log.messages(), [""; 0]);
-    Ok(Arc::clone(vulkan))
+    Ok(backend.clone())
 }
 
 /// Says that the test that asks is skipped for want of a device, or fails it where `MENISCUS_REQUIRE_VULKAN` demands one.

@@ -7,12 +7,11 @@ mod scene;
 
 use std::error::Error;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Parser;
 use glam::DVec3;
-use meniscus::internals::backend::Vulkan;
+use meniscus::internals::backend::Backend;
 use meniscus::internals::brick::InvalidParticles;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::spacing::estimate;
@@ -73,7 +72,7 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
     let device = Device::open(&instance, &choice, &DeviceOptions::default())?;
     let [large, small] = COPIED.map(|bytes| bandwidth(&device, bytes));
     let bandwidth = large.or(small)?;
-    let vulkan = Arc::new(Vulkan::new(device.clone())?);
+    let vulkan = Backend::vulkan(device.clone())?;
     println!(
         "{}: copies {:.1} GB/s (read + write); CPU: {} threads\n",
         device.name(),
@@ -99,7 +98,7 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
                 }
                 done => done?,
             };
-            sampling.resources.backend = Arc::clone(&vulkan) as _;
+            sampling.resources.backend = vulkan.clone();
             // The first run compiles shaders and takes memory.
             run(&particles, &sampling)?;
             drop(device.take_timings());

@@ -16,9 +16,10 @@ use meniscus::internals::brick::vulkan::{
     BinPipelines, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
 };
 use meniscus::internals::brick::{BrickSide, InvalidParticles};
-use meniscus::internals::field::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Pipelines, indicate};
+use meniscus::internals::field::indicator::vulkan::{BinEntry, Pipelines, indicate};
 use meniscus::internals::field::indicator::{Content, PageRule};
 use meniscus::internals::grid::{BIN, Grid, MortonKey};
+use meniscus::internals::shaders::{CLOUDS, INDICATE};
 use meniscus::internals::vulkan::{
     Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Shader, View, VulkanError,
 };
@@ -139,8 +140,8 @@ fn main() -> Result<(), compile::Fault> {
         name: "direct",
         code: compile::compiled("direct", &compile::whole(include_str!("direct.wgsl"))?)?.leak(),
         buffers: &["grid", "positions", "slots", "bins", "sums"],
-        push: const { &[field("first", 0), field("count", 4), field("width", 8), field("mask", 12)] },
-        group: [256, 1, 1],
+        push_bytes: size_of::<Push>() as u32,
+        group: 256,
     }));
     let pipeline = Arc::new(device.pipeline(direct)?);
     let (slots, numbers) = table(&bins);
@@ -163,15 +164,11 @@ fn main() -> Result<(), compile::Fault> {
                 let positions = positions.view.part(12 * first as u64, 12 * len as u64);
                 let buffers = [grid.clone(), positions, slots.clone(), numbers.clone(), sums.whole()];
                 let push = Push { first: 0, count: len as u32, width: 1, mask };
-                batch.dispatch(&pipeline, &buffers, &push, [len.div_ceil(256) as u32, 1, 1])?;
+                batch.dispatch(&pipeline, &buffers, &push, [pipeline.groups(len as u32), 1, 1])?;
             }
             Ok(())
         })
     })?;
     row("straight to cells: place, add", count, seconds);
     Ok(())
-}
-
-const fn field(name: &'static str, offset: u32) -> meniscus::internals::vulkan::Field {
-    meniscus::internals::vulkan::Field { name, offset, bytes: 4 }
 }

@@ -1,10 +1,9 @@
 //! Stage times by resolution (the paper's figure 14), on the processor and on a Vulkan device where there is one, and
 //! what recovering details costs and brings (its figure 15).
 
-use std::sync::Arc;
 use std::time::Instant;
 
-use meniscus::internals::backend::{Surfaces, Vulkan, field};
+use meniscus::internals::backend::{Backend, Surfaces, field};
 use meniscus::internals::frame::{Detail, Frame, Normals, Surfacing};
 use meniscus::internals::grid::PeriodicMesh;
 use meniscus::internals::surface::dual_mc::contour;
@@ -44,8 +43,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         "whole frame",
         "triangles",
     ]);
-    let vulkan = vulkan();
-    if let Err(fault) = &vulkan {
+    let device = best_device();
+    if let Err(fault) = &device {
         eprintln!("evaluate: no Vulkan device: {fault}");
     }
     for &cells in options.choose(&CELLS[..], &CELLS[..1]) {
@@ -57,8 +56,8 @@ pub fn run(options: &Options) -> Outcome<()> {
             table.row(about.chain(stages).chain([ms(Some(whole)), triangles.to_string()]));
         };
         row(format!("CPU, {} threads", rayon::current_num_threads()), on_cpu(&particles, cell)?);
-        if let Ok(vulkan) = &vulkan {
-            row(vulkan.device().name().to_string(), on_device(vulkan, &particles, cell)?);
+        if let Ok(device) = &device {
+            row(device.name().to_string(), on_device(device, &particles, cell)?);
         }
     }
     table.print(&format!(
@@ -69,9 +68,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     detail(options, &particles, side)
 }
 
-fn vulkan() -> Result<Arc<Vulkan>, VulkanError> {
-    let device = Device::open(&Instance::connect(false)?, &DeviceChoice::Best, &DeviceOptions::default())?;
-    Ok(Arc::new(Vulkan::new(device)?))
+fn best_device() -> Result<Device, VulkanError> {
+    Device::open(&Instance::connect(false)?, &DeviceChoice::Best, &DeviceOptions::default())
 }
 
 /// Seconds of each of [`STAGES`] and of the whole frame, and triangles.
@@ -113,9 +111,9 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     Ok(([Some(dif), Some(smoothing), Some(isosurface), None], whole, surface.triangles.len() as u64))
 }
 
-fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
+fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let mut sampling = sampling(grid(cell)?, 1.0, COUNTING);
-    sampling.resources.backend = Arc::clone(vulkan) as _;
+    sampling.resources.backend = Backend::vulkan(device.clone())?;
     let surfacing = surfacing(Sigmas::Auto.value(), Iso::Auto.value());
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
@@ -128,9 +126,9 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
     };
     // The first run compiles shaders and takes memory.
     run()?;
-    drop(vulkan.device().take_timings());
+    drop(device.take_timings());
     let (whole, triangles) = run()?;
-    let timings = vulkan.device().take_timings();
+    let timings = device.take_timings();
     let seconds =
         |parts: &[&str]| timings.iter().filter(|t| parts.contains(&t.stage)).map(|t| t.seconds).sum::<f64>();
     Ok((STAGES.map(|(_, parts)| Some(seconds(parts))), whole, triangles))

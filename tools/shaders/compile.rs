@@ -1,10 +1,15 @@
-//! From the shaders' sources to their binaries: what the command does, and what tests compare with.
+//! From the shaders' sources to their binaries and to their Rust table: what the command does, and what tests
+//! compare with.
 
-use std::collections::{HashMap, HashSet};
+#[path = "table.rs"]
+mod table;
+
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use meniscus::internals::backend::shaders::{SHADERS, constants};
+use meniscus::internals::backend::wgsl_constants;
+use meniscus::internals::shaders::SHADERS;
 use meniscus::internals::vulkan::Shader;
 use naga::Module;
 use naga::back::spv;
@@ -17,23 +22,40 @@ use rspirv::spirv::{Decoration, Op, StorageClass, Word};
 /// A source that cannot be read or compiled: its name, the line and the cause.
 pub type Fault = Box<dyn std::error::Error + Send + Sync>;
 
-/// A binary as its source says, and where it belongs.
-pub struct Binary {
+/// A file that is made from the sources: a binary, or the Rust table.
+pub struct Made {
     pub file: PathBuf,
-    pub code: Vec<u8>,
+    pub bytes: Vec<u8>,
 }
 
-/// The binaries that are missing or are not what their sources compile to.
-pub fn outdated() -> Result<Vec<Binary>, Fault> {
-    let mut outdated = Vec::new();
-    for shader in SHADERS {
-        let file = folder().join(shader.name).with_extension("spv");
-        let code = compiled(shader.name, &source(shader.name)?)?;
-        if fs::read(&file).ok().as_ref() != Some(&code) {
-            outdated.push(Binary { file, code });
+/// The files that are missing or are not what the sources make.
+pub fn outdated() -> Result<Vec<Made>, Fault> {
+    let (mut made, mut modules) = (Vec::new(), BTreeMap::new());
+    for name in programs()? {
+        let source = source(&name)?;
+        let file = folder().join(&name).with_extension("spv");
+        made.push(Made { file, bytes: compiled(&name, &source)? });
+        let module = parsed(&name, &source)?;
+        modules.insert(name, module);
+    }
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/shaders.rs");
+    made.push(Made { file, bytes: table::rust(&modules)?.into_bytes() });
+    made.retain(|made| fs::read(&made.file).ok().as_ref() != Some(&made.bytes));
+    Ok(made)
+}
+
+/// The names of the sources with an entry point, in order; the others are parts of programs.
+pub fn programs() -> Result<Vec<String>, Fault> {
+    let mut programs = Vec::new();
+    for entry in fs::read_dir(folder())? {
+        let file = entry?.path();
+        let name = file.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        if file.extension().is_some_and(|kind| kind == "wgsl") && read(name)?.contains("@compute") {
+            programs.push(name.to_owned());
         }
     }
-    Ok(outdated)
+    programs.sort();
+    Ok(programs)
 }
 
 /// Where sources and binaries are.
@@ -58,7 +80,7 @@ pub fn whole(own: &str) -> Result<String, Fault> {
     let parts = parts.split_whitespace().map(read).collect::<Result<String, Fault>>()?;
     let text = parts + own;
     let words: HashSet<&str> = text.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
-    let named = constants().into_iter().filter(|(name, ..)| words.contains(name));
+    let named = wgsl_constants().into_iter().filter(|(name, ..)| words.contains(name));
     let constants: String =
         named.map(|(name, kind, value)| format!("const {name}: {kind} = {value};\n")).collect();
     Ok(constants + &text)

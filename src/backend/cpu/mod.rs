@@ -17,14 +17,17 @@ use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 
-use super::{BINS_A_THREAD, Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
+use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;
+
+/// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one go.
+const SHARE: u64 = 8;
 
 /// The processor: all threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Cpu;
 
-impl Backend for Cpu {
+impl Executor for Cpu {
     fn name(&self) -> String {
         format!("CPU, {} threads", rayon::current_num_threads())
     }
@@ -39,57 +42,23 @@ impl Backend for Cpu {
 
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
         let together = budget.0 / SHARE / rayon::current_num_threads() as u64;
-        Box::new(Frame { together })
+        Box::new(CpuStages { together })
     }
 }
 
-/// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one go.
-const SHARE: u64 = 8;
-
-/// A frame on the processor.
-#[derive(Debug)]
-struct Frame {
-    /// Bytes that a thread may take to mesh neighbouring blocks in one go.
+/// The stages of a frame on the processor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CpuStages {
+    /// Bytes that a thread may take to mesh neighbouring blocks in one go; 0 meshes each block by itself.
     together: u64,
 }
 
-impl Stages for Frame {
-    fn indicate(
-        &self,
-        bins: &Bins,
-        range: Range<usize>,
-        rule: &PageRule,
-        meter: &Meter<'_>,
-    ) -> io::Result<Pages> {
-        Cpu.indicate(bins, range, rule, meter)
-    }
-
-    fn contour(
-        &self,
-        surfaces: &Surfaces<'_>,
-        regions: &[CellBox],
-        meter: &Meter<'_>,
-        take: &mut Take<'_>,
-    ) -> io::Result<()> {
-        regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-            // Neighbours follow one another along the Morton curve.
-            let near = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
-            let groups: Vec<_> = regions.chunk_by(near).collect();
-            let of_group = |group| meshes(surfaces, group, meter, self.together);
-            take(groups.into_par_iter().flat_map_iter(of_group).collect())
-        })
-    }
-
-    fn warnings(&self) -> Vec<String> {
-        Vec::new()
-    }
-
-    fn on_device(&self) -> Work {
-        Work::default()
-    }
+impl CpuStages {
+    /// Stands in for a device that fails: meshes each block by itself, which takes the least memory.
+    pub(super) const STAND_IN: Self = Self { together: 0 };
 }
 
-impl Stages for Cpu {
+impl Stages for CpuStages {
     fn indicate(
         &self,
         bins: &Bins,
@@ -115,9 +84,12 @@ impl Stages for Cpu {
         meter: &Meter<'_>,
         take: &mut Take<'_>,
     ) -> io::Result<()> {
+        // Neighbours follow one another along the Morton curve.
+        let near = |a: &CellBox, b: &CellBox| self.together > 0 && parent(a) == parent(b);
+        let of_group = |group| meshes(surfaces, group, meter, self.together);
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-            let of_one = |region| meshes(surfaces, std::slice::from_ref(region), meter, 0);
-            take(regions.par_iter().flat_map_iter(of_one).collect())
+            let groups: Vec<_> = regions.chunk_by(near).collect();
+            take(groups.into_par_iter().flat_map_iter(of_group).collect())
         })
     }
 

@@ -31,7 +31,8 @@ use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 use crate::vulkan::{Device, VulkanError};
 
-use super::{Backend, Cpu, Stages, Surfaces, Take, Work};
+use super::cpu::CpuStages;
+use super::{Executor, Stages, Surfaces, Take, Work};
 use bins::{Fault, Made, bin_bytes};
 pub use blocks::DeviceSurfaces;
 use frame::{DeviceFrame, Kept, LANES, State};
@@ -179,7 +180,7 @@ impl ResidentFrame {
     }
 }
 
-impl Backend for Vulkan {
+impl Executor for Vulkan {
     fn name(&self) -> String {
         format!("Vulkan, {}", self.device.name())
     }
@@ -238,7 +239,7 @@ impl Stages for Arc<DeviceFrame> {
                 // A bin too large for any batch. Without its page the others are of no use on the device.
                 self.forget_residents();
                 state.resident_bytes = 0;
-                pages.extend(Cpu.indicate(bins, begin..begin + 1, rule, meter)?);
+                pages.extend(CpuStages::STAND_IN.indicate(bins, begin..begin + 1, rule, meter)?);
                 continue;
             }
             let outcome = self.indicate_batches(&mut state, bins, begin..end, rule, meter, &mut pages);
@@ -252,7 +253,8 @@ impl Stages for Arc<DeviceFrame> {
         if pages.len() < range.len() {
             // Without the pages of these bins the others are of no use.
             self.forget_residents();
-            pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, rule, meter)?);
+            let rest = range.start + pages.len()..range.end;
+            pages.extend(CpuStages::STAND_IN.indicate(bins, rest, rule, meter)?);
         }
         Ok(pages)
     }
@@ -282,7 +284,7 @@ impl Stages for Arc<DeviceFrame> {
                 Err(Fault::Device(error)) => self.recover(&mut state, &error),
             }
         }
-        Cpu.contour(surfaces, &regions[taken..], meter, take)
+        CpuStages::STAND_IN.contour(surfaces, &regions[taken..], meter, take)
     }
 
     fn warnings(&self) -> Vec<String> {

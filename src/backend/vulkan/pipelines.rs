@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use crate::brick::PageShape;
-use crate::brick::vulkan::{FULL_CELLS, GATHER, HALVE, page_words};
-use crate::field::blur::vulkan::BLUR;
-use crate::field::detail::vulkan::{GREATER, LOST};
-use crate::field::distance::vulkan::{
-    DEPTHS_OF, FULL_BRICKS, JOIN, LOOK, MIX, OUTLYING, Pipelines as Distance, QUOTIENT, REFINE, SPREAD,
+use crate::brick::vulkan::page_words;
+use crate::field::distance::vulkan::Pipelines as Distance;
+use crate::field::indicator::vulkan::Pipelines as Indicators;
+use crate::shaders::{
+    BASES, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE, INDICATE, JOIN,
+    LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SIGNS, SPREAD, TILES,
 };
-use crate::field::indicator::vulkan::{CLOUDS, INDICATE, Pipelines as Indicators};
-use crate::surface::dual_mc::vulkan::{BASES, EMIT, Pipelines as DualMc, SIGNS, TILES};
+use crate::surface::dual_mc::vulkan::Pipelines as DualMc;
 use crate::vulkan::{ComputePipeline, Device, VulkanError};
 
 /// All of them.
@@ -37,7 +37,7 @@ impl Pipelines {
             signs, tiles, bases, emit,
         ] = device.pipelines([
             &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
-            &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
+            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         Ok(Self {

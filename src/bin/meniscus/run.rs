@@ -1,7 +1,6 @@
 //! Options on what a run takes and says: threads, memory, scratch.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
@@ -93,7 +92,7 @@ impl RunOptions {
         &self,
         budget: MemoryBudget,
         input_bytes: impl FnOnce() -> Option<u64>,
-    ) -> Result<Option<Arc<dyn Backend>>, Error> {
+    ) -> Result<Option<Backend>, Error> {
         let cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),

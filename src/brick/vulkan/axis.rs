@@ -4,27 +4,10 @@
 use std::sync::Arc;
 
 use crate::grid::CellBox;
-use crate::vulkan::{Batch, ComputePipeline, View, VulkanError, push_block};
+use crate::shaders::AxisPush;
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::{DeviceBlocks, wall_bounds};
-
-push_block! {
-    /// Push block of programs with `axis.wgsl`.
-    pub struct AxisPush {
-        /// The lowest cell within the walls.
-        walls_lo: [i32; 3],
-        /// Along which taps lie.
-        axis: u32,
-        /// The highest cell within the walls.
-        walls_hi: [i32; 3],
-        /// The reach of the taps, in cells.
-        reach: u32,
-        /// Cells at a block's faces that are not to be computed.
-        margin: [u32; 3],
-        /// Bits that sums are shifted down by, where there are any.
-        shift: u32,
-    }
-}
 
 /// The cells that an operation sees.
 #[derive(Debug, Clone, Copy)]
@@ -59,7 +42,7 @@ pub fn along_each_axis(
         push.shift = shift(axis);
         push.margin[axis] += reach;
         let buffers: Vec<View> = [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
-        batch.dispatch(pipeline, &buffers, &push, blocks.run_groups())?;
+        batch.dispatch(pipeline, &buffers, &push, blocks.run_groups(pipeline))?;
     }
     Ok(())
 }

@@ -13,12 +13,12 @@ use thiserror::Error;
 use crate::brick::cubes::bin_coord;
 use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
+use crate::shaders::{ENTER, EnterPush, PLACE, PlacePush, SETTLE, SORT, SettlePush, SortPush};
 use crate::vulkan::{
-    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, PIECE, Place, Queue, Shader, View,
-    VulkanError, push_block,
+    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, PIECE, Place, Queue, View, VulkanError,
 };
 
-use super::{DeviceGrid, GROUP, flat_groups};
+use super::{DeviceGrid, flat_groups};
 
 /// Particles placed at once: as many as [are kept](Binning::keep) in one piece of memory.
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
@@ -40,74 +40,6 @@ const RECORD_BYTES: u64 = 8;
 const HOME_BYTES: u64 = 4;
 /// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000 times as many as are of use.
 const MOST_IN_BIN: u32 = 1 << 24;
-
-push_block! {
-    /// Push block of [`PLACE`].
-    struct PlacePush {
-        first: u32,
-        count: u32,
-        width: u32,
-        chunk: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`ENTER`].
-    struct EnterPush {
-        count: u32,
-        mask: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`SETTLE`].
-    struct SettlePush {
-        slots: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`SORT`].
-    struct SortPush {
-        count: u32,
-    }
-}
-
-/// A chunk's particles, packed, and their bins.
-pub const PLACE: Shader = Shader {
-    name: "place",
-    code: include_bytes!("../../../spirv/place.spv"),
-    buffers: &["grid", "positions", "keys", "packed", "census"],
-    push: PlacePush::FIELDS,
-    group: [GROUP, 1, 1],
-};
-
-/// Counts by bin.
-pub const ENTER: Shader = Shader {
-    name: "enter",
-    code: include_bytes!("../../../spirv/enter.spv"),
-    buffers: &["keys", "slots", "census", "homes"],
-    push: EnterPush::FIELDS,
-    group: [GROUP, 1, 1],
-};
-
-/// Keys of new bins.
-pub const SETTLE: Shader = Shader {
-    name: "settle",
-    code: include_bytes!("../../../spirv/settle.spv"),
-    buffers: &["keys", "slots"],
-    push: SettlePush::FIELDS,
-    group: [GROUP, 1, 1],
-};
-
-/// Packed particles, bin by bin.
-pub const SORT: Shader = Shader {
-    name: "sort",
-    code: include_bytes!("../../../spirv/sort.spv"),
-    buffers: &["packed", "homes", "places", "records"],
-    push: SortPush::FIELDS,
-    group: [GROUP, 1, 1],
-};
 
 /// The shaders of binning.
 #[derive(Debug)]
@@ -243,8 +175,8 @@ struct Chunk {
 }
 
 impl Chunk {
-    fn groups(&self) -> [u32; 3] {
-        [self.count.div_ceil(GROUP), 1, 1]
+    fn groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
+        [pipeline.groups(self.count), 1, 1]
     }
 
     /// Returns the bytes of the chunk's positions.
@@ -428,13 +360,13 @@ impl Binning<'_> {
         let Kept { packed, homes } = kept;
         let buffers = [&self.grid, &chunk.positions, &keys, packed, &census].map(Clone::clone);
         let push = PlacePush { first, count, width, chunk: number };
-        batch.dispatch(&pipelines.place, &buffers, &push, chunk.groups())?;
+        batch.dispatch(&pipelines.place, &buffers, &push, chunk.groups(&pipelines.place))?;
         batch.stage("count bins", 12 * u64::from(count));
         let buffers = [keys, slots, census, homes.clone()];
         let push = EnterPush { count, mask: slots_len - 1 };
-        batch.dispatch(&pipelines.enter, &buffers, &push, chunk.groups())?;
+        batch.dispatch(&pipelines.enter, &buffers, &push, chunk.groups(&pipelines.enter))?;
         let push = SettlePush { slots: slots_len };
-        batch.dispatch(&pipelines.settle, &buffers[..2], &push, flat_groups(slots_len))
+        batch.dispatch(&pipelines.settle, &buffers[..2], &push, flat_groups(slots_len, &pipelines.settle))
     }
 
     /// The census of all chunks, and the number of the first invalid particle.
@@ -514,7 +446,7 @@ impl Binning<'_> {
                 let buffers = [packed, homes, &places.whole(), &records.whole()].map(Clone::clone);
                 let push = SortPush { count: chunk.count };
                 batch.stage("sort", (2 * RECORD_BYTES + 4) * u64::from(chunk.count));
-                batch.dispatch(&self.pipelines.sort, &buffers, &push, chunk.groups())?;
+                batch.dispatch(&self.pipelines.sort, &buffers, &push, chunk.groups(&self.pipelines.sort))?;
             }
             batch.submit(&[])?;
             batch.wait()?;

@@ -6,13 +6,13 @@ mod bin;
 mod grid;
 mod pages;
 
-pub use axis::{AxisPush, Window, along_each_axis};
+pub use axis::{Window, along_each_axis};
 pub use bin::{
-    BinPipelines, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN,
-    PLACE, PROBES, SETTLE, SETTLED, SORT, bin,
+    BinPipelines, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, NO_BIN, PROBES,
+    SETTLED, bin,
 };
 pub use grid::{DeviceGrid, reciprocal};
-pub use pages::{FULL_CELLS, FullCells, HALVE, full_cells, halve};
+pub use pages::{FullCells, full_cells, halve};
 
 use std::sync::Arc;
 
@@ -21,7 +21,8 @@ use glam::IVec3;
 
 use super::PageShape;
 use crate::grid::{BIN, CellBox};
-use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, Shader, View, VulkanError, push_block};
+use crate::shaders::GatherPush;
+use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, View, VulkanError};
 
 /// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
@@ -31,8 +32,6 @@ pub fn page_words(shape: PageShape) -> u32 {
     (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
 }
 
-/// Threads of a work group.
-const GROUP: u32 = 256;
 /// Work groups of a row that every device allows.
 pub const GROUP_ROW: u32 = 1 << 15;
 /// Words along an axis that a thread of a separable operation makes.
@@ -135,48 +134,29 @@ impl DeviceBlocks {
 
     /// Work groups for a thread a run of every block.
     #[must_use]
-    pub fn run_groups(&self) -> [u32; 3] {
-        [self.runs.div_ceil(GROUP), self.count, 1]
+    pub fn run_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
+        [pipeline.groups(self.runs), self.count, 1]
     }
 
     /// Work groups for a thread a word of every block.
     #[must_use]
-    pub fn groups(&self) -> [u32; 3] {
-        [self.largest.div_ceil(GROUP), self.count, 1]
+    pub fn groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
+        [pipeline.groups(self.largest), self.count, 1]
     }
 
     /// Work groups for a thread a word of the field, in rows that every device allows.
     #[must_use]
-    pub fn flat_groups(&self) -> [u32; 3] {
-        flat_groups(self.words)
+    pub fn flat_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
+        flat_groups(self.words, pipeline)
     }
 }
 
 /// Work groups for so many threads, in rows that every device allows.
-fn flat_groups(threads: u32) -> [u32; 3] {
-    let groups = threads.div_ceil(GROUP);
+fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
+    let groups = pipeline.groups(threads);
     let width = groups.clamp(1, GROUP_ROW);
     [width, groups.div_ceil(width), 1]
 }
-
-push_block! {
-    /// Push block of [`GATHER`].
-    struct GatherPush {
-        decode: u32,
-        brick_bits: u32,
-        ghost_layer: u32,
-        page_words: u32,
-    }
-}
-
-/// Cuts blocks out of pages: the twin of [`DifField::gather`](super::DifField::gather).
-pub const GATHER: Shader = Shader {
-    name: "gather",
-    code: include_bytes!("../../../spirv/gather.spv"),
-    buffers: &["blocks", "tables", "pages", "theta", "field"],
-    push: GatherPush::FIELDS,
-    group: [GROUP, 1, 1],
-};
 
 /// Where blocks are cut out of.
 #[derive(Debug, Clone)]
@@ -211,7 +191,7 @@ pub fn gather(
     let push = GatherPush { decode, brick_bits: brick.ilog2(), ghost_layer, page_words };
     let DevicePages { tables, pages, theta, .. } = pages;
     let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
-    batch.dispatch(pipeline, &buffers, &push, blocks.run_groups())
+    batch.dispatch(pipeline, &buffers, &push, blocks.run_groups(pipeline))
 }
 
 /// The cells within walls as shaders take them: the lowest and the highest; without walls, farther than any cell.

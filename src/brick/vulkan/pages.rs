@@ -6,46 +6,10 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::brick::{Factor, PageInfo, PageShape};
 use crate::grid::{BIN, CellBox, MortonKey};
-use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
+use crate::shaders::{FullCellsPush, HalvePush};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-use super::{DeviceBlocks, GROUP, PAGE_WORDS, page_words, wall_bounds};
-
-push_block! {
-    /// Push block of [`FULL_CELLS`].
-    struct FullPush {
-        piece_bits: u32,
-        ghost_layer: u32,
-        brick_bits: u32,
-        page_words: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`HALVE`].
-    struct HalvePush {
-        walls_lo: [i32; 3],
-        factor: u32,
-        walls_hi: [i32; 3],
-    }
-}
-
-/// The full cells of pages.
-pub const FULL_CELLS: Shader = Shader {
-    name: "full_cells",
-    code: include_bytes!("../../../spirv/full_cells.spv"),
-    buffers: &["pages", "found"],
-    push: FullPush::FIELDS,
-    group: [GROUP, 1, 1],
-};
-
-/// Pages of cells twice as wide.
-pub const HALVE: Shader = Shader {
-    name: "halve",
-    code: include_bytes!("../../../spirv/halve.spv"),
-    buffers: &["blocks", "field", "pages"],
-    push: HalvePush::FIELDS,
-    group: [GROUP, 1, 1],
-};
+use super::{DeviceBlocks, PAGE_WORDS, page_words, wall_bounds};
 
 /// The full cells of a page, laid out as in `full_cells.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -80,7 +44,7 @@ pub fn full_cells(
     let brick = shape.side.cells();
     // Without ghost layers a bin lies in one piece.
     let piece = if shape.ghost_layer == 0 { BIN } else { brick };
-    let push = FullPush {
+    let push = FullCellsPush {
         piece_bits: piece.ilog2(),
         ghost_layer: shape.ghost_layer as u32,
         brick_bits: brick.ilog2(),
@@ -104,5 +68,5 @@ pub fn halve(
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let push = HalvePush { walls_lo, factor: factor.steps(), walls_hi };
     let views = [&blocks.blocks, field, pages].map(Clone::clone);
-    batch.dispatch(pipeline, &views, &push, [PAGE_WORDS / GROUP, blocks.count, 1])
+    batch.dispatch(pipeline, &views, &push, [pipeline.groups(PAGE_WORDS), blocks.count, 1])
 }

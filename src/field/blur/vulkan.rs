@@ -2,20 +2,11 @@
 
 use std::sync::Arc;
 
-use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis};
+use crate::brick::vulkan::{DeviceBlocks, Window, along_each_axis};
 use crate::grid::CellBox;
-use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::Weights;
-
-/// One axis of a filter.
-pub const BLUR: Shader = Shader {
-    name: "blur",
-    code: include_bytes!("../../../spirv/blur.spv"),
-    buffers: &["blocks", "samples", "filtered", "half_weights"],
-    push: AxisPush::FIELDS,
-    group: [256, 1, 1],
-};
 
 /// Blurs all blocks along x, then y, then z: from `from` through `to` and `through` into `to`.
 ///

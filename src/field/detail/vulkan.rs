@@ -4,40 +4,8 @@ use std::sync::Arc;
 
 use crate::brick::vulkan::DeviceBlocks;
 use crate::grid::units::Isovalue;
-use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
-
-push_block! {
-    /// Push block of [`LOST`].
-    struct LostPush {
-        words: u32,
-        threshold: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`GREATER`].
-    struct GreaterPush {
-        words: u32,
-    }
-}
-
-/// theta_bar.
-pub const LOST: Shader = Shader {
-    name: "lost",
-    code: include_bytes!("../../../spirv/lost.spv"),
-    buffers: &["dif", "smoothed", "kept"],
-    push: LostPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// The greater of two fields.
-pub const GREATER: Shader = Shader {
-    name: "greater",
-    code: include_bytes!("../../../spirv/greater.spv"),
-    buffers: &["other", "field"],
-    push: GreaterPush::FIELDS,
-    group: [256, 1, 1],
-};
+use crate::shaders::{GreaterPush, LostPush};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 /// Writes into `kept` what smoothing lost of the DIF.
 ///
@@ -51,7 +19,7 @@ pub fn lost(
     [dif, smooth, kept]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = LostPush { words: blocks.words, threshold: iso.threshold().into() };
-    batch.dispatch(pipeline, &[dif, smooth, kept].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(pipeline, &[dif, smooth, kept].map(Clone::clone), &push, blocks.flat_groups(pipeline))
 }
 
 /// Raises `field` to `other`.
@@ -66,5 +34,5 @@ pub fn raise(
     field: &View,
 ) -> Result<(), VulkanError> {
     let push = GreaterPush { words: blocks.words };
-    batch.dispatch(pipeline, &[other, field].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(pipeline, &[other, field].map(Clone::clone), &push, blocks.flat_groups(pipeline))
 }

@@ -5,93 +5,16 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, UVec3};
 
-use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis, wall_bounds};
+use crate::brick::vulkan::{DeviceBlocks, Window, along_each_axis, wall_bounds};
 use crate::grid::units::Isovalue;
 use crate::grid::{BIN, CellBox};
-use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
+use crate::shaders::{
+    DepthsOfPush, FullBricksPush, JoinPush, LookPush, MixBothPush, OutlyingPush, QuotientPush, RefinePush,
+};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
-
-push_block! {
-    /// Push block of [`DEPTHS_OF`].
-    struct DepthsPush {
-        words: u32,
-        scale: u32,
-        narrow_width: i32,
-        middle_width: i32,
-        wide_width: i32,
-        narrow_most: i32,
-        middle_most: i32,
-        wide_most: i32,
-        fine_share: i32,
-        calm_share: i32,
-    }
-}
-
-push_block! {
-    /// Push block of [`MIX`].
-    struct MixPush {
-        apart_begin: u32,
-        apart_range: u32,
-        apart_slope: u32,
-        deep_begin: u32,
-        deep_range: u32,
-        deep_slope: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`OUTLYING`].
-    struct OutlyingPush {
-        words: u32,
-        least: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`REFINE`].
-    struct RefinePush {
-        walls_lo: [i32; 3],
-        level: u32,
-        walls_hi: [i32; 3],
-    }
-}
-
-push_block! {
-    /// Push block of [`LOOK`].
-    struct LookPush {
-        threshold: u32,
-        begin: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`QUOTIENT`].
-    struct QuotientPush {
-        words: u32,
-        bits: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`JOIN`].
-    struct JoinPush {
-        begin: u32,
-        range: u32,
-        slope: u32,
-        radius: i32,
-        width: i32,
-    }
-}
-
-push_block! {
-    /// Push block of [`FULL_BRICKS`].
-    struct FullPush {
-        width: u32,
-        least: u32,
-    }
-}
 
 /// Edge of the largest cubes that bricks can be looked at by on a device, in parts.
 const WIDEST_CUBE: u32 = 4;
@@ -103,107 +26,26 @@ pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
 /// Words of a bit for each cube of them.
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
-/// The bricks that are full.
-pub const FULL_BRICKS: Shader = Shader {
-    name: "full_bricks",
-    code: include_bytes!("../../../spirv/full_bricks.spv"),
-    buffers: &["blocks", "field", "bricks"],
-    push: FullPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// The calm surface and the fine one.
-pub const DEPTHS_OF: Shader = Shader {
-    name: "depths_of",
-    code: include_bytes!("../../../spirv/depths_of.spv"),
-    buffers: &["narrow", "middle", "wide", "depths"],
-    push: DepthsPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// The one that is drawn of both.
-pub const MIX: Shader = Shader {
-    name: "mix_both",
-    code: include_bytes!("../../../spirv/mix_both.spv"),
-    buffers: &["blocks", "calm", "fine", "apart", "near", "marks"],
-    push: MixPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// By how much particles lie outside of it.
-pub const OUTLYING: Shader = Shader {
-    name: "outlying",
-    code: include_bytes!("../../../spirv/outlying.spv"),
-    buffers: &["calm", "field"],
-    push: OutlyingPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// One axis of the greatest near by.
-pub const SPREAD: Shader = Shader {
-    name: "spread",
-    code: include_bytes!("../../../spirv/spread.spv"),
-    buffers: &["blocks", "samples", "filtered"],
-    push: AxisPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// Wide cells to cells.
-pub const REFINE: Shader = Shader {
-    name: "refine",
-    code: include_bytes!("../../../spirv/refine.spv"),
-    buffers: &["blocks", "wide_blocks", "within", "wide", "field"],
-    push: RefinePush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// The search of the wide cells around each region for a surface, and for particles that stand out.
-pub const LOOK: Shader = Shader {
-    name: "look",
-    code: include_bytes!("../../../spirv/look.spv"),
-    buffers: &["blocks", "looks", "bulk", "outlying", "seen"],
-    push: LookPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// Shares of clouds in what is around them.
-pub const QUOTIENT: Shader = Shader {
-    name: "quotient",
-    code: include_bytes!("../../../spirv/quotient.spv"),
-    buffers: &["around", "field"],
-    push: QuotientPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// The calm surface and drops.
-pub const JOIN: Shader = Shader {
-    name: "join",
-    code: include_bytes!("../../../spirv/join.spv"),
-    buffers: &["parts", "blocks", "homes", "near", "shares", "away", "field"],
-    push: JoinPush::FIELDS,
-    group: [256, 1, 1],
-};
-
 /// Shaders that make distances.
 #[derive(Debug)]
 pub struct Pipelines {
-    /// Two surfaces of the bulk: [`DEPTHS_OF`].
+    /// The calm and the fine surface of the bulk, and how far they are apart.
     pub depths: Arc<ComputePipeline>,
-    /// The one that is drawn: [`MIX`].
+    /// The surface that is drawn, from the calm and the fine one.
     pub mix: Arc<ComputePipeline>,
-    /// By how much particles lie outside of the calm surface: [`OUTLYING`].
+    /// By how much particles lie outside of the calm surface.
     pub outlying: Arc<ComputePipeline>,
-    /// The greatest near by: [`SPREAD`].
+    /// The greatest sample near by, along one axis.
     pub spread: Arc<ComputePipeline>,
-    /// Wide cells to cells: [`REFINE`].
+    /// Wide cells to cells.
     pub refine: Arc<ComputePipeline>,
-    /// The search of wide cells for a surface, and for particles that stand out: [`LOOK`].
+    /// The search of wide cells for a surface, and for particles that stand out.
     pub look: Arc<ComputePipeline>,
-    /// Shares: [`QUOTIENT`].
+    /// Shares of clouds in what is around them.
     pub quotient: Arc<ComputePipeline>,
-    /// Both surfaces: [`JOIN`].
+    /// The surface of the bulk and drops.
     pub join: Arc<ComputePipeline>,
-    /// The bricks that are full, from which the deep inside is found: [`FULL_BRICKS`].
+    /// The bricks that are full, from which the deep inside is found.
     pub full_bricks: Arc<ComputePipeline>,
 }
 
@@ -226,7 +68,7 @@ pub fn full_bricks(
     [field, bricks]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let views = [&blocks.blocks, field, bricks].map(Clone::clone);
-    batch.dispatch(&pipelines.full_bricks, &views, &FullPush { width, least }, [1, blocks.count, 1])
+    batch.dispatch(&pipelines.full_bricks, &views, &FullBricksPush { width, least }, [1, blocks.count, 1])
 }
 
 /// The committed tables as shaders take them: of depths, and of how far away shares are.
@@ -249,7 +91,7 @@ pub fn depths(
     [narrow, middle, wide]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let Bulk { widths, shares, scale, .. } = by;
-    let push = DepthsPush {
+    let push = DepthsOfPush {
         words: blocks.words,
         scale: *scale,
         narrow_width: widths[0].spacings,
@@ -262,7 +104,7 @@ pub fn depths(
         calm_share: shares[1],
     };
     let views = [narrow, middle, wide, table].map(Clone::clone);
-    batch.dispatch(&pipelines.depths, &views, &push, blocks.flat_groups())
+    batch.dispatch(&pipelines.depths, &views, &push, blocks.flat_groups(&pipelines.depths))
 }
 
 /// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the bricks that are inside, by block.
@@ -277,7 +119,7 @@ pub fn mixed(
     marks: &View,
     [calm, fine, apart, near]: [&View; 4],
 ) -> Result<(), VulkanError> {
-    let push = MixPush {
+    let push = MixBothPush {
         apart_begin: by.apart.begin.into(),
         apart_range: by.apart.range.into(),
         apart_slope: by.apart.slope,
@@ -286,7 +128,7 @@ pub fn mixed(
         deep_slope: by.deep.slope,
     };
     let views = [&blocks.blocks, calm, fine, apart, near, marks].map(Clone::clone);
-    batch.dispatch(&pipelines.mix, &views, &push, blocks.groups())
+    batch.dispatch(&pipelines.mix, &views, &push, blocks.groups(&pipelines.mix))
 }
 
 /// Makes of clouds by how much those that hold a particle lie outside of the calm surface.
@@ -301,7 +143,12 @@ pub fn outlying(
     [calm, clouds]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let push = OutlyingPush { words: blocks.words, least: least.into() };
-    batch.dispatch(&pipelines.outlying, &[calm, clouds].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(
+        &pipelines.outlying,
+        &[calm, clouds].map(Clone::clone),
+        &push,
+        blocks.flat_groups(&pipelines.outlying),
+    )
 }
 
 /// The greatest sample within the window along x, then y, then z: from `from` through `to` and `through` into `to`.
@@ -389,7 +236,7 @@ pub fn refine(
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let push = RefinePush { walls_lo, level, walls_hi };
     let views = [&blocks.blocks, &wide.blocks, within, from, to].map(Clone::clone);
-    batch.dispatch(&pipelines.refine, &views, &push, blocks.run_groups())
+    batch.dispatch(&pipelines.refine, &views, &push, blocks.run_groups(&pipelines.refine))
 }
 
 /// Makes shares of clouds in what is around them.
@@ -404,7 +251,12 @@ pub fn quotient(
     [clouds, around]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let push = QuotientPush { words: blocks.words, bits };
-    batch.dispatch(&pipelines.quotient, &[around, clouds].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(
+        &pipelines.quotient,
+        &[around, clouds].map(Clone::clone),
+        &push,
+        blocks.flat_groups(&pipelines.quotient),
+    )
 }
 
 /// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the number of the block that each part is
@@ -429,5 +281,5 @@ pub fn join(
         width: drops.width,
     };
     let views = [&parts.blocks, &blocks.blocks, homes, near, shares, table, bulk].map(Clone::clone);
-    batch.dispatch(&pipelines.join, &views, &push, parts.groups())
+    batch.dispatch(&pipelines.join, &views, &push, parts.groups(&pipelines.join))
 }

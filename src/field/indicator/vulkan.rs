@@ -5,7 +5,8 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::vulkan::{page_words, wall_bounds};
-use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
+use crate::shaders::{CloudsPush, IndicatePush};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::{Amount, Content, PageRule};
 
@@ -26,49 +27,12 @@ pub struct BinEntry {
     pub coord: [i32; 3],
 }
 
-push_block! {
-    /// Push block of [`INDICATE`].
-    struct Push {
-        counting: u32,
-    }
-}
-
-push_block! {
-    /// Push block of [`CLOUDS`].
-    struct CloudsPush {
-        walls_lo: [i32; 3],
-        amount: u32,
-        walls_hi: [i32; 3],
-        brick_bits: u32,
-        group_samples: u32,
-        page_words: u32,
-    }
-}
-
-/// Cell sums and the indicator, octant by octant of a bin.
-pub const INDICATE: Shader = Shader {
-    name: "indicate",
-    code: include_bytes!("../../../spirv/indicate.spv"),
-    buffers: &["bins", "records", "pages"],
-    push: Push::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// Clouds, part by part of a bin's samples.
-pub const CLOUDS: Shader = Shader {
-    name: "clouds",
-    code: include_bytes!("../../../spirv/clouds.spv"),
-    buffers: &["bins", "records", "pages"],
-    push: CloudsPush::FIELDS,
-    group: [256, 1, 1],
-};
-
 /// Shaders that make pages.
 #[derive(Debug)]
 pub struct Pipelines {
-    /// Sums and the DIF: [`INDICATE`].
+    /// Cell sums and the indicator, octant by octant of a bin.
     pub indicate: Arc<ComputePipeline>,
-    /// Clouds: [`CLOUDS`].
+    /// Clouds, part by part of a bin's samples.
     pub clouds: Arc<ComputePipeline>,
 }
 
@@ -85,7 +49,8 @@ pub fn indicate(
 ) -> Result<(), VulkanError> {
     let views = views.map(Clone::clone);
     let sums = |batch: &mut Batch, counting: bool| {
-        batch.dispatch(&pipelines.indicate, &views, &Push { counting: counting.into() }, [8, count, 1])
+        let push = IndicatePush { counting: counting.into() };
+        batch.dispatch(&pipelines.indicate, &views, &push, [8, count, 1])
     };
     match rule.content {
         Content::Symmetry => sums(batch, false),

@@ -7,8 +7,9 @@ use bytemuck::{Pod, Zeroable};
 use crate::brick::vulkan::{DeviceBlocks, GROUP_ROW, wall_bounds};
 use crate::grid::units::Isovalue;
 use crate::grid::{BLOCK, CellBox, TILE};
+use crate::shaders::{BasesPush, EmitPush, SignsPush};
 use crate::surface::mesh::Tile;
-use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::cases::TABLE;
 
@@ -17,71 +18,7 @@ pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / 
 /// Words of a tile.
 pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
 
-push_block! {
-    /// The push block of [`SIGNS`].
-    struct SignsPush {
-        walls_lo: [i32; 3],
-        threshold: u32,
-        walls_hi: [i32; 3],
-    }
-}
-
-push_block! {
-    /// The push block of [`BASES`].
-    struct BasesPush {
-        blocks: u32,
-        room: u32,
-        width: u32,
-    }
-}
-
-push_block! {
-    /// The push block of [`EMIT`].
-    struct EmitPush {
-        walls_lo: [i32; 3],
-        blocks: u32,
-        walls_hi: [i32; 3],
-        normals: u32,
-    }
-}
-
-/// Signs of all cells, tile by tile.
-pub const SIGNS: Shader = Shader {
-    name: "signs",
-    code: include_bytes!("../../../spirv/signs.spv"),
-    buffers: &["blocks", "field", "masks"],
-    push: SignsPush::FIELDS,
-    group: [64, 1, 1],
-};
-
-/// The tally of what each block will have, and where each of its tiles begins.
-pub const TILES: Shader = Shader {
-    name: "tiles",
-    code: include_bytes!("../../../spirv/tiles.spv"),
-    buffers: &["blocks", "signs", "lengths", "slots", "tallies"],
-    push: &[],
-    group: [256, 1, 1],
-};
-
-/// Where each block begins, and how many work groups write all of them.
-pub const BASES: Shader = Shader {
-    name: "bases",
-    code: include_bytes!("../../../spirv/bases.spv"),
-    buffers: &["tallies", "groups"],
-    push: BasesPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// Tiles and vertices.
-pub const EMIT: Shader = Shader {
-    name: "emit",
-    code: include_bytes!("../../../spirv/emit.spv"),
-    buffers: &["blocks", "field", "signs", "slots", "tallies", "tiles", "ends", "falls"],
-    push: EmitPush::FIELDS,
-    group: [64, 1, 1],
-};
-
-/// Counts of a block's tiles, vertices and triangles; after [`BASES`], where it begins in the batch.
+/// Counts of a block's tiles, vertices and triangles; after `bases`, where it begins in the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Tally {
@@ -123,13 +60,13 @@ pub struct Slot {
 /// The shaders of this stage.
 #[derive(Debug)]
 pub struct Pipelines {
-    /// [`SIGNS`].
+    /// Signs of all cells, tile by tile.
     pub signs: Arc<ComputePipeline>,
-    /// [`TILES`].
+    /// The tally of what each block will have, and where each of its tiles begins.
     pub tiles: Arc<ComputePipeline>,
-    /// [`BASES`].
+    /// Where each block begins, and how many work groups write all of them.
     pub bases: Arc<ComputePipeline>,
-    /// [`EMIT`].
+    /// Tiles and vertices.
     pub emit: Arc<ComputePipeline>,
 }
 
@@ -188,7 +125,7 @@ pub fn contour(
         &pipelines.signs,
         &all(&[&blocks.blocks, field, signs]),
         &SignsPush { walls_lo, threshold: iso.threshold().into(), walls_hi },
-        [SIGN_TILES.div_ceil(SIGNS.group[0]), blocks.count, 1],
+        [pipelines.signs.groups(SIGN_TILES), blocks.count, 1],
     )?;
     batch.dispatch(
         &pipelines.tiles,

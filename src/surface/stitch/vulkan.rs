@@ -9,9 +9,10 @@ use glam::IVec3;
 
 use crate::grid::units::Isovalue;
 use crate::grid::{BLOCK, MortonKey, TILE};
+use crate::shaders::{STARTS, StartsPush, TRIANGLES, TrianglesPush, VERTICES, VerticesPush};
 use crate::surface::dual_mc::cases::{Edge, TABLE};
 use crate::surface::dual_mc::vulkan::{TILE_WORDS, Tally};
-use crate::vulkan::{Batch, ComputePipeline, Device, Shader, Ticket, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Device, Ticket, View, VulkanError};
 
 /// Tiles along a block's edge.
 pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
@@ -25,61 +26,6 @@ pub const NO_BLOCK: u32 = u32::MAX;
 const ROW: u64 = 12;
 /// Vertices or triangles of a submission, at the most.
 const ROWS_AT_ONCE: u64 = 4 << 20;
-
-push_block! {
-    /// The push block of [`STARTS`].
-    struct StartsPush {
-        blocks: u32,
-    }
-}
-
-push_block! {
-    /// The push block of [`VERTICES`].
-    struct VerticesPush {
-        first_tile: u32,
-        tiles: u32,
-        first_vertex: u32,
-        first_word: u32,
-        threshold: u32,
-    }
-}
-
-push_block! {
-    /// The push block of [`TRIANGLES`].
-    struct TrianglesPush {
-        first_tile: u32,
-        tiles: u32,
-        first_triangle: u32,
-        first_word: u32,
-    }
-}
-
-/// Where each tile's triangles begin.
-pub const STARTS: Shader = Shader {
-    name: "starts",
-    code: include_bytes!("../../../spirv/starts.spv"),
-    buffers: &["blocks", "tiles", "table", "begins"],
-    push: StartsPush::FIELDS,
-    group: [256, 1, 1],
-};
-
-/// Positions.
-pub const VERTICES: Shader = Shader {
-    name: "vertices",
-    code: include_bytes!("../../../spirv/vertices.spv"),
-    buffers: &["grid", "blocks", "tiles", "begins", "ends", "positions"],
-    push: VerticesPush::FIELDS,
-    group: [64, 1, 1],
-};
-
-/// Triangles.
-pub const TRIANGLES: Shader = Shader {
-    name: "triangles",
-    code: include_bytes!("../../../spirv/triangles.spv"),
-    buffers: &["blocks", "tiles", "begins", "table", "indices"],
-    push: TrianglesPush::FIELDS,
-    group: [64, 1, 1],
-};
 
 /// The shaders of stitching.
 #[derive(Debug)]

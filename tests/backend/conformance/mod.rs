@@ -6,9 +6,8 @@ mod sampled;
 mod surfaces;
 
 use std::convert::Infallible;
-use std::sync::Arc;
 
-use meniscus::internals::backend::{Backend, Cpu};
+use meniscus::internals::backend::Backend;
 use meniscus::internals::frame::Sampling;
 use meniscus::internals::vulkan::VulkanError;
 
@@ -16,12 +15,12 @@ use crate::common;
 
 /// Where the list runs.
 struct Place {
-    backend: Arc<dyn Backend>,
+    backend: Backend,
 }
 
 impl Place {
     fn cpu() -> Result<Self, Infallible> {
-        Ok(Self { backend: Arc::new(Cpu) })
+        Ok(Self { backend: Backend::cpu() })
     }
 
     /// A device that is watched: what the processor does in its place fails the test.
@@ -32,7 +31,7 @@ impl Place {
     /// Settings that tests start from, here.
     fn sampling(&self) -> Sampling {
         let mut sampling = common::sampling();
-        sampling.resources.backend = Arc::clone(&self.backend);
+        sampling.resources.backend = self.backend.clone();
         sampling
     }
 }

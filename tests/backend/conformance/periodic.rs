@@ -1,7 +1,7 @@
 //! Periodic boxes: the mesh is that of a fluid which is repeated in so many words.
 
 use glam::DVec3;
-use meniscus::internals::backend::Cpu;
+use meniscus::internals::backend::Backend;
 use meniscus::internals::field::calibration::Calibration;
 use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
 use meniscus::internals::frame::{Frame, Normals, Sampling, Surfacing};
@@ -118,7 +118,7 @@ pub fn a_periodic_mesh_is_the_same_on_every_backend(place: &Place) {
             let in_box = in_box(&sampling(place, kind, cell), &surfacing, faces);
             let (found, _) = drawn(&particles, &in_box, &surfacing, None);
             let mut on_host = in_box.clone();
-            on_host.resources.backend = std::sync::Arc::new(Cpu);
+            on_host.resources.backend = Backend::cpu();
             let (expected, _) = drawn(&particles, &on_host, &surfacing, None);
             assert_watertight(&found, &format!("{kind:?}, {mesh:?}"));
             assert!(found == expected, "{kind:?}, cells of {cell}, {mesh:?}");

@@ -101,7 +101,7 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
     };
-    let stages = place.sampling().resources.backend.start(MemoryBudget(8 << 30));
+    let stages = place.sampling().resources.backend.executor().start(MemoryBudget(8 << 30));
     let mut spool = Spool::in_memory(false, Vec::new());
     let mut push =
         |meshes: Vec<Option<BlockMesh>>| meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh));

@@ -1,7 +1,7 @@
 //! Random fields: their surface, and what simplifying makes of it.
 
 use glam::{DVec3, IVec3};
-use meniscus::internals::backend::{Backend, Cpu, Surfaces};
+use meniscus::internals::backend::{Cpu, Executor, Surfaces};
 use meniscus::internals::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo};
 use meniscus::internals::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};

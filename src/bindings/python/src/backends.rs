@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::sync::{LazyLock, Mutex, PoisonError};
 
 use meniscus::Source;
 use meniscus::devices::{self, Backend, DeviceChoice};
@@ -28,7 +28,7 @@ enum Name {
 
 /// Devices that are open, by the process that opened them, by whether one was asked for, and by their names. A child that was forked cannot
 /// use its parent's.
-type Open = HashMap<(u32, bool, Option<String>), Arc<dyn Backend>>;
+type Open = HashMap<(u32, bool, Option<String>), Backend>;
 
 static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
 
@@ -68,7 +68,7 @@ impl Device {
     }
 
     /// Opens it; `None` for the processor.
-    pub fn open(&self, budget: MemoryBudget, input_bytes: Option<u64>) -> PyResult<Option<Arc<dyn Backend>>> {
+    pub fn open(&self, budget: MemoryBudget, input_bytes: Option<u64>) -> PyResult<Option<Backend>> {
         if self.backend == Some(Name::Cpu) {
             return Ok(None);
         }
@@ -76,7 +76,7 @@ impl Device {
         let key = (std::process::id(), wanted, self.device.clone());
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(backend) = open.get(&key) {
-            return Ok(Some(Arc::clone(backend)));
+            return Ok(Some(backend.clone()));
         }
         let cache: Option<PathBuf> = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         let backend = if wanted {
@@ -88,7 +88,7 @@ impl Device {
                 (_, Some(_)) => return Ok(None),
             }
         };
-        open.insert(key, Arc::clone(&backend));
+        open.insert(key, backend.clone());
         Ok(Some(backend))
     }
 }

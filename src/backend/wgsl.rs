@@ -1,61 +1,19 @@
-//! Every shader that runs on a device, and the constants that their sources share with Rust.
+//! Constants of Rust that the shaders use: `tools/shaders` writes them before their sources.
 
-use crate::brick::vulkan::{
-    ELSEWHERE, ENTER, FULL_CELLS, GATHER, HALVE, NO_BIN, PAGE_WORDS, PLACE, PROBES, RUN, SETTLE, SETTLED,
-    SORT,
-};
+use crate::brick::vulkan::{ELSEWHERE, NO_BIN, PAGE_WORDS, PROBES, RUN, SETTLED};
 use crate::brick::{AXIS_BITS, COORD_BITS, HALVED_BITS, RECORD_BITS};
-use crate::field::blur::vulkan::BLUR;
-use crate::field::detail::vulkan::{GREATER, LOST};
-use crate::field::distance::vulkan::{
-    CUBE_PARTS, CUBE_WORDS, DEPTHS_OF, FULL_BRICKS, JOIN, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
-};
+use crate::field::distance::vulkan::{CUBE_PARTS, CUBE_WORDS};
 use crate::field::distance::{BRICK, MOST_APART, ZERO};
-use crate::field::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
+use crate::field::indicator::vulkan::{CLOUD_SAMPLES, OCTANT};
 use crate::field::indicator::{DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
-use crate::surface::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
-use crate::surface::stitch::vulkan::{
-    BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES,
-};
-use crate::vulkan::Shader;
+use crate::surface::dual_mc::vulkan::{SIGN_TILES, TILE_WORDS};
+use crate::surface::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK};
 
-/// All shaders, in the order in which a frame needs them.
-pub const SHADERS: [&Shader; 28] = [
-    &PLACE,
-    &ENTER,
-    &SETTLE,
-    &SORT,
-    &INDICATE,
-    &CLOUDS,
-    &FULL_CELLS,
-    &HALVE,
-    &FULL_BRICKS,
-    &GATHER,
-    &BLUR,
-    &LOST,
-    &GREATER,
-    &DEPTHS_OF,
-    &MIX,
-    &OUTLYING,
-    &SPREAD,
-    &LOOK,
-    &REFINE,
-    &QUOTIENT,
-    &JOIN,
-    &SIGNS,
-    &TILES,
-    &BASES,
-    &EMIT,
-    &STARTS,
-    &VERTICES,
-    &TRIANGLES,
-];
-
-/// Constants of the sources: name, type and value.
+/// Returns the name, the WGSL type and the value of each constant.
 #[must_use]
-pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
+pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
     const { assert!(RECORD_BITS <= 64 && 2 * AXIS_BITS > 32, "y lies in both words of a packed particle") };
     const { assert!(3 * COORD_BITS < 64 && 2 * COORD_BITS > 32, "y lies in both words of a bin's key") };
     vec![
