@@ -77,6 +77,9 @@ impl Reconstruction {
             Some(_) => self.backend.clone(),
             None => Backend::cpu(),
         };
+        if let Some(folder) = self.scratch.as_ref().filter(|folder| !folder.is_dir()) {
+            return Err(Error::Request(format!("{}: there is no such folder for scratch files", folder.display())));
+        }
         let resources = Resources {
             budget,
             scratch: self.scratch.clone().unwrap_or_else(std::env::temp_dir),

@@ -109,7 +109,8 @@ impl Simulation {
         self
     }
 
-    /// Goes on with a conversion that was begun: skips what is done, whole, and made with the same settings.
+    /// Goes on with a conversion that was begun: skips what is done, whole, and made of the same inputs. One with other settings is refused,
+    /// unless its outputs may be [replaced](Self::overwrite).
     pub fn resume(mut self) -> Self {
         self.resume = true;
         self

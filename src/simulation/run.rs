@@ -12,7 +12,6 @@ use crate::io::series::Series;
 use crate::io::whole::{make_folder, sweep};
 use crate::io::{WriteError, WriteFault};
 use crate::reconstruction::Checked;
-use crate::system::control::Control;
 
 use super::builder::Simulation;
 use super::conversion::Conversion;
@@ -126,11 +125,12 @@ impl Simulation {
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
             return Err(SimulationError::Steps(inputs.describe()).into());
         }
-        let mut request = self.request.clone();
-        request.scratch.get_or_insert_with(|| naming.folder().to_owned());
+        let mut checked = self.request.checked()?;
+        if self.request.scratch.is_none() {
+            checked.resources.scratch = naming.folder().to_owned();
+        }
         // Frames side by side tell of their progress by events.
-        request.control = Control { progress: None, ..request.control };
-        let checked = request.checked()?;
+        checked.resources.control.progress = None;
         // A packed frame says by itself what it is of.
         if !self.inputs.iter().all(|input| is_packed(input)) {
             checked.refuse_of_indicator()?;

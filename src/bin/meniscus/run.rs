@@ -69,10 +69,9 @@ impl RunOptions {
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let beside = beside.unwrap_or(Path::new("."));
-        let scratch =
-            self.scratch.as_deref().or(Some(beside).filter(|folder| folder.is_dir() && !is_device(output)));
+        // A folder that is not there yet will be made in the first that is.
+        let beside = output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
+        let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
         request = request.memory(budget);
         if let Some(folder) = scratch {
             request = request.scratch(folder);

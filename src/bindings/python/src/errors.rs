@@ -48,10 +48,11 @@ pub fn other(text: impl Into<String>) -> PyErr {
 
 /// Warns as Python does: an exception where whoever runs this wants warnings to be such.
 pub fn warn(py: Python<'_>, texts: impl IntoIterator<Item = String>) -> PyResult<()> {
+    let mut texts = texts.into_iter().peekable();
+    if texts.peek().is_none() {
+        return Ok(());
+    }
+    let warn = py.import("warnings")?.getattr("warn")?;
     let category = py.get_type::<MeshWarning>();
-    texts.into_iter().try_for_each(|text| {
-        // A zero byte would end it; none of the library's sentences has one, but for names of attributes.
-        let text = std::ffi::CString::new(text.replace('\0', "\u{fffd}"))?;
-        PyErr::warn(py, &category, &text, 1)
-    })
+    texts.try_for_each(|text| warn.call1((category.call1((text,))?,)).map(drop))
 }

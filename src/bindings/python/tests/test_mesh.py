@@ -73,6 +73,22 @@ def test_the_report_says_how_it_was_made(ball: Any) -> None:
     assert (report.not_finite, report.outside) == (1, 2) and report.particles == len(ball)
 
 
+def test_a_warning_in_a_loop_is_shown_once_whatever_its_numbers(ball: Any) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        for spacing in (1.0, 1.1, 1.2):
+            meniscus.reconstruct(ball, spacing=spacing)
+    assert len(caught) == 1
+    warning = caught[0].message
+    assert isinstance(warning, meniscus.MeshWarning)
+    assert all(f"{figure:g}" in str(warning) for figure in warning.figures) and warning.figures
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for spacing in (1.0, 1.1):
+            meniscus.reconstruct(ball, spacing=spacing)
+    assert len({str.__str__(str(warning.message)) for warning in caught}) == len(caught) == 2
+
+
 def test_doubts_are_python_warnings(ball: Any) -> None:
     with pytest.warns(meniscus.MeshWarning, match="too large: the particles are about"):
         mesh = meniscus.reconstruct(ball, spacing=3.0)

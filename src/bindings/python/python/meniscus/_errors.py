@@ -1,5 +1,11 @@
 """Exceptions and warnings: a kind of error each, with the library's sentence."""
 
+from __future__ import annotations
+
+import re
+
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
 
 class Error(Exception):
     """Anything that goes wrong between particles and a mesh."""
@@ -17,8 +23,34 @@ class DeviceError(Error, RuntimeError):
     """A device that was asked for, and cannot be used."""
 
 
+class _Sentence(str):
+    """A sentence that equals others which differ from it in numbers only."""
+
+    __slots__ = ()
+
+    def _kind(self) -> str:
+        return _NUMBER.sub("#", str.__str__(self))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Sentence) and self._kind() == other._kind()
+
+    def __hash__(self) -> int:
+        return hash(self._kind())
+
+
 class MeshWarning(UserWarning):
-    """A doubt about a mesh, although there is one."""
+    """A doubt about a mesh, although there is one.
+
+    By default Python shows a warning once for each line of a program. Warnings of a loop over frames that differ in numbers only are the
+    same warning. ``figures`` are those numbers, in their order.
+    """
+
+    @property
+    def figures(self) -> tuple[float, ...]:
+        return tuple(float(number) for number in _NUMBER.findall(super().__str__()))
+
+    def __str__(self) -> str:
+        return _Sentence(super().__str__())
 
 
 for _kind in (Error, InputError, FileError, DeviceError, MeshWarning):

@@ -1,0 +1,172 @@
+//! All options in seeded pairs and triples on a small frame: a result that is whole, closed and the
+//! same for any threads, budget and backend, or a refusal that leaves nothing.
+//!
+//! `MENISCUS_OPTIONS=5000` tries so many, and `MENISCUS_OPTION=77` one of them again.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus::internals::io::output::{MeshFormat, read_mesh};
+use meniscus::internals::surface::mesh::check::check;
+use tempfile::TempDir;
+
+use crate::common::fill;
+use crate::common::files::{raw, tree};
+use crate::common::program::command;
+use crate::common::scene::Random;
+
+/// Combinations in a run that nobody asked for more of.
+const COMBINATIONS: u64 = 60;
+
+/// Options with values that have a meaning, at least with some others, and some that have none.
+const OPTIONS: [(&str, &[&str]); 33] = [
+    ("--spacing", &["1", "0.9", "0", "-1", "nan", "1e300"]),
+    ("--radius", &["0.5", "0"]),
+    ("--cell", &["0.5", "0.8", "2", "0.01", "1e9"]),
+    ("--cell-size", &["0.5", "0.7", "1e-300"]),
+    ("--origin", &["0,0,0", "0.1,0.2,0.3", "1e9,0,0", "0,0"]),
+    ("--domain", &["-9,-9,-9,9,9,9", "-,-1,-,-,9,-", "1,1,1,0,0,0", "100,100,100,101,101,101"]),
+    ("--periodic", &["-8,-,-,8,-,-", "-8,-8,-8,8,8,8", "0,-,-,1,-,-"]),
+    ("--periodic-mesh", &["cut", "overlap"]),
+    ("--indicator", &["cloud", "counting", "symmetry"]),
+    ("--method", &["dif", "mueller", "zhu-bridson", "yu-turk"]),
+    ("--mu0", &["4", "8", "0", "-3"]),
+    ("--smooth", &["0.8", "1.6", "4", "0", "99"]),
+    ("--sigma", &["1", "2.5", "0", "1e9"]),
+    ("--iso", &["0.5", "0.2", "plateau", "0", "1", "2"]),
+    ("--detail", &[""]),
+    ("--normals", &[""]),
+    ("--attributes", &["none", "velocity"]),
+    ("--simplify", &["0.2", "1", "9", "0"]),
+    ("--smallest-component", &["1", "1e6", "0"]),
+    ("--smallest-drop", &["1", "5", "100000"]),
+    ("--compress", &[""]),
+    ("--up", &["y", "z", "x"]),
+    ("--particles-up", &["y", "z"]),
+    ("--skip-invalid", &[""]),
+    ("--format", &["xyz", "csv"]),
+    ("--particle-type", &["gas"]),
+    ("--threads", &["1", "3", "0", "4096"]),
+    ("--memory", &["64MiB", "1GiB", "1", "20MiB"]),
+    ("--backend", &["cpu", "auto"]),
+    ("--scratch", &[".", "none"]),
+    ("--preview", &[""]),
+    ("--stats", &["s.json", "m.ply"]),
+    ("--dry-run", &[""]),
+];
+
+/// Ways to run the same request: none of them changes a byte.
+const OTHERWISE: [[&str; 2]; 3] = [["--threads", "1"], ["--memory", "96MiB"], ["--backend", "cpu"]];
+
+struct Run {
+    arguments: Vec<String>,
+    output: &'static str,
+    code: i32,
+    errors: String,
+}
+
+impl Run {
+    fn of(folder: &Path, output: &'static str, arguments: &[String]) -> Self {
+        let first = ["reconstruct", "f.xyz", "-o", output].map(str::to_owned);
+        let arguments = [&first[..], arguments].concat();
+        let borrowed: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let ended = command(folder, &borrowed).output().unwrap();
+        let errors = String::from_utf8(ended.stderr).unwrap();
+        let code = ended.status.code().unwrap_or_else(|| panic!("{arguments:?}: killed: {errors}"));
+        Self { arguments, output, code, errors }
+    }
+
+    fn has(&self, option: &str) -> bool {
+        self.arguments.iter().any(|argument| argument == option)
+    }
+
+    #[track_caller]
+    fn must(&self, is: bool, what: &str) {
+        assert!(is, "{}: {what}, code {}: {}", self.arguments.join(" "), self.code, self.errors);
+    }
+
+    /// Looks at the end of a run in a folder that held `before`.
+    fn look(&self, folder: &Path, before: &[String]) {
+        self.must([0, 2, 3].contains(&self.code), "no code for a request or an input");
+        self.must(!self.errors.contains("panicked"), "a panic");
+        let files: Vec<String> = tree(folder).into_keys().collect();
+        let new: Vec<&String> = files.iter().filter(|file| !before.contains(file)).collect();
+        if self.code != 0 {
+            self.must(new.is_empty(), &format!("{new:?} left behind"));
+            self.must(!self.errors.trim().is_empty(), "no word on why");
+            return;
+        }
+        let mesh = folder.join(self.output);
+        if self.has("--dry-run") {
+            self.must(!mesh.exists(), "a mesh by a dry run");
+            return;
+        }
+        let stem = self.output.split('.').next().unwrap();
+        let own = |file: &&&String| file.starts_with(stem) || file.as_str() == "s.json";
+        self.must(new.iter().filter(own).count() == new.len(), &format!("{new:?} beside the output"));
+        if MeshFormat::of(&mesh).unwrap().is_read() {
+            let report = check(&read_mesh(&mesh).unwrap());
+            self.must(report.is_closed_oriented_manifold(), &report.to_string());
+        }
+    }
+}
+
+/// Two or three options, each with one of its values.
+fn combination(random: &mut Random) -> Vec<String> {
+    let mut options: Vec<(&str, &[&str])> = OPTIONS.to_vec();
+    let mut arguments = Vec::new();
+    for _ in 0..2 + random.bits() % 2 {
+        let (option, values) = options.swap_remove((random.bits() % options.len() as u64) as usize);
+        let value = values[(random.bits() % values.len() as u64) as usize];
+        arguments.push(match value {
+            "" => option.to_owned(),
+            value => format!("{option}={value}"),
+        });
+    }
+    arguments
+}
+
+/// A ball with a few drops around it, and a particle that is no number.
+fn frame() -> Vec<u8> {
+    let mut particles = fill(12.0, 1.0, 0.3, 1, |p| p.length() < 5.0);
+    particles.extend([[7.0, 0.0, 0.0], [0.0, -7.5, 0.5], [7.3, 0.2, 0.1]]);
+    raw(&particles)
+}
+
+fn try_combination(seed: u64) {
+    let mut random = Random::new(seed.wrapping_mul(0x9e37_79b9).wrapping_add(7));
+    let output =
+        ["m.ply", "m.obj", "m.vtk", "m.vtp", "m.stl", "m.usdc", "m.glb", "m.vtkhdf"][(random.bits() % 8) as usize];
+    let arguments = combination(&mut random);
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("f.xyz"), frame()).unwrap();
+    let run = Run::of(folder.path(), output, &arguments);
+    run.look(folder.path(), &["f.xyz".to_owned()]);
+    let mesh = folder.path().join(output);
+    if !mesh.exists() {
+        return;
+    }
+    let bytes = fs::read(&mesh).unwrap();
+    for [option, value] in OTHERWISE {
+        if arguments.iter().any(|argument| argument.starts_with(&format!("{option}="))) {
+            continue;
+        }
+        let more = [option, value, "--overwrite"].map(str::to_owned);
+        let again = Run::of(folder.path(), output, &[&arguments[..], &more].concat());
+        // Less memory may be too little.
+        if again.code == 0 {
+            again.must(fs::read(&mesh).unwrap() == bytes, "other bytes");
+        } else {
+            again.must(option == "--memory" && again.code == 2, "no result");
+        }
+    }
+}
+
+#[test]
+fn every_combination_of_options_gives_a_whole_result_or_a_refusal_that_leaves_nothing() {
+    let number = |name: &str| Some(std::env::var(name).ok()?.parse::<u64>().unwrap());
+    match number("MENISCUS_OPTION") {
+        Some(seed) => try_combination(seed),
+        None => (0..number("MENISCUS_OPTIONS").unwrap_or(COMBINATIONS)).for_each(try_combination),
+    }
+}
