@@ -100,7 +100,8 @@ macro_rules! settings {
                 Ok(true)
             }
 
-            /// Returns the setting of this name in snake case to its default; `false` if no setting has the name.
+            /// Returns the setting of this name in snake case to its default; `false` if no setting
+            /// has the name.
             pub fn clear(&mut self, name: &str) -> bool {
                 match name {
                     $(stringify!($name) => self.$name = Default::default(),)*

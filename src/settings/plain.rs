@@ -2,7 +2,7 @@
 
 use super::{Faces, Source, faces};
 
-/// The largest whole number such that all below it are numbers of 64 bits, too.
+/// The largest count that is taken from a number of 64 bits: it holds all smaller ones exactly.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
 
 /// Wordings of the values that are expected, for both kinds of sources.
@@ -68,7 +68,8 @@ impl Source for &str {
     }
 }
 
-/// One number, or several for a point or a box: -inf and inf leave an axis of a box open. A switch is 0 or 1.
+/// One number, or several for a point or a box: -inf and inf leave an axis of a box open. A switch
+/// is 0 or 1.
 ///
 /// The error says what is expected: "expected a number".
 impl Source for &[f64] {

@@ -446,7 +446,7 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 //
 // `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
 // files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
-// `options`: which frames, and how; NULL for all defaults. Its function for progress is not called.
+// `options`: which frames, and how; NULL for all defaults. Their progress function is not called.
 // `summary`: NULL, or where to put what was done.
 //
 // MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are done: the message says of the first.

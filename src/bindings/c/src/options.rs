@@ -140,8 +140,8 @@ fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
 
 fn range<S: Source<Error = String>>(value: &S) -> Result<(u64, u64), String> {
     let text = value.text()?;
-    let ends =
-        text.split_once("..").and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
+    let ends = text.split_once("..");
+    let ends = ends.and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
     ends.filter(|(first, last)| first <= last)
         .ok_or_else(|| "expected two numbers in order, as 100..199".into())
 }

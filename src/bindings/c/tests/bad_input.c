@@ -288,7 +288,7 @@ static void conversions_are_refused(const char *folder) {
   snprintf(input, sizeof input, "%s/none_{}.bgeo", folder);
   const char *inputs[] = {input, NULL};
 #define CONVERT(kind, message, inputs, count, output, ...) \
-  do {                                                                                                         \
+  do { \
     MeniscusOptions *options = OPTIONS(__VA_ARGS__); \
     WRITE(kind, message, meniscus_convert(inputs, count, output, options, NULL)); \
     meniscus_options_free(options); \
