@@ -82,7 +82,7 @@ pub enum SimulationError {
         /// The damage.
         what: String,
     },
-    /// Another conversion writes to the same folder, with other settings.
+    /// A folder that another conversion writes to, with other settings.
     #[error("{}: another conversion is at work there with other settings", .0.display())]
     Busy(PathBuf),
     /// The state is of a run with other settings.

@@ -49,11 +49,11 @@ impl State {
 /// A state that was looked for.
 #[derive(Debug)]
 pub enum Found {
-    /// There is none.
+    /// No state.
     Nothing,
-    /// It holds for what is asked for.
+    /// A state that holds for what is asked for.
     Kept(Box<State>),
-    /// It is to be made anew.
+    /// A state that is to be made anew.
     Stale {
         /// The bytes of its file.
         text: Vec<u8>,

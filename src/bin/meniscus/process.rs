@@ -1,4 +1,4 @@
-//! What the system does with the process: memory that is freed, and files beyond a limit.
+//! Setting up the process: memory that is freed, files beyond a limit, and threads.
 
 /// Sets up the process, before any other thread is started.
 pub fn set_up() {

@@ -73,7 +73,7 @@ macro_rules! options {
 }
 
 options! {
-    /// What the machine gives to a call.
+    /// Options of the machine: where a call runs and how much it may take.
     Machine:
     /// Where the stages run, auto, cpu or vulkan; the mesh is the same [default: cpu, or vulkan if
     /// a device is set].
