@@ -138,7 +138,6 @@ pub mod devices {
     pub use crate::backend::{Backend, Cpu, Vulkan, Work};
     pub use crate::brick::InvalidParticles;
     pub use crate::brick::vulkan::{Coordinate, DevicePositions};
-    pub use crate::field::indicator::IndicatorRequest;
     pub use crate::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
     pub use crate::frame::{Detail, Normals, Surfacing};
     pub use crate::grid::units::{Sigma, Smooth};
@@ -208,7 +207,7 @@ pub mod internals {
     }
 }
 
-pub use baselines::Method;
+pub use baselines::KernelMethod;
 pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
 pub use field::calibration::{Calibrated, Calibration, Plateau};

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::baselines::Method;
+use crate::baselines::KernelMethod;
 use crate::field::indicator::IndicatorKind;
 use crate::io::output::MeshFormat;
 use crate::settings::Setting;
@@ -17,7 +17,7 @@ pub enum Conflict {
     /// The indicator that makes the field.
     Indicator(IndicatorKind),
     /// The kernel method that makes the field.
-    Method(Method),
+    Method(KernelMethod),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
     /// A frame that is to be packed: it holds samples, and no surface.

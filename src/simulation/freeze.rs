@@ -147,12 +147,12 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
-        let (grid, field) = match lattice {
-            Some(frozen) => (frozen.grid()?, frozen.field(request.field)),
-            None => (request.grid_of(&cells)?, request.field),
+        let (grid, method) = match lattice {
+            Some(first) => (first.grid()?, request.method.calibrated(first.calibration.as_ref())),
+            None => (request.grid_of(&cells)?, request.method),
         };
         let request = request.in_slab(cells.slab);
-        let sampling = request.sampling_on(grid, field, cells.spacing(), Vec::new(), resources.clone())?;
+        let sampling = request.sampling_on(grid, method, cells.spacing(), Vec::new(), resources.clone())?;
         let settled = lattice.is_some() || request.origin.is_some();
         let stays = if settled { Origin::Given } else { Origin::Free };
         let measured =

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
-use crate::frame::{FieldRequest, FrameError};
+use crate::frame::{FrameError, Method};
 use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
@@ -15,7 +15,7 @@ use crate::reconstruction::{
 };
 use crate::system::timings::Timings;
 
-use super::frozen::{Measured, Origin, Trust, known_field, measure};
+use super::frozen::{Measured, Origin, Trust, measure};
 use super::one_frame::empty_mesh;
 
 /// A simulation whose frames come from memory, one after the other.
@@ -50,7 +50,7 @@ pub struct LiveSimulation {
 #[derive(Debug, Clone)]
 struct Known {
     grid: Grid,
-    field: FieldRequest,
+    method: Method,
     spacing: Option<f64>,
     slab: Option<Slab>,
     calibration: Option<Calibration>,
@@ -121,14 +121,14 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, field, spacing, slab, calibration, .. }) = *known else {
+        let Some(Known { grid, method, spacing, slab, calibration, .. }) = *known else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
-        let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
+        let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn = match checked.draw(&engine, calibration.as_ref(), &mut timings) {
             Err(Error::Frame { path, fault }) => {
@@ -183,20 +183,20 @@ fn measured(
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
     let cells = request.cells(particles, reconstruction::Source::default())?;
-    let (grid, field, spacing) = match lattice {
-        Some(known) => (known.grid, known.field, known.spacing),
-        None => (request.grid_of(&cells)?, request.field, cells.spacing()),
+    let (grid, method, spacing) = match lattice {
+        Some(known) => (known.grid, known.method, known.spacing),
+        None => (request.grid_of(&cells)?, request.method, cells.spacing()),
     };
     let slab = cells.slab;
     let sampling = request.in_slab(slab).sampling_on(
         grid,
-        field,
+        method,
         cells.spacing(),
         Vec::new(),
         checked.resources.clone(),
     )?;
     let stays = if lattice.is_some() || request.origin.is_some() { Origin::Given } else { Origin::Free };
     let Measured { grid, calibration, trust } = measure(particles, &sampling, stays, &checked.surfacing)?;
-    let field = known_field(request.field, calibration.as_ref());
-    Ok((Known { grid, field, spacing, slab, calibration, trust }, cells.doubts))
+    let method = request.method.calibrated(calibration.as_ref());
+    Ok((Known { grid, method, spacing, slab, calibration, trust }, cells.doubts))
 }

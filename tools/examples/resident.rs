@@ -194,7 +194,8 @@ unsafe fn simulate_and_draw(
         let settings = Settings {
             grid: Grid::new([0.0; 3].into(), cell)?,
             domain: None,
-            indicator: IndicatorKind::Symmetry.into(),
+            indicator: IndicatorKind::Symmetry,
+            mean: None,
             invalid: InvalidParticles::Refuse,
             spacing: Some(cell),
             surfacing: Surfacing::PLAIN,
