@@ -88,7 +88,27 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! DEVICE_EXAMPLE
+//! # Particles that are on a GPU
+//!
+//! ```
+//! use meniscus::Reconstruction;
+//! use meniscus::devices::{
+//!     Coordinate, Device, DeviceChoice, DeviceOptions, DevicePositions, Instance, Pipeline,
+//! };
+//!
+//! # let ball: Vec<[f32; 3]> = (0..3375).map(|i| [i % 15, i / 15 % 15, i / 225].map(|c| c as f32)).collect();
+//! # let Ok(instance) = Instance::connect(false) else { return Ok(()) };
+//! # let Ok(device) = Device::open(&instance, &DeviceChoice::Best, &DeviceOptions::default()) else { return Ok(()) };
+//! // A program with a device of its own lends it by `Device::adopt`, and buffers by `Device::foreign_buffer`.
+//! let view = device.uploaded(&ball)?;
+//! let positions = DevicePositions { view, count: ball.len(), coordinate: Coordinate::Single };
+//!
+//! let request = Reconstruction::new().spacing(1.0).smooth(1.2).on_device()?;
+//! let surface = Pipeline::new(&device)?.surface(&[positions], &request)?;
+//! // `surface.positions` and `surface.indices` are buffers to draw from.
+//! assert!(surface.vertices > 0 && surface.triangles > 0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # How it works
 //!
@@ -207,14 +227,13 @@ pub mod files {
 }
 
 /// Where stages run: the processor, a Vulkan device, or a caller's own. A [`Pipeline`](devices::Pipeline) meshes particles that are on a
-/// device already, by [`Settings`](devices::Settings) whose types are here or at the root of the library.
+/// device already, by a [`DeviceRequest`](devices::DeviceRequest) that [`Reconstruction::on_device`] makes of the usual settings.
 pub mod devices {
     pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
     pub use crate::backend::{Backend, Work};
     pub use crate::brick::InvalidParticles;
     pub use crate::brick::vulkan::{Coordinate, DevicePositions};
-    pub use crate::field::indicator::IndicatorRequest;
-    pub use crate::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
+    pub use crate::frame::resident::{DeviceRequest, Exchange, Pipeline, ResidentSurface};
     pub use crate::frame::{Detail, Normals, Surfacing};
     pub use crate::grid::units::{Sigma, Smooth};
     pub use crate::vulkan::{
@@ -288,7 +307,7 @@ pub mod internals {
     }
 }
 
-pub use baselines::Method;
+pub use baselines::KernelMethod;
 pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
 pub use field::calibration::{Calibrated, Calibration, Plateau};

@@ -10,7 +10,7 @@ mod value;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::baselines::Method;
+use crate::baselines::KernelMethod;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
 use crate::grid::units::Isovalue;
@@ -331,12 +331,12 @@ impl Settings {
 
     /// The kernel method, if the field is made by one.
     #[must_use]
-    pub fn kernels(&self) -> Option<Method> {
+    pub fn kernels(&self) -> Option<KernelMethod> {
         match self.method {
             None | Some(MethodName::Dif) => None,
-            Some(MethodName::Mueller) => Some(Method::Mueller { iso: Method::HALF }),
-            Some(MethodName::ZhuBridson) => Some(Method::ZhuBridson),
-            Some(MethodName::YuTurk) => Some(Method::YuTurk { iso: Method::HALF }),
+            Some(MethodName::Mueller) => Some(KernelMethod::Mueller { iso: KernelMethod::HALF }),
+            Some(MethodName::ZhuBridson) => Some(KernelMethod::ZhuBridson),
+            Some(MethodName::YuTurk) => Some(KernelMethod::YuTurk { iso: KernelMethod::HALF }),
         }
     }
 

@@ -29,7 +29,7 @@ use zhu_bridson::ZhuBridson;
 
 /// A kernel method.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Method {
+pub enum KernelMethod {
     /// Mueller, Charypar and Gross 2003 (their eq. 2).
     Mueller {
         /// Where the surface is: the field is about 1 deep in the fluid.
@@ -44,7 +44,7 @@ pub enum Method {
     },
 }
 
-impl Method {
+impl KernelMethod {
     /// The isovalue half-way between inside and outside.
     pub const HALF: f64 = 0.5;
 
@@ -91,14 +91,18 @@ impl Method {
 /// Where scratch files fail.
 pub fn kernel_field(
     bins: &Bins,
-    method: Method,
+    method: KernelMethod,
     spacing: Spacing,
     bytes: u64,
     folder: &Path,
 ) -> io::Result<Box<dyn KernelField>> {
     Ok(match method {
-        Method::Mueller { iso } => Box::new(Kernels::of(bins, Mueller::new(spacing, iso), bytes, folder)?),
-        Method::ZhuBridson => Box::new(Kernels::of(bins, ZhuBridson::new(spacing), bytes, folder)?),
-        Method::YuTurk { iso } => Box::new(Kernels::of(bins, YuTurk::new(spacing, iso), bytes, folder)?),
+        KernelMethod::Mueller { iso } => {
+            Box::new(Kernels::of(bins, Mueller::new(spacing, iso), bytes, folder)?)
+        }
+        KernelMethod::ZhuBridson => Box::new(Kernels::of(bins, ZhuBridson::new(spacing), bytes, folder)?),
+        KernelMethod::YuTurk { iso } => {
+            Box::new(Kernels::of(bins, YuTurk::new(spacing, iso), bytes, folder)?)
+        }
     })
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::baselines::Method;
+use crate::baselines::KernelMethod;
 use crate::field::indicator::IndicatorKind;
 use crate::io::output::MeshFormat;
 use crate::settings::Setting;
@@ -17,13 +17,15 @@ pub enum Conflict {
     /// The indicator that makes the field.
     Indicator(IndicatorKind),
     /// The kernel method that makes the field.
-    Method(Method),
+    Method(KernelMethod),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
     /// A frame that is to be packed: it holds samples, and no surface.
     Packing,
     /// A frame that was sampled already, otherwise than is asked for now.
     Sampled,
+    /// Particles and a surface that stay on a device.
+    OnDevice,
     /// The format of the mesh.
     Format {
         /// The mesh's file.
@@ -82,6 +84,9 @@ impl Unfit {
             }
             (Conflict::Sampled, _) => {
                 format!("{setting} needs the particles themselves, and the frame is sampled already")
+            }
+            (Conflict::OnDevice, _) => {
+                format!("{setting} has no meaning for a surface that stays on a device")
             }
             (Conflict::Format { path, .. }, "compress") => {
                 format!("{}: {setting} goes with .glb", path.display())

@@ -10,7 +10,7 @@ use crate::particles::{Metered, Particles};
 use crate::surface::mesh::spool::Spool;
 use crate::system::control::Stage;
 
-use super::{FieldRequest, FrameError, Occupied, Sampling, Surfacing};
+use super::{FrameError, Method, Occupied, Sampling, Surfacing};
 
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
 pub struct Counted<'a, P: ?Sized> {
@@ -122,12 +122,12 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let bins = self.bins();
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
-        match self.sampling.field {
-            FieldRequest::Indicator(_) => estimate,
+        match self.sampling.method {
+            Method::Indicator { .. } => estimate,
             // Kernels are kept until the surface is done, and so are the particles at the most. Images have them as well.
-            FieldRequest::Kernels(method) => {
-                let kernels = self.plan.census().binned as u64 * method.kernel_bytes();
-                Estimate { particles: estimate.particles + kernels, carried: true, ..estimate }
+            Method::Kernels(kernels) => {
+                let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
+                Estimate { particles: estimate.particles + bytes, carried: true, ..estimate }
             }
         }
     }
@@ -143,11 +143,11 @@ impl Sampling {
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         stretch: Stretch,
     ) -> Estimate {
-        let Self { grid, field, side, carried, spacing, resources, .. } = self;
+        let Self { grid, method, side, carried, spacing, resources, .. } = self;
         let attributes = particles.attributes();
         let components = carried.iter().map(|&index| attributes[index].components).collect();
-        let drawing = field.drawing(surfacing, *spacing, grid, components);
-        let shape = field.indicator().map(|asked| asked.kind.shape(*side));
+        let drawing = surfacing.drawing(*method, *spacing, grid, components);
+        let shape = method.indicator().map(|kind| kind.shape(*side));
         // Blocks that are meshed have a surface from the bins next to them as well.
         let near = |bin: IVec3| {
             let around = CellBox { lo: bin - 1, hi: bin + 2 };
@@ -163,7 +163,7 @@ impl Sampling {
     /// and nothing else of the frame is there.
     #[must_use]
     pub fn merging_share(&self, surfacing: &Surfacing, components: &[usize], blocks: u64, bins: u64) -> u64 {
-        let drawing = self.field.drawing(surfacing, self.spacing, &self.grid, components.to_vec());
+        let drawing = surfacing.drawing(self.method, self.spacing, &self.grid, components.to_vec());
         let estimate = Estimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
         let index = blocks * Spool::BLOCK_BYTES + bins * Occupied::BIN_BYTES;
         Estimate { index, ..estimate }.surface_share(self.resources.budget)

@@ -5,7 +5,7 @@ use std::io;
 use rayon::prelude::*;
 
 use crate::backend::REGIONS_TOGETHER;
-use crate::baselines::{KernelField, Method, Spacing, kernel_field};
+use crate::baselines::{KernelField, KernelMethod, Spacing, kernel_field};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::indicator::IndicatorKind;
@@ -21,7 +21,7 @@ use super::{FrameError, Resources};
 #[derive(Debug)]
 pub(super) struct SampledKernels {
     pub(super) facts: FrameFacts,
-    pub(super) method: Method,
+    pub(super) method: KernelMethod,
     field: Box<dyn KernelField>,
     /// A Gaussian that reaches as far as the kernels.
     attribute_smoothing: Smoothing,
@@ -32,7 +32,7 @@ impl SampledKernels {
     pub(super) fn sample(
         bins: &Bins,
         facts: FrameFacts,
-        method: Method,
+        method: KernelMethod,
         plan: Plan,
         resources: &Resources,
     ) -> Result<Self, FrameError> {

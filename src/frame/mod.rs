@@ -13,6 +13,7 @@ pub mod estimate;
 mod expected;
 mod kernels;
 mod lost;
+mod method;
 mod request;
 pub mod resident;
 mod resources;
@@ -24,7 +25,8 @@ pub use coincident::Coincident;
 pub use counted::Counted;
 pub use error::FrameError;
 pub use lost::{Occupied, OccupiedBin};
-pub use request::{FieldRequest, Sampling, Surfacing};
+pub use method::Method;
+pub use request::{Sampling, Surfacing};
 pub use resources::Resources;
 pub use shortfall::Shortfall;
 pub use surface::CalibratedFrame;
@@ -35,7 +37,6 @@ pub use crate::surface::dual_mc::Normals;
 use std::sync::Arc;
 
 use crate::backend::{Stages, Work};
-use crate::baselines::Method;
 use crate::brick::{Bins, FrameFacts};
 use crate::field::calibration::{Calibration, indicate};
 use crate::field::indicator::SampledDif;
@@ -105,14 +106,14 @@ impl Frame {
     ) -> Result<Self, FrameError> {
         let (estimate, census) = (counted.estimate(), counted.census());
         let Counted { mut particles, sampling, plan: bin_plan, .. } = counted;
-        let Sampling { grid, domain, periodic, field, side, carried, spacing, resources, .. } = sampling;
+        let Sampling { grid, domain, periodic, method, side, carried, spacing, resources, .. } = sampling;
         let resources = Resources { budget, ..resources.clone() };
         let control = &sampling.resources.control;
         let in_scratch = resources.scratch_error();
         let plan = estimate.plan(budget);
         let facts =
             FrameFacts { grid: *grid, domain: *domain, periodic: *periodic, census, spacing: *spacing };
-        if let FieldRequest::Kernels(_) = field {
+        if let Method::Kernels(_) = method {
             kernel_spacing(*spacing, grid)?;
         }
         resources.check_room(estimate.least_scratch(plan))?;
@@ -125,27 +126,28 @@ impl Frame {
             resources.go_on()?;
             particles.check()?;
             let mut occupied = Occupied::among(facts.own_cells());
-            Ok::<_, FrameError>(match *field {
-                FieldRequest::Indicator(asked) => {
+            Ok::<_, FrameError>(match *method {
+                Method::Indicator { kind, mean } => {
                     timings.done("bin");
                     let stages = resources.backend.executor().start(budget);
-                    let shape = asked.kind.shape(*side);
+                    let shape = kind.shape(*side);
                     let sink =
                         FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
                     let (stages_of, resources) = (&*stages, &resources);
                     let binned =
                         HostBins { binned, stages: stages_of, sink, occupied, resources, keep, meter };
-                    let (indicator, (sink, occupied, bins)) = indicate(binned, &facts, asked, *side)?;
+                    let made = indicate(binned, &facts, kind, mean, *side)?;
+                    let (indicator, (sink, occupied, bins)) = made;
                     let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
                     timings.done("indicate");
                     (Field::Dif { sampled, stages }, occupied, bins)
                 }
-                FieldRequest::Kernels(method) => {
+                Method::Kernels(kernels) => {
                     let bins =
                         binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
                     let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
                     timings.done("bin");
-                    let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;
+                    let sampled = SampledKernels::sample(&bins, facts, kernels, plan, &resources)?;
                     timings.done("kernels");
                     (Field::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
                 }
@@ -167,8 +169,8 @@ impl Frame {
     #[must_use]
     pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
-        let field = FieldRequest::from(indicator.kind());
-        let drawing = field.drawing(surfacing, facts.spacing, &facts.grid, Vec::new());
+        let method = Method::from(*indicator);
+        let drawing = surfacing.drawing(method, facts.spacing, &facts.grid, Vec::new());
         let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing);
         let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
@@ -235,12 +237,12 @@ impl Frame {
         }
     }
 
-    /// The kernel method, if one makes the field.
+    /// The method that made the field: an indicator has its mu0, given or measured.
     #[must_use]
-    pub fn kernels(&self) -> Option<Method> {
+    pub fn method(&self) -> Method {
         match &self.field {
-            Field::Dif { .. } => None,
-            Field::Kernels(sampled) => Some(sampled.method),
+            Field::Dif { sampled, .. } => sampled.indicator.into(),
+            Field::Kernels(sampled) => sampled.method.into(),
         }
     }
 
@@ -259,13 +261,9 @@ impl Frame {
         self.refuse_farther(surfacing)?;
         let (drawn, measured) = match &self.field {
             Field::Dif { sampled, stages } => {
+                let kind = sampled.indicator.kind();
                 let (calibration, measured) = match known {
-                    Some(Calibration::Clouds { .. }) if !sampled.is_clouds() => {
-                        return Err(FrameError::OtherIndicator);
-                    }
-                    Some(Calibration::Indicator { .. }) if sampled.is_clouds() => {
-                        return Err(FrameError::OtherIndicator);
-                    }
+                    Some(known) if !known.suits(kind) => return Err(FrameError::OtherIndicator),
                     Some(known) => (*known, None),
                     None => {
                         let measured = surfacing.calibrate(sampled)?;
@@ -275,7 +273,7 @@ impl Frame {
                 };
                 let recipe = surfacing.recipe(sampled, &calibration);
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
-                let smoothing = surfacing.attribute_smoothing(sampled.indicator.kind(), *spacing, grid);
+                let smoothing = surfacing.attribute_smoothing(kind, *spacing, grid);
                 (Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh), measured)
             }
             Field::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
@@ -296,11 +294,8 @@ impl Frame {
     /// Refuses filters that see farther beyond a periodic face than there are images.
     fn refuse_farther(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else { return Ok(()) };
-        let field = match &self.field {
-            Field::Dif { sampled, .. } => sampled.indicator.kind().into(),
-            Field::Kernels(sampled) => sampled.method.into(),
-        };
-        let (needed, there) = (surfacing.reach(field, *spacing, grid), periodic.reach());
+        let needed = surfacing.reach(self.method(), *spacing, grid);
+        let there = periodic.reach();
         if needed > there { Err(FrameError::FewImages { needed, there }) } else { Ok(()) }
     }
 

@@ -2,21 +2,21 @@
 
 use glam::IVec3;
 
-use crate::baselines::Method;
+use crate::baselines::KernelMethod;
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::field::blur::{Filter, Smoothing};
 use crate::field::calibration::{Calibrated, Calibration, TooFine, calibrate, refuse_too_fine_for};
 use crate::field::distance::{BULK_GAIN, Distances, Inside};
-use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif, WideCells};
+use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
-use crate::grid::units::{Isovalue, Sigma, Smooth};
+use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, dual_cells};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
-use super::{FrameError, Resources};
+use super::{FrameError, Method, Resources};
 
 /// How a frame is sampled.
 #[derive(Debug, Clone)]
@@ -28,7 +28,7 @@ pub struct Sampling {
     /// The box that repeats itself, if one does.
     pub periodic: Option<Periodic>,
     /// How the field is made.
-    pub field: FieldRequest,
+    pub method: Method,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
     /// How a DIF is stored.
@@ -41,109 +41,32 @@ pub struct Sampling {
     pub resources: Resources,
 }
 
-/// The way to make a field of particles, as it is asked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum FieldRequest {
-    /// A discrete indicator function.
-    Indicator(IndicatorRequest),
-    /// Kernels as wide as the spacing says, on the processor.
-    Kernels(Method),
-}
-
-impl From<IndicatorRequest> for FieldRequest {
-    fn from(asked: IndicatorRequest) -> Self {
-        Self::Indicator(asked)
-    }
-}
-
-impl From<IndicatorKind> for FieldRequest {
-    fn from(kind: IndicatorKind) -> Self {
-        Self::Indicator(kind.into())
-    }
-}
-
-impl From<Method> for FieldRequest {
-    fn from(method: Method) -> Self {
-        Self::Kernels(method)
-    }
-}
-
 impl Sampling {
     /// Refuses what no field can be made with, or no surface be drawn, as far as it is known before there is a field.
     ///
     /// # Errors
     /// [`FrameError::TooFine`], [`FrameError::NoSpacing`] and [`FrameError::Kernels`].
     pub fn refuse_unfit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
-        match self.field {
-            FieldRequest::Indicator(asked) => {
-                Ok(surfacing.refuse_too_fine(asked, self.spacing, &self.grid)?)
+        match self.method {
+            Method::Indicator { kind, mean } => {
+                Ok(surfacing.refuse_too_fine(kind, mean, self.spacing, &self.grid)?)
             }
-            FieldRequest::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
+            Method::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
         }
     }
 
     /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for here.
     #[must_use]
-    pub fn sight(&self, asked: IndicatorRequest, surfacing: &Surfacing) -> Sight {
+    pub fn sight(&self, kind: IndicatorKind, surfacing: &Surfacing) -> Sight {
         let block = CellBox::cube(IVec3::ZERO, BLOCK);
-        let filters = surfacing.filters(asked.kind, self.spacing, &self.grid);
+        let filters = surfacing.filters(kind, self.spacing, &self.grid);
         // A particle leaves something in the cells around its own.
-        let ghost_layer = asked.kind.shape(self.side).ghost_layer;
+        let ghost_layer = kind.shape(self.side).ghost_layer;
         let of_field = filters.seen(surfacing.normals.cells(block)).grown(ghost_layer, ghost_layer);
-        let halo = surfacing.attribute_smoothing(asked.kind, self.spacing, &self.grid).halo();
+        let halo = surfacing.attribute_smoothing(kind, self.spacing, &self.grid).halo();
         let of_attributes =
             if self.carried.is_empty() { CellBox::EMPTY } else { dual_cells(block).grown(halo, halo) };
         Sight::new(of_field.union(&of_attributes))
-    }
-}
-
-impl FieldRequest {
-    /// The indicator that is asked for, if one is.
-    #[must_use]
-    pub fn indicator(&self) -> Option<IndicatorRequest> {
-        match *self {
-            Self::Indicator(asked) => Some(asked),
-            Self::Kernels(_) => None,
-        }
-    }
-
-    /// Memory that a surface takes through the field of particles so far apart, with attributes of so many components.
-    pub(super) fn drawing(
-        &self,
-        surfacing: &Surfacing,
-        spacing: Option<f64>,
-        grid: &Grid,
-        components: Vec<usize>,
-    ) -> Drawing {
-        let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
-        let plain = Drawing {
-            // Dual cells reach one cell up, and normals one cell each way.
-            block_bytes: Method::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
-            carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
-            keeps_details: false,
-            spacing_cells,
-            wide_levels: 0,
-            normals: surfacing.normals == Normals::Gradient,
-            components,
-        };
-        let Self::Indicator(asked) = *self else { return plain };
-        let filters = surfacing.filters(asked.kind, spacing, grid);
-        Drawing {
-            block_bytes: filters.block_bytes(),
-            carried_halo: surfacing.attribute_smoothing(asked.kind, spacing, grid).halo(),
-            keeps_details: filters.keeps_details(),
-            wide_levels: match asked.kind {
-                IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells.unwrap_or(1.0)).level,
-                IndicatorKind::Counting | IndicatorKind::Symmetry => 0,
-            },
-            ..plain
-        }
-    }
-
-    /// The bricks that suit what is stored.
-    #[must_use]
-    pub fn brick_side(&self) -> BrickSide {
-        self.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side())
     }
 }
 
@@ -184,13 +107,14 @@ impl Surfacing {
     /// [`TooFine`].
     pub fn refuse_too_fine(
         &self,
-        asked: IndicatorRequest,
+        kind: IndicatorKind,
+        mean: Option<MeanCount>,
         spacing: Option<f64>,
         grid: &Grid,
     ) -> Result<(), TooFine> {
         let Some(known) = spacing else { return Ok(()) };
         let sigma = |cell_size| self.width(spacing, cell_size);
-        refuse_too_fine_for(asked, known, grid.cell_size(), sigma)
+        refuse_too_fine_for(kind, mean, known, grid.cell_size(), sigma)
     }
 
     /// The Gaussian's width, asked for or not, for particles so far apart in cells of a size.
@@ -214,18 +138,52 @@ impl Surfacing {
         }
     }
 
+    /// Memory that the surface takes through the field of particles so far apart, with attributes
+    /// of so many components.
+    pub(super) fn drawing(
+        &self,
+        method: Method,
+        spacing: Option<f64>,
+        grid: &Grid,
+        components: Vec<usize>,
+    ) -> Drawing {
+        let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
+        let plain = Drawing {
+            // Dual cells reach one cell up, and normals one cell each way.
+            block_bytes: KernelMethod::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
+            carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
+            keeps_details: false,
+            spacing_cells,
+            wide_levels: 0,
+            normals: self.normals == Normals::Gradient,
+            components,
+        };
+        let Some(kind) = method.indicator() else { return plain };
+        let filters = self.filters(kind, spacing, grid);
+        Drawing {
+            block_bytes: filters.block_bytes(),
+            carried_halo: self.attribute_smoothing(kind, spacing, grid).halo(),
+            keeps_details: filters.keeps_details(),
+            wide_levels: match kind {
+                IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells.unwrap_or(1.0)).level,
+                IndicatorKind::Counting | IndicatorKind::Symmetry => 0,
+            },
+            ..plain
+        }
+    }
+
     /// How far beyond a periodic face particles tell of the surface before it, in cells.
     #[must_use]
-    pub fn reach(&self, field: FieldRequest, spacing: Option<f64>, grid: &Grid) -> i32 {
+    pub fn reach(&self, method: Method, spacing: Option<f64>, grid: &Grid) -> i32 {
         /// Cells beyond the face whose field is needed: a dual cell that goes across it, and normals there; and one for where in its
         /// cell the face is.
         const BEYOND: i32 = 3;
         let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
-        let [field, attributes] = match field {
-            FieldRequest::Kernels(method) => {
-                [method.reach(spacing_cells), attribute_smoothing(spacing_cells).halo()]
+        let [field, attributes] = match method {
+            Method::Kernels(kernels) => {
+                [kernels.reach(spacing_cells), attribute_smoothing(spacing_cells).halo()]
             }
-            FieldRequest::Indicator(IndicatorRequest { kind, .. }) => [
+            Method::Indicator { kind, .. } => [
                 self.filters(kind, spacing, grid).halo(),
                 self.attribute_smoothing(kind, spacing, grid).halo(),
             ],

@@ -13,8 +13,8 @@ use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinPipelines, DeviceBins, DeviceGrid, DevicePositions, bin};
 use crate::brick::{Census, DifField, FrameFacts, InvalidParticles};
 use crate::field::calibration::{Binned, Calibrated, Calibration, Fullness, indicate};
-use crate::field::indicator::{IndicatorRequest, PageRule, SampledDif};
-use crate::grid::units::Isovalue;
+use crate::field::indicator::{IndicatorKind, PageRule, SampledDif};
+use crate::grid::units::{Isovalue, MeanCount};
 use crate::grid::{Domain, Grid};
 use crate::surface::dual_mc::Normals;
 use crate::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchPipelines, stitch, table};
@@ -27,13 +27,15 @@ const ROW: u64 = 12;
 
 /// How a frame is sampled, and how a surface is drawn through it.
 #[derive(Debug, Clone)]
-pub struct Settings {
+pub struct DeviceRequest {
     /// The grid of cells.
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The indicator that makes the field, and its mu0 where that is known.
-    pub indicator: IndicatorRequest,
+    /// The indicator that makes the field.
+    pub indicator: IndicatorKind,
+    /// `mu0`, for counting; measured on the frame where it is `None`.
+    pub mean: Option<MeanCount>,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
     /// The particles' spacing, in the unit of the positions; a cell's edge where it is not known.
@@ -142,7 +144,7 @@ impl Pipeline {
     pub fn surface(
         &self,
         positions: &[DevicePositions],
-        settings: &Settings,
+        settings: &DeviceRequest,
     ) -> Result<ResidentSurface, FrameError> {
         // SAFETY: there is no semaphore.
         let mut surface = unsafe { self.surface_between(positions, settings, &Exchange::default()) }?;
@@ -165,7 +167,7 @@ impl Pipeline {
     pub unsafe fn surface_between(
         &self,
         positions: &[DevicePositions],
-        settings: &Settings,
+        settings: &DeviceRequest,
         exchange: &Exchange<'_>,
     ) -> Result<ResidentSurface, FrameError> {
         let mut work = self.vulkan.device().batch(Queue::Compute)?;
@@ -175,7 +177,8 @@ impl Pipeline {
             // SAFETY: the caller vouches for the semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
-        let &Settings { grid, domain, indicator, invalid, spacing, surfacing, calibration } = settings;
+        let &DeviceRequest { grid, domain, invalid, spacing, surfacing, calibration, .. } = settings;
+        let (kind, mean) = (settings.indicator, settings.mean);
         let device = self.vulkan.device();
         let binned = || {
             bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)
@@ -188,9 +191,9 @@ impl Pipeline {
         }
         let frame = self.vulkan.start_resident();
         let facts = FrameFacts { grid, domain, periodic: None, census, spacing };
-        let side = indicator.kind.brick_side();
+        let side = kind.brick_side();
         let binned = ResidentBins { frame: &frame, bins };
-        let (indicator, stored) = indicate(binned, &facts, indicator, side)?;
+        let (indicator, stored) = indicate(binned, &facts, kind, mean, side)?;
         let sampled = SampledDif::new(facts, indicator, stored);
         let (calibration, measured) = match calibration {
             Some(known) => (known, None),
@@ -202,7 +205,7 @@ impl Pipeline {
                 (measured.calibration, Some(measured))
             }
         };
-        if matches!(calibration, Calibration::Clouds { .. }) != sampled.is_clouds() {
+        if !calibration.suits(kind) {
             return Err(FrameError::OtherIndicator);
         }
         let recipe = surfacing.recipe(&sampled, &calibration);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::ThreadPool;
 
 use crate::backend::Backend;
-use crate::baselines::Method;
+use crate::baselines::KernelMethod;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
@@ -137,13 +137,13 @@ impl Reconstruction {
     }
 
     /// Makes the field by one of the kernel methods that the paper compares against.
-    pub fn method(mut self, method: Method) -> Self {
+    pub fn method(mut self, method: KernelMethod) -> Self {
         self.settings.method = Some(match method {
-            Method::Mueller { .. } => MethodName::Mueller,
-            Method::ZhuBridson => MethodName::ZhuBridson,
-            Method::YuTurk { .. } => MethodName::YuTurk,
+            KernelMethod::Mueller { .. } => MethodName::Mueller,
+            KernelMethod::ZhuBridson => MethodName::ZhuBridson,
+            KernelMethod::YuTurk { .. } => MethodName::YuTurk,
         });
-        if let Some(iso) = method.iso().filter(|iso| *iso != Method::HALF) {
+        if let Some(iso) = method.iso().filter(|iso| *iso != KernelMethod::HALF) {
             self.settings.iso = Some(Iso::Value(iso));
         }
         self

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::Plane;
-use crate::frame::FieldRequest;
+use crate::frame::Method;
 use crate::grid::units::shown;
 use crate::particles::{Particles, finite_chunks};
 
@@ -28,8 +28,8 @@ impl CellSize {
     /// take hardly longer, for the surface is made in the same wide cells. Renders of single drops want half as much. The
     /// paper's indicators take two thirds, for symmetry does not bear half a spacing.
     #[must_use]
-    pub fn usual(field: FieldRequest) -> Self {
-        match field.indicator().map(|asked| asked.kind) {
+    pub fn usual(method: Method) -> Self {
+        match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
             Some(IndicatorKind::Counting | IndicatorKind::Symmetry) => Self::Spacings(2.0 / 3.0),
         }

@@ -7,14 +7,14 @@ use std::thread::available_parallelism;
 use rayon::ThreadPool;
 
 use crate::backend::Backend;
-use crate::baselines::Method;
+use crate::baselines::KernelMethod;
 use crate::brick::InvalidParticles;
 use crate::error::{Conflict, Error, Setting, Unfit};
 use crate::field::calibration::Calibration;
-use crate::field::indicator::{IndicatorKind, IndicatorRequest};
+use crate::field::indicator::IndicatorKind;
 use crate::field::recipe::Detail;
 use crate::frame::estimate::SMALLEST_BUDGET;
-use crate::frame::{FieldRequest, Resources, Surfacing};
+use crate::frame::{Method, Resources, Surfacing};
 use crate::grid::PeriodicError;
 use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length};
 use crate::io::bytes::Unpacking;
@@ -73,12 +73,15 @@ impl Reconstruction {
         if budget.0 < least {
             return Err(Error::LittleMemory { least, simplifying });
         }
-        let backend = match sampling.field.indicator() {
-            Some(_) => self.backend.clone(),
-            None => Backend::cpu(),
+        let backend = match sampling.method {
+            Method::Indicator { .. } => self.backend.clone(),
+            Method::Kernels(_) => Backend::cpu(),
         };
         if let Some(folder) = self.scratch.as_ref().filter(|folder| !folder.is_dir()) {
-            return Err(Error::Request(format!("{}: there is no such folder for scratch files", folder.display())));
+            return Err(Error::Request(format!(
+                "{}: there is no such folder for scratch files",
+                folder.display()
+            )));
         }
         let resources = Resources {
             budget,
@@ -105,7 +108,7 @@ fn refuse(
 }
 
 /// Refuses the first setting that is given of those with some names.
-fn refuse_named(
+pub(super) fn refuse_named(
     settings: &Settings,
     names: &[&'static str],
     with: impl FnOnce() -> Conflict,
@@ -130,7 +133,7 @@ fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest
         (None, ratio) => ratio.map(CellSize::Spacings),
     };
     let request = SamplingRequest {
-        field: field(settings)?,
+        method: method(settings)?,
         invalid: if settings.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
         origin: settings.origin.map(Into::into),
         walls: settings.domain.map(|walls| walls.corners().map(Into::into)),
@@ -142,27 +145,29 @@ fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest
     Ok(request)
 }
 
-/// The maker of the field: refuses what has no meaning for kernels.
-fn field(settings: &Settings) -> Result<FieldRequest, Error> {
+/// Decides the method, and refuses settings that have no meaning for it, but for those of an
+/// indicator's surface.
+fn method(settings: &Settings) -> Result<Method, Error> {
     let kind = settings.indicator.unwrap_or_default();
-    let Some(method) = settings.kernels() else {
+    let Some(kernels) = settings.kernels() else {
         if !kind.counts() {
             refuse_named(settings, &["mu0"], || Conflict::Indicator(kind))?;
         }
-        return Ok(IndicatorRequest { kind, mean: settings.mu0.map(MeanCount::new).transpose()? }.into());
+        let mean = settings.mu0.map(MeanCount::new).transpose()?;
+        return Ok(Method::Indicator { kind, mean });
     };
-    refuse_named(settings, &["indicator", "mu0", "smooth", "sigma", "detail"], || Conflict::Method(method))?;
-    if method == Method::ZhuBridson && settings.isovalue().is_some() {
-        refuse_named(settings, &["iso"], || Conflict::Method(method))?;
+    let conflict = || Conflict::Method(kernels);
+    refuse_named(settings, &["indicator", "mu0", "smooth", "sigma", "detail"], conflict)?;
+    if kernels == KernelMethod::ZhuBridson && settings.isovalue().is_some() {
+        refuse_named(settings, &["iso"], conflict)?;
     }
     // A kernel method's isovalue is as the others': held as a step of a field of 16 bits.
     let asked = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
-    Ok(match method {
-        Method::Mueller { iso } => Method::Mueller { iso: asked.unwrap_or(iso) },
-        Method::YuTurk { iso } => Method::YuTurk { iso: asked.unwrap_or(iso) },
-        Method::ZhuBridson => method,
-    }
-    .into())
+    Ok(Method::Kernels(match kernels {
+        KernelMethod::Mueller { iso } => KernelMethod::Mueller { iso: asked.unwrap_or(iso) },
+        KernelMethod::YuTurk { iso } => KernelMethod::YuTurk { iso: asked.unwrap_or(iso) },
+        KernelMethod::ZhuBridson => kernels,
+    }))
 }
 
 fn surfacing(settings: &Settings) -> Result<Surfacing, Error> {
@@ -265,9 +270,9 @@ impl Checked {
         if self.settings.periodic_mesh.is_some() && self.settings.periodic.is_none() {
             return Err(PeriodicError::NoBox.into());
         }
-        match self.sampling.field.indicator() {
-            Some(asked) => self.settings.refuse_of_others(asked.kind),
-            None => Ok(()),
+        match self.sampling.method {
+            Method::Indicator { kind, .. } => self.settings.refuse_of_others(kind),
+            Method::Kernels(_) => Ok(()),
         }
     }
 

@@ -116,7 +116,7 @@ impl Frame {
     /// [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
-        let kind = self.sampled.engine.dif().map(|sampled| sampled.indicator.kind());
+        let kind = self.sampled.engine.method().indicator();
         checked
             .settings
             .refuse_of_sampled(&Settings { indicator: kind, ..self.ready.checked.settings.clone() })?;

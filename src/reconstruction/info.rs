@@ -244,7 +244,7 @@ fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
     let grid = request.grid_of(cells).ok()?;
     let carried = Settings::default().carried(particles.attributes(), None).ok()?;
-    let sampling = request.sampling_on(grid, request.field, cells.spacing(), carried, resources).ok()?;
+    let sampling = request.sampling_on(grid, request.method, cells.spacing(), carried, resources).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())
 }

@@ -18,7 +18,7 @@ pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) 
 /// The origin that a grid should have for a lattice of particles; `None` where there is no lattice, or it does not matter.
 #[must_use]
 pub fn origin_for_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
-    match sampling.field.indicator()?.kind {
+    match sampling.method.indicator()? {
         IndicatorKind::Cloud => None,
         IndicatorKind::Symmetry | IndicatorKind::Counting => {
             sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())

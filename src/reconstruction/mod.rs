@@ -11,6 +11,7 @@ mod draw;
 mod frame;
 mod info;
 mod lattice;
+mod on_device;
 mod opened;
 mod orientation;
 mod output;

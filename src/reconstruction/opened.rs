@@ -157,7 +157,7 @@ impl Opened {
     #[must_use]
     pub fn indicator(&self) -> Option<IndicatorKind> {
         match &self.input {
-            Input::Particles { chosen, .. } => chosen.sampling.field.indicator().map(|asked| asked.kind),
+            Input::Particles { chosen, .. } => chosen.sampling.method.indicator(),
             Input::Packed(sampled) => Some(sampled.indicator.kind()),
         }
     }

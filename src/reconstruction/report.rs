@@ -4,7 +4,7 @@ use crate::backend::Work;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, Calibration};
 use crate::field::indicator::Indicator;
-use crate::frame::{Frame as Engine, Surfacing};
+use crate::frame::{Frame as Engine, Method, Surfacing};
 use crate::surface::simplify::TooSmall;
 use crate::system::timings::Timings;
 
@@ -55,8 +55,12 @@ impl Report {
     /// A report on a frame that is not drawn yet.
     pub(crate) fn of(engine: &Engine, surfacing: &Surfacing) -> Self {
         let indicator = engine.dif().map(|sampled| sampled.indicator);
+        let kernel_iso = match engine.method() {
+            Method::Kernels(kernels) => kernels.iso(),
+            Method::Indicator { .. } => None,
+        };
         Self {
-            kernel_iso: engine.kernels().and_then(|method| method.iso()),
+            kernel_iso,
             warnings: of_frame(engine),
             ..Self::of_facts(*engine.facts(), indicator, surfacing, engine.backend())
         }
@@ -69,7 +73,7 @@ impl Report {
         surfacing: &Surfacing,
         backend: String,
     ) -> Self {
-        let clouds = matches!(indicator, Some(Indicator::Cloud(_)));
+        let clouds = indicator == Some(Indicator::Cloud);
         let of_paper = indicator.filter(|_| !clouds);
         Self {
             cells: None,
@@ -95,7 +99,7 @@ impl Report {
     /// Whether clouds make the field.
     #[must_use]
     pub fn is_clouds(&self) -> bool {
-        matches!(self.indicator, Some(Indicator::Cloud(_)))
+        self.indicator == Some(Indicator::Cloud)
     }
 
     /// The isovalue of the surface, where it is drawn by one.

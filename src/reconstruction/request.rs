@@ -10,7 +10,7 @@ use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
     ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at, show_all,
 };
-use crate::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
+use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic};
 use crate::io::scene::spacing_beside;
@@ -24,7 +24,7 @@ use super::spacing::{Doubt, SpacingSource, is_suspicious};
 #[derive(Debug, Clone)]
 pub struct SamplingRequest {
     /// The way to make a field of them.
-    pub field: FieldRequest,
+    pub method: Method,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
     /// A corner of the grid's cells; where it is not given, the grid may be moved to suit a lattice.
@@ -43,7 +43,7 @@ pub struct SamplingRequest {
 impl Default for SamplingRequest {
     fn default() -> Self {
         Self {
-            field: IndicatorKind::default().into(),
+            method: IndicatorKind::default().into(),
             invalid: InvalidParticles::Refuse,
             origin: None,
             walls: None,
@@ -87,7 +87,7 @@ impl SamplingRequest {
     /// Edge of a cell.
     #[must_use]
     pub fn cell_size(&self) -> CellSize {
-        self.cell.unwrap_or(CellSize::usual(self.field))
+        self.cell.unwrap_or(CellSize::usual(self.method))
     }
 
     /// Refuses an origin, walls or a periodic box that are wrong whatever the cells' size is.
@@ -116,7 +116,7 @@ impl SamplingRequest {
         Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
     }
 
-    fn domain(&self, grid: &Grid) -> Result<Option<Domain>, DomainError> {
+    pub(super) fn domain(&self, grid: &Grid) -> Result<Option<Domain>, DomainError> {
         self.walls.map(|[lo, hi]| Domain::new(grid, lo, hi)).transpose()
     }
 
@@ -319,11 +319,14 @@ impl SamplingRequest {
         let place = evidence.as_ref().map(|evidence| evidence.place);
         let middle = place.map(|place| place.middle);
         let estimate = evidence.as_ref().map_or(Err(Untold::TooFew), Evidence::estimate);
-        if let (CellSize::Length(size), FieldRequest::Indicator(asked)) = (self.cell_size(), self.field) {
+        if let CellSize::Length(size) = self.cell_size()
+            && let Method::Indicator { kind, mean } = self.method
+        {
             // Nobody asks for cells that are refused: then it was spray that was estimated.
             let grid = self.grid(size)?;
             let fits = |estimate: &Estimate| {
-                Surfacing::PLAIN.refuse_too_fine(asked, Some(estimate.spacing), &grid).is_ok()
+                let spacing = Some(estimate.spacing);
+                Surfacing::PLAIN.refuse_too_fine(kind, mean, spacing, &grid).is_ok()
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
@@ -399,7 +402,7 @@ impl SamplingRequest {
     ) -> Result<ChosenSampling, Error> {
         let grid = self.grid_of(&cells)?;
         let request = self.in_slab(cells.slab);
-        let sampling = request.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
+        let sampling = request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {
             return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
         }
@@ -419,7 +422,7 @@ impl SamplingRequest {
         }
     }
 
-    /// Samples on a grid that is known, by a field whose mu0 may be known.
+    /// Samples on a grid that is known, by a method whose mu0 may be known.
     ///
     /// # Errors
     /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to tell how far a periodic box's images have
@@ -427,7 +430,7 @@ impl SamplingRequest {
     pub fn sampling_on(
         &self,
         grid: Grid,
-        field: FieldRequest,
+        method: Method,
         spacing: Option<f64>,
         carried: Vec<usize>,
         resources: Resources,
@@ -436,9 +439,9 @@ impl SamplingRequest {
             grid,
             domain: self.domain(&grid)?,
             periodic: None,
-            field,
+            method,
             invalid: self.invalid,
-            side: field.brick_side(),
+            side: method.brick_side(),
             carried,
             spacing,
             resources,
@@ -446,7 +449,7 @@ impl SamplingRequest {
         if let Some((faces, surfacing)) = self.periodic {
             // How far filters reach can only be told of cells that they can be made for.
             sampling.refuse_unfit(&surfacing)?;
-            let reach = surfacing.reach(field, spacing, &grid);
+            let reach = surfacing.reach(method, spacing, &grid);
             sampling.periodic = Some(Periodic::new(&grid, faces, reach)?);
         }
         Ok(sampling)

@@ -150,7 +150,9 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
-        let known = lattice.map(|frozen| Ok::<_, Error>((frozen.grid()?, frozen.field(request.field))));
+        let asked = request.method;
+        let known = lattice
+            .map(|first| Ok::<_, Error>((first.grid()?, asked.calibrated(first.calibration.as_ref()))));
         let measured =
             measure_in(&cells, known.transpose()?, &file.particles, self.checked, resources.clone());
         let measured = measured.map_err(|error| error.of_file(path))?;

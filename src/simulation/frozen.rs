@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::Error;
 use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
-use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
-use crate::frame::{FieldRequest, Frame, FrameError, Resources, Sampling, Surfacing};
+use crate::field::indicator::{IndicatorKind, SampledDif};
+use crate::frame::{Frame, FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
@@ -71,18 +71,18 @@ pub enum Trust {
 /// came before.
 pub(super) fn measure_in(
     cells: &Cells,
-    lattice: Option<(Grid, FieldRequest)>,
+    lattice: Option<(Grid, Method)>,
     particles: &(impl Particles + ?Sized),
     checked: &Checked,
     resources: Resources,
 ) -> Result<Measured, Error> {
     let request = &checked.sampling;
-    let (grid, field) = match lattice {
+    let (grid, method) = match lattice {
         Some(known) => known,
-        None => (request.grid_of(cells)?, request.field),
+        None => (request.grid_of(cells)?, request.method),
     };
     let in_slab = request.in_slab(cells.slab);
-    let sampling = in_slab.sampling_on(grid, field, cells.spacing(), Vec::new(), resources)?;
+    let sampling = in_slab.sampling_on(grid, method, cells.spacing(), Vec::new(), resources)?;
     let is_settled = lattice.is_some() || request.origin.is_some();
     let origin = if is_settled { Origin::Given } else { Origin::Free };
     Ok(measure(particles, &sampling, origin, &checked.surfacing)?)
@@ -109,7 +109,7 @@ pub fn measure(
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let grid = if origin == Origin::Free { sound.grid } else { given };
     let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
-    if sound.field.indicator().is_none() {
+    if sound.method.indicator().is_none() {
         return Ok(nothing);
     }
     let frame =
@@ -145,22 +145,5 @@ impl Frozen {
     /// [`UnitError`] for numbers that cannot have been measured.
     pub fn grid(&self) -> Result<Grid, UnitError> {
         Grid::new(self.origin.into(), self.cell_size)
-    }
-
-    /// The maker of the field of all frames: an indicator by the mu0 that was measured.
-    #[must_use]
-    pub fn field(&self, asked: FieldRequest) -> FieldRequest {
-        known_field(asked, self.calibration.as_ref())
-    }
-}
-
-/// The maker of a field by a calibration: an indicator has the mu0 that was measured.
-#[must_use]
-pub fn known_field(asked: FieldRequest, known: Option<&Calibration>) -> FieldRequest {
-    match (asked, known) {
-        (FieldRequest::Indicator(asked), Some(known)) => {
-            FieldRequest::Indicator(IndicatorRequest { mean: known.mean(), ..asked })
-        }
-        _ => asked,
     }
 }

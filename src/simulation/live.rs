@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
-use crate::frame::{FieldRequest, FrameError};
+use crate::frame::{FrameError, Method};
 use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
@@ -14,7 +14,7 @@ use crate::reconstruction::{
 };
 use crate::system::timings::Timings;
 
-use super::frozen::{Measured, Trust, known_field, measure_in};
+use super::frozen::{Measured, Trust, measure_in};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
@@ -48,7 +48,7 @@ pub struct LiveSimulation {
 #[derive(Debug, Clone)]
 struct Known {
     grid: Grid,
-    field: FieldRequest,
+    method: Method,
     spacing: Option<f64>,
     slab: Option<Slab>,
     calibration: Option<Calibration>,
@@ -119,7 +119,7 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, field, spacing, slab, calibration, .. }) = *known else {
+        let Some(Known { grid, method, spacing, slab, calibration, .. }) = *known else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
@@ -127,7 +127,7 @@ impl LiveSimulation {
         let infos = carried_infos(particles.attributes(), &carried);
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
-        let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
+        let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn = checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
@@ -169,10 +169,10 @@ fn measured(
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
     let cells = request.cells(particles, reconstruction::Source::default())?;
-    let known = lattice.map(|known| (known.grid, known.field));
+    let known = lattice.map(|known| (known.grid, known.method));
     let measured = measure_in(&cells, known, particles, checked, checked.resources.clone())?;
     let Measured { grid, calibration, trust } = measured;
     let (slab, spacing) = (cells.slab, lattice.map_or(cells.spacing(), |known| known.spacing));
-    let field = known_field(request.field, calibration.as_ref());
-    Ok((Known { grid, field, spacing, slab, calibration, trust }, cells.doubts))
+    let method = request.method.calibrated(calibration.as_ref());
+    Ok((Known { grid, method, spacing, slab, calibration, trust }, cells.doubts))
 }

@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::error::{Error, SimulationError};
-use crate::field::calibration::Calibration;
-use crate::field::indicator::IndicatorKind;
-use crate::frame::{Resources, Sampling};
+use crate::frame::{Method, Resources, Sampling};
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
@@ -77,9 +75,9 @@ impl Setup<'_> {
         resources: Resources,
     ) -> Result<Sampling, Error> {
         let request = &self.checked.sampling;
-        let field = frozen.field(request.field);
+        let method = request.method.calibrated(frozen.calibration.as_ref());
         let slab = frozen.slab.filter(|slab| slab.holds(particles));
-        request.in_slab(slab).sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
+        request.in_slab(slab).sampling_on(frozen.grid()?, method, frozen.spacing, carried, resources)
     }
 
     /// The division of the machine among so many frames.
@@ -169,18 +167,9 @@ impl Setup<'_> {
 
     /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of their own.
     fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
-        match (self.checked.sampling.field.indicator(), &state.frozen.calibration) {
-            (None, _) => true,
-            (Some(_), None) => false,
-            (Some(asked), Some(known)) => {
-                let packed = || frames.iter().all(|frame| is_packed(&frame.path));
-                match asked.kind {
-                    _ if packed() => true,
-                    IndicatorKind::Cloud => matches!(known, Calibration::Clouds { .. }),
-                    IndicatorKind::Counting => known.mean().is_some(),
-                    IndicatorKind::Symmetry => known.iso().is_some(),
-                }
-            }
-        }
+        let Method::Indicator { kind, .. } = self.checked.sampling.method else { return true };
+        let Some(known) = &state.frozen.calibration else { return false };
+        let is_known = known.suits(kind) && (known.mean().is_some() || !kind.counts());
+        is_known || frames.iter().all(|frame| is_packed(&frame.path))
     }
 }

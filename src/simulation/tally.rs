@@ -154,7 +154,7 @@ impl<'a> Tally<'a> {
             let paths = [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
             Missing { first, last, step: missing.step, paths }
         };
-        let indicator = checked.sampling.field.indicator();
+        let indicator = checked.sampling.method.indicator();
         let summary = Summary {
             inputs: sequence.describe(),
             folder: outputs.folder().to_owned(),
@@ -164,7 +164,7 @@ impl<'a> Tally<'a> {
             missing: if chosen.is_some() { Vec::new() } else { missing.ranges.iter().map(each).collect() },
             chosen,
             left_out: self.left_out,
-            smoothed: indicator.is_some_and(|asked| asked.kind != IndicatorKind::Cloud),
+            smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),
             seconds: self.begun.elapsed().as_secs_f64(),
         };
         self.conversion.setup.tell(Event::Ended(Box::new(summary.clone())));

@@ -5,9 +5,9 @@ mod example;
 
 use meniscus::internals::brick::InvalidParticles;
 use meniscus::internals::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::Detail;
-use meniscus::internals::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
+use meniscus::internals::frame::resident::{DeviceRequest, Exchange, Pipeline, ResidentSurface};
 use meniscus::internals::frame::{FrameError, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
 use meniscus::internals::surface::mesh::Mesh;
@@ -40,11 +40,12 @@ fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32;
     unsafe { (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize)) }
 }
 
-fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
-    Settings {
+fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
+    DeviceRequest {
         grid: sampling.grid,
         domain: sampling.domain,
-        indicator: sampling.field.indicator().unwrap(),
+        indicator: sampling.method.indicator().unwrap(),
+        mean: None,
         invalid: InvalidParticles::Refuse,
         spacing: sampling.spacing,
         surfacing: *surfacing,
@@ -74,7 +75,8 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
             for (walls, &spacing) in
                 [false, true].iter().flat_map(|walls| spacings.iter().map(move |s| (*walls, s)))
             {
-                let mut sampling = Sampling { field: indicator.into(), spacing: Some(spacing), ..sampling() };
+                let mut sampling =
+                    Sampling { method: indicator.into(), spacing: Some(spacing), ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
                 let surfacing = Surfacing { smooth, detail, sigma, ..surfacing() };
@@ -99,7 +101,7 @@ fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
         .iter()
         .flat_map(|&queues| INDICATORS.map(|indicator| (queues, indicator)))
     {
-        let sampling = Sampling { field: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
+        let sampling = Sampling { method: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
         let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
         let options = DeviceOptions { queues, shares_host_memory: Some(false), ..DeviceOptions::default() };
         let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
@@ -120,7 +122,7 @@ fn what_one_resident_frame_has_room_for_all_that_follow_have() {
     let particles: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 484.0).collect();
     let mut fitting = 0;
     for indicator in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
-        let sampling = Sampling { field: indicator.into(), spacing: Some(1.0), ..sampling() };
+        let sampling = Sampling { method: indicator.into(), spacing: Some(1.0), ..sampling() };
         let settings = settings(&sampling, &surfacing());
         for memory in (8..40).map(|step| step << 18) {
             let options = DeviceOptions {
@@ -150,24 +152,24 @@ fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing
     let input = [positions(&device, &particles)];
     let pipeline = Pipeline::new(&device).unwrap();
     for indicator in INDICATORS {
-        let sampling = Sampling { field: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
+        let sampling = Sampling { method: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
         let settings = settings(&sampling, &surfacing());
-        let received = |settings: &Settings| {
+        let received = |settings: &DeviceRequest| {
             let before = device.counters().received;
             let surface = pipeline.surface(&input, settings).unwrap();
             (device.counters().received - before, surface)
         };
         let (to_measure, first) = received(&settings);
-        let known = Settings { calibration: Some(first.calibration), ..settings.clone() };
+        let known = DeviceRequest { calibration: Some(first.calibration), ..settings.clone() };
         let (to_draw, second) = received(&known);
         assert!(first.measured.is_some() && second.measured.is_none(), "{indicator:?}");
         assert!(to_draw < to_measure / 2, "{indicator:?}: {to_draw} bytes of {to_measure}");
         assert!(read(&device, &first) == read(&device, &second), "{indicator:?}");
-        let other = IndicatorRequest::from(match indicator {
+        let other = match indicator {
             IndicatorKind::Cloud => IndicatorKind::Counting,
             _ => IndicatorKind::Cloud,
-        });
-        let refused = pipeline.surface(&input, &Settings { indicator: other, ..known });
+        };
+        let refused = pipeline.surface(&input, &DeviceRequest { indicator: other, ..known });
         assert!(matches!(refused, Err(FrameError::OtherIndicator)), "{indicator:?}: {refused:?}");
     }
 }
@@ -185,7 +187,7 @@ fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
     }
     let pipeline = Pipeline::new(&device).unwrap();
     for indicator in [IndicatorKind::Counting, IndicatorKind::Cloud] {
-        let sampling = Sampling { field: indicator.into(), ..sampling() };
+        let sampling = Sampling { method: indicator.into(), ..sampling() };
         let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
         assert!(dif(&frame).dif.infos().len() > 300, "{indicator:?}: all of so few bins tell mu0");
         let input = [positions(&device, &particles)];
@@ -200,7 +202,7 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
     let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
     let particles = splashes(31);
     for indicator in INDICATORS {
-        let sampling = Sampling { field: indicator.into(), ..sampling() };
+        let sampling = Sampling { method: indicator.into(), ..sampling() };
         let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
         let pipeline = Pipeline::new(&device).unwrap();
         let input = [positions(&device, &particles)];
@@ -308,18 +310,18 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     let pipeline = Pipeline::new(&device).unwrap();
     let kept = device.allocated();
     let scene = settings(&sampling(), &surfacing());
-    let surface = |particles: &[[f64; 3]], settings: &Settings| {
+    let surface = |particles: &[[f64; 3]], settings: &DeviceRequest| {
         pipeline.surface(&[positions(&device, particles)], settings).unwrap_err()
     };
     assert!(matches!(surface(&[], &scene), FrameError::NoParticles(_)));
     assert!(matches!(surface(&[[f64::NAN; 3]], &scene), FrameError::Bin(_)));
     let iso = Some(Isovalue::new(0.9).unwrap());
-    let above = Settings { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
+    let above = DeviceRequest { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
     // Drops far smaller than cells fall between the middles of these.
-    let dust = Settings { indicator: IndicatorKind::Cloud.into(), spacing: Some(0.05), ..scene };
+    let dust = DeviceRequest { indicator: IndicatorKind::Cloud, spacing: Some(0.05), ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
-    let fine = Settings { spacing: Some(11.0), ..dust };
+    let fine = DeviceRequest { spacing: Some(11.0), ..dust };
     assert!(matches!(surface(&[[0.0; 3]], &fine), FrameError::TooFine(_)));
     pipeline.release();
     assert_eq!(device.allocated(), kept);

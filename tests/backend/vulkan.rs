@@ -26,7 +26,7 @@ use meniscus::internals::vulkan::{
 use crate::common::device::{self, contoured, watched};
 use crate::common::scene::Random;
 use crate::common::{
-    INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
+    INDICATORS, Reconstructed, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
 };
 use crate::compile;
 
@@ -155,7 +155,8 @@ fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
             let frame = device.executor().start(budget);
             let mean = particles.len() as f64 / full_cells(&bins) as f64;
             let rule = PageRule {
-                content: by(indicator, mean).content(),
+                indicator,
+                spacing_cells: mean.cbrt().recip(),
                 side,
                 walls: Some(CellBox::cube(IVec3::ZERO, 9)),
             };
@@ -197,7 +198,7 @@ fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_b
 fn assert_same_surfaces(vulkan: &Backend, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
     for indicator in INDICATORS {
         for walls in [false, true] {
-            let mut sampling = Sampling { field: indicator.into(), ..sampling() };
+            let mut sampling = Sampling { method: indicator.into(), ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             for (detail, sigma, smooth, spacing) in [(DETAILS[0], 1.0, 1.6, 1.0), (DETAILS[1], 1.5, 2.5, 3.0)]
             {
@@ -256,7 +257,7 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
             let cells = if indicator == IndicatorKind::Cloud { &cells[..] } else { &cells[3..] };
             for &(cell_size, walls) in cells {
                 let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();
-                let mut known = Sampling { grid, field: indicator.into(), side, ..sampling() };
+                let mut known = Sampling { grid, method: indicator.into(), side, ..sampling() };
                 known.spacing = Some(1.0);
                 known.domain =
                     walls.then(|| Domain::new(&grid, [-30.0, -9.7, -20.0].into(), [21.0; 3].into()).unwrap());
@@ -295,7 +296,7 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
 fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
     let particles = splashes(31);
     let mut sampling = sampling();
-    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
+    (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
     let (expected, _) = reconstruct(&particles[..], &sampling, &surfacing());
     let own = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
     validated_with(&own, |device| {
@@ -319,7 +320,7 @@ fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
 fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come_back() {
     let particles = splashes(29);
     let mut sampling = sampling();
-    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
+    (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
     let received = |own: bool| {
         let options = DeviceOptions { shares_host_memory: Some(!own), ..DeviceOptions::default() };
         validated_with(&options, |device| {
@@ -341,7 +342,7 @@ fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come
         return;
     };
     assert!(there == here);
-    let pages = (sampling.field.indicator().unwrap().kind.shape(sampling.side).bin_samples() * 2) as u64;
+    let pages = (sampling.method.indicator().unwrap().shape(sampling.side).bin_samples() * 2) as u64;
     assert!(some + 8 * pages < all, "{some} bytes of {all}");
     assert!(sent < all_sent, "{sent} bytes of {all_sent}");
 }
@@ -367,7 +368,7 @@ fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
     let particles: Vec<[f64; 3]> = ball.map(|at| (at.as_dvec3() + 11.1).to_array()).collect();
     let mut sampling = sampling();
     sampling.grid = Grid::new(glam::DVec3::ZERO, 0.5).unwrap();
-    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(1.0));
+    (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(1.0));
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
     for shares_host_memory in [Some(true), Some(false)] {
         validated_with(&DeviceOptions { shares_host_memory, ..DeviceOptions::default() }, |device| {
@@ -387,7 +388,7 @@ fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
     let particles = [[9.08165, -8.98358, 17.7202], [8.34095, 5.02534, 10.917]];
     let mut sampling = sampling();
     sampling.grid = Grid::new(glam::DVec3::ZERO, 0.5).unwrap();
-    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(0.5));
+    (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(0.5));
     let corners = [[-5.49096, -19.6614, -9.54228], [16.9536, 23.555, 18.2697]].map(glam::DVec3::from);
     sampling.domain = Some(Domain::new(&sampling.grid, corners[0], corners[1]).unwrap());
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
@@ -485,7 +486,7 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
             {
                 for cell in [spacing, spacing / 2.0] {
                     let grid = Grid::new(glam::DVec3::ZERO, cell).unwrap();
-                    let mut sampling = Sampling { field: indicator.into(), grid, ..sampling() };
+                    let mut sampling = Sampling { method: indicator.into(), grid, ..sampling() };
                     sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
                     let surfacing = Surfacing { detail, normals: Normals::Gradient, ..surfacing() };
                     let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
@@ -556,7 +557,7 @@ impl Scene {
     fn sampling(self) -> Sampling {
         match self {
             Self::Shared => sampling(),
-            Self::Own => Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(2.0), ..sampling() },
+            Self::Own => Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(2.0), ..sampling() },
         }
     }
 

@@ -122,7 +122,7 @@ impl Method {
                     let centroid = offsets.iter().sum::<DVec3>() / n;
                     1.0 - 2.0 * (centroid - 0.5).length() / 3f64.sqrt()
                 }
-                Indicator::Cloud(_) => unreachable!("clouds have an oracle of their own"),
+                Indicator::Cloud => unreachable!("clouds have an oracle of their own"),
             }
         });
         let blur = |field: &Dense<f64>, half: &[f64]| {
@@ -161,7 +161,7 @@ impl Method {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
             let n = offsets.len() as i128;
             match self.indicator {
-                Indicator::Cloud(_) => unreachable!("clouds have an oracle of their own"),
+                Indicator::Cloud => unreachable!("clouds have an oracle of their own"),
                 Indicator::Counting(_) => {
                     (((n as f64).min(self.mu0()) / self.mu0()) * 65535.0).round() as u16
                 }

@@ -18,10 +18,10 @@ pub mod watertight;
 use glam::{DVec3, IVec3};
 use meniscus::internals::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
 use meniscus::internals::field::calibration::Calibrated;
-use meniscus::internals::field::indicator::{Amount, Indicator, IndicatorKind, SampledDif};
+use meniscus::internals::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use meniscus::internals::field::recipe::Recipe;
 use meniscus::internals::frame::{Frame, Resources, Sampling, Surfacing};
-use meniscus::internals::grid::units::{Isovalue, MeanCount, MemoryBudget};
+use meniscus::internals::grid::units::{Isovalue, MemoryBudget};
 use meniscus::internals::grid::{Domain, Grid};
 use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::mesh::Mesh;
@@ -37,7 +37,7 @@ pub fn sampling() -> Sampling {
         grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),
         domain: None,
         periodic: None,
-        field: IndicatorKind::Symmetry.into(),
+        method: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
@@ -88,15 +88,6 @@ pub fn reconstruct(
     let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::NO_DISTANCE);
     let mesh = calibrated.surface(&mut timings).unwrap().to_mesh().unwrap();
     (frame, Reconstructed { mesh, iso })
-}
-
-/// What pages hold by an indicator, of particles so many to a full cell.
-pub fn by(kind: IndicatorKind, mean: f64) -> Indicator {
-    match kind {
-        IndicatorKind::Symmetry => Indicator::Symmetry,
-        IndicatorKind::Counting => Indicator::Counting(MeanCount::new(mean).unwrap()),
-        IndicatorKind::Cloud => Indicator::Cloud(Amount::of_spacing(mean.cbrt().recip())),
-    }
 }
 
 /// Cells that hold particles.

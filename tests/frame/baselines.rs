@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use glam::{DMat3, DVec3};
-use meniscus::internals::baselines::Method;
+use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::grid::{CellBox, Grid};
@@ -17,11 +17,12 @@ use crate::common::dense::{Dense, mesh as dense_mesh};
 use crate::common::scene::Random;
 use crate::common::{fill, sampling, shuffle, splashes, tank};
 
-const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, Method::YuTurk { iso: 0.4 }];
+const METHODS: [KernelMethod; 3] =
+    [KernelMethod::Mueller { iso: 0.5 }, KernelMethod::ZhuBridson, KernelMethod::YuTurk { iso: 0.4 }];
 
-fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: Method) -> Mesh {
+fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: KernelMethod) -> Mesh {
     let timings = &mut Timings::default();
-    let sampling = Sampling { field: method.into(), ..sampling.clone() };
+    let sampling = Sampling { method: method.into(), ..sampling.clone() };
     let frame = Frame::sample(particles, &sampling, timings).unwrap();
     let surfacing = Surfacing { normals: Normals::Gradient, ..Surfacing::PLAIN };
     frame.surface(&surfacing, timings).unwrap().to_mesh().unwrap()
@@ -44,7 +45,7 @@ struct Oracle {
     centres: Vec<DVec3>,
     shapes: Vec<DMat3>,
     spacing: f64,
-    method: Method,
+    method: KernelMethod,
 }
 
 fn w(x: f64) -> f64 {
@@ -52,7 +53,7 @@ fn w(x: f64) -> f64 {
 }
 
 impl Oracle {
-    fn new(particles: &[[f64; 3]], spacing: f64, method: Method) -> Self {
+    fn new(particles: &[[f64; 3]], spacing: f64, method: KernelMethod) -> Self {
         let particles: Vec<DVec3> = particles.iter().map(|&p| p.into()).collect();
         let h = 2.0 * spacing;
         let scale = 315.0 / (64.0 * PI * h.powi(3));
@@ -66,19 +67,19 @@ impl Oracle {
         let h = 2.0 * self.spacing;
         let all = 0..self.particles.len();
         match self.method {
-            Method::Mueller { iso } => {
+            KernelMethod::Mueller { iso } => {
                 let scale = 315.0 / (64.0 * PI * h.powi(3));
                 let share = |i: usize| scale * w(x.distance(self.particles[i]) / h) * self.volumes[i];
                 all.map(share).sum::<f64>() - iso
             }
-            Method::ZhuBridson => {
+            KernelMethod::ZhuBridson => {
                 let weights: Vec<f64> = self.particles.iter().map(|p| w(x.distance(*p) / h)).collect();
                 let sum: f64 = weights.iter().sum();
                 let mean = self.particles.iter().zip(&weights).map(|(p, w)| *p * *w).sum::<DVec3>() / sum;
                 let radius = self.spacing / 2.0;
                 radius - if sum > 0.0 { x.distance(mean) } else { 4.0 * radius }
             }
-            Method::YuTurk { iso } => {
+            KernelMethod::YuTurk { iso } => {
                 let scale = 315.0 / (64.0 * PI);
                 let share = |i: usize| {
                     let g = self.shapes[i];
@@ -231,8 +232,8 @@ fn attributes_reach_the_vertices_and_normals_point_out() {
 fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
     let particles = [[0.0_f64; 3]];
     for (cell, spacing) in [(1.0 / 17.0, Some(1.0)), (1.0, None)] {
-        let (grid, field) = (Grid::new(DVec3::ZERO, cell).unwrap(), Method::ZhuBridson.into());
-        let sampling = Sampling { grid, field, spacing, ..sampling() };
+        let (grid, method) = (Grid::new(DVec3::ZERO, cell).unwrap(), KernelMethod::ZhuBridson.into());
+        let sampling = Sampling { grid, method, spacing, ..sampling() };
         let before = sampling.refuse_unfit(&Surfacing::PLAIN).unwrap_err();
         let refused = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
         for error in [before, refused] {

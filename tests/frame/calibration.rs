@@ -4,13 +4,13 @@
 use std::collections::HashMap;
 
 use glam::{DVec3, IVec3};
-use meniscus::internals::baselines::Method as Rival;
+use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::field::blur::{Filter, Smoothing};
 use meniscus::internals::field::calibration::{
     COARSEST_STEP, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine,
 };
-use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::internals::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{self, Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma};
 use meniscus::internals::grid::{CellBox, Domain, Grid};
 use meniscus::internals::surface::mesh::measure::measure;
@@ -65,15 +65,20 @@ fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]>
 }
 
 /// In cells of edge 1, of particles `spacing` of them apart.
-fn sampling_at(spacing: f64, indicator: impl Into<IndicatorRequest>) -> Sampling {
-    let indicator = indicator.into();
-    let side = indicator.kind.brick_side();
-    Sampling { field: indicator.into(), spacing: Some(spacing), side, ..sampling() }
+fn sampling_at(spacing: f64, method: impl Into<frame::Method>) -> Sampling {
+    let method = method.into();
+    let side = method.brick_side();
+    Sampling { method, spacing: Some(spacing), side, ..sampling() }
 }
 
 /// Whether such cells are refused before there is a DIF.
-fn asked(surfacing: &Surfacing, spacing: f64, indicator: impl Into<IndicatorRequest>) -> Result<(), TooFine> {
-    surfacing.refuse_too_fine(indicator.into(), Some(spacing), &sampling().grid)
+fn asked(
+    surfacing: &Surfacing,
+    spacing: f64,
+    kind: IndicatorKind,
+    mean: Option<MeanCount>,
+) -> Result<(), TooFine> {
+    surfacing.refuse_too_fine(kind, mean, Some(spacing), &sampling().grid)
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
@@ -83,12 +88,6 @@ fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
 
 fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Frame {
     Frame::sample(particles, sampling, &mut Timings::default()).unwrap()
-}
-
-/// The indicator of a frame, by the same mu0.
-fn again(frame: &Frame) -> IndicatorRequest {
-    let indicator = dif(frame).indicator;
-    IndicatorRequest { kind: indicator.kind(), mean: indicator.mean() }
 }
 
 fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
@@ -274,7 +273,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
     for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
         for indicator in INDICATORS {
             let spacing = 1.0 / cell;
-            if asked(&surfacing(), spacing, indicator).is_err() {
+            if asked(&surfacing(), spacing, indicator, None).is_err() {
                 assert!(indicator == IndicatorKind::Symmetry && cell <= FINEST_OF_SYMMETRY);
                 continue;
             }
@@ -282,7 +281,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
             let deep = recipe(&of_pool, &surfacing()).1.plateau;
             let Plateau::Interior { median, .. } = deep else { panic!("a pool of {cell}: {deep:?}") };
             // Of the same mu0, which fewer particles in a cell would make another.
-            let sampling = sampling_at(spacing, again(&of_pool));
+            let sampling = sampling_at(spacing, of_pool.method());
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
                 let plateau = recipe(&frame, &surfacing()).1.plateau;
@@ -302,7 +301,7 @@ fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
         let deep = sample(&particles, &sampling_at(1.5, COUNTING));
         let Plateau::Interior { median, .. } = recipe(&deep, &surfacing()).1.plateau else { panic!() };
         let layer: Vec<_> = particles.into_iter().filter(|p| p[1] < 4.0 * 1.5).collect();
-        let layer = sample(&layer, &sampling_at(1.5, again(&deep)));
+        let layer = sample(&layer, &sampling_at(1.5, deep.method()));
         let Plateau::Shallow { expected } = recipe(&layer, &surfacing()).1.plateau else { panic!() };
         let ratio = f64::from(expected) / f64::from(median);
         assert!((ratio - 1.0).abs() < 0.05, "{disorder:?}: {ratio}");
@@ -362,11 +361,11 @@ fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
         // Triangles cut off what bends within a cell, which is much of a drop.
         let splashes =
-            sample(&crate::common::splashes(3), &Sampling { field: indicator.into(), ..sampling() });
+            sample(&crate::common::splashes(3), &Sampling { method: indicator.into(), ..sampling() });
         let within = if indicator == CLOUD { 0.15 } else { 0.06 };
         close(&draw(&splashes, &surfacing()), within, "drops");
     }
-    let sampling = Sampling { field: Rival::ZhuBridson.into(), spacing: Some(1.0), ..sampling() };
+    let sampling = Sampling { method: KernelMethod::ZhuBridson.into(), spacing: Some(1.0), ..sampling() };
     close(&draw(&sample(&ball, &sampling), &surfacing()), 0.01, "kernels");
 }
 
@@ -420,7 +419,7 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
 fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
-    let before = asked(&surfacing(), spacing, indicator);
+    let before = asked(&surfacing(), spacing, indicator, None);
     let pool = scaled(&cube(12.0, 1.0, Disorder::Jittered(0.3), 1), spacing);
     match sample(&pool, &sampling).surface(&surfacing(), &mut Timings::default()) {
         Ok(_) => assert_eq!(before, Ok(()), "{indicator:?} in {cell}"),
@@ -440,7 +439,7 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
         for sigma in [None, Some(10.0)].map(|cells| cells.map(|cells| Sigma::new(cells).unwrap())) {
             let surfacing = Surfacing { sigma, ..surfacing() };
             for cell in [0.11, 0.02, 1.0 / 128.0, 1e-5] {
-                let refused = |cell: f64| asked(&surfacing, 1.0 / cell, indicator);
+                let refused = |cell: f64| asked(&surfacing, 1.0 / cell, indicator, None);
                 let Err(TooFine::Steps { remedy: Remedy::Cells(fitting), .. }) = refused(cell) else {
                     panic!("{indicator:?}, cells of {cell}: {:?}", refused(cell))
                 };
@@ -461,7 +460,7 @@ fn clouds_are_refused_in_cells_that_no_surface_needs_with_some_that_fit() {
     for (cell_size, spacing) in [(0.01, 1.0), (1e-9, 3.0), (0.7, 7.1)] {
         let refused = |cell_size: f64| {
             let grid = Grid::new(DVec3::ZERO, cell_size).unwrap();
-            surfacing().refuse_too_fine(CLOUD.into(), Some(spacing), &grid)
+            surfacing().refuse_too_fine(CLOUD, None, Some(spacing), &grid)
         };
         let told = refused(cell_size).unwrap_err().to_string();
         let (_, fitting) = told.split_once("use cells of ").unwrap();
@@ -470,7 +469,7 @@ fn clouds_are_refused_in_cells_that_no_surface_needs_with_some_that_fit() {
         assert!(refused(fitting * 0.97).is_err(), "{told}");
     }
     // Nothing can be told of particles whose spacing is not known.
-    assert_eq!(surfacing().refuse_too_fine(CLOUD.into(), None, &sampling().grid), Ok(()));
+    assert_eq!(surfacing().refuse_too_fine(CLOUD, None, None, &sampling().grid), Ok(()));
 }
 
 #[test]
@@ -483,7 +482,7 @@ fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
 
 #[test]
 fn a_mu0_that_makes_little_of_a_particle_is_too_fine_as_well() {
-    let indicator = IndicatorRequest { kind: COUNTING, mean: MeanCount::new(60.0).ok() };
-    let refused = asked(&surfacing(), 3.0, indicator).unwrap_err();
+    let mean = MeanCount::new(60.0).ok();
+    let refused = asked(&surfacing(), 3.0, COUNTING, mean).unwrap_err();
     assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 50.0), "{refused}");
 }

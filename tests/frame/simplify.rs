@@ -59,7 +59,7 @@ fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction
 fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle() {
     for indicator in INDICATORS {
         for seed in [1, 2] {
-            let (particles, sampling) = (splashes(seed), Sampling { field: indicator.into(), ..sampling() });
+            let (particles, sampling) = (splashes(seed), Sampling { method: indicator.into(), ..sampling() });
             let whole = surface(&particles, &sampling).to_mesh().unwrap();
             for cells in [0.05, 0.1, 0.25, 0.5, 2.0] {
                 let (mesh, _) = simplified(&particles, &sampling, &within(cells));
@@ -86,7 +86,7 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
     for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
         for indicator in INDICATORS {
-            let sampling = Sampling { field: indicator.into(), ..sampling() };
+            let sampling = Sampling { method: indicator.into(), ..sampling() };
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
@@ -219,7 +219,7 @@ fn drops_of_fewer_particles_are_left_out_in_cells_of_any_size_and_bubbles_are_ke
     }
     for cells in [1.5, 2.0, 3.0, 4.0] {
         let scaled: Vec<_> = particles.iter().map(|p| p.map(|x| x * cells)).collect();
-        let sampling = Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(cells), ..sampling() };
+        let sampling = Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(cells), ..sampling() };
         for (particles, dropped) in [(1, 0), (2, 4), (3, 8), (8, 8), (20, 12)] {
             let reduction = Reduction { smallest_drop: Some(particles), ..Reduction::default() };
             let (mesh, gone) = simplified(&scaled, &sampling, &reduction);

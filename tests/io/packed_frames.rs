@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles};
-use meniscus::internals::field::indicator::{
-    Amount, Indicator, IndicatorKind, PageRule, SampledDif, indicate,
-};
+use meniscus::internals::field::indicator::{Indicator, IndicatorKind, PageRule, SampledDif, indicate};
 use meniscus::internals::grid::units::MeanCount;
 use meniscus::internals::grid::{CellBox, Domain, Grid, Periodic};
 use meniscus::internals::io::ReadFault;
@@ -19,7 +17,7 @@ use meniscus::internals::particles::Particles;
 use rayon::prelude::*;
 use tempfile::TempDir;
 
-use crate::common::{INDICATORS, by, full_cells, sampling, splashes, tank};
+use crate::common::{INDICATORS, full_cells, sampling, splashes, tank};
 
 const SIDES: [BrickSide; 3] = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
 
@@ -36,14 +34,11 @@ fn sample(
     let census = plan.census();
     let bins = plan.fill(particles, &[]).unwrap();
     let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
-    // What a particle adds is told by the spacing.
-    let mean = match indicator {
-        IndicatorKind::Cloud => (grid.cell_size() / 0.5).powi(3),
-        _ => census.binned as f64 / full_cells(&bins) as f64,
-    };
-    let indicator = by(indicator, mean);
-    let rule = PageRule { content: indicator.content(), side, walls: facts.walls() };
+    let spacing_cells = facts.spacing_cells_or_one();
+    let rule = PageRule { indicator, spacing_cells, side, walls: facts.walls() };
     let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
+    let mean = census.binned as f64 / full_cells(&bins) as f64;
+    let indicator = indicator.with_mean(|| MeanCount::new(mean)).unwrap();
     SampledDif::new(facts, indicator, DifField::in_memory(rule.shape(), pages))
 }
 
@@ -342,15 +337,14 @@ fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
 }
 
 #[test]
-fn clouds_come_back_as_large_as_their_spacing_says() {
+fn clouds_come_back_with_their_spacing() {
     let folder = Folder::new();
     for spacing in [None, Some(0.05), Some(0.5), Some(1.5), Some(7.0)] {
         let mut frame =
             sample(&splashes(5)[..], sampling().grid, None, IndicatorKind::Cloud, BrickSide::Sixteen);
         frame.facts.spacing = spacing;
         let found = open_frame(&folder.file(&encoded(&frame)), 1 << 20).unwrap();
-        let amount = Amount::of_spacing(spacing.unwrap_or(1.0));
-        assert_eq!((found.indicator, found.facts), (Indicator::Cloud(amount), frame.facts));
+        assert_eq!((found.indicator, found.facts), (Indicator::Cloud, frame.facts));
     }
 }
 

@@ -10,8 +10,8 @@ use meniscus::internals::io::output::{MeshFormat, read_mesh};
 use meniscus::internals::surface::mesh::check::check;
 use tempfile::TempDir;
 
-use crate::common::fill;
 use crate::common::files::{raw, tree};
+use crate::common::fill;
 use crate::common::program::command;
 use crate::common::scene::Random;
 
@@ -135,8 +135,8 @@ fn frame() -> Vec<u8> {
 
 fn try_combination(seed: u64) {
     let mut random = Random::new(seed.wrapping_mul(0x9e37_79b9).wrapping_add(7));
-    let output =
-        ["m.ply", "m.obj", "m.vtk", "m.vtp", "m.stl", "m.usdc", "m.glb", "m.vtkhdf"][(random.bits() % 8) as usize];
+    let output = ["m.ply", "m.obj", "m.vtk", "m.vtp", "m.stl", "m.usdc", "m.glb", "m.vtkhdf"]
+        [(random.bits() % 8) as usize];
     let arguments = combination(&mut random);
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f.xyz"), frame()).unwrap();

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use meniscus::error::{Cause, Conflict, Error, Untold};
-use meniscus::internals::baselines::Method;
+use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::FrameError;
 use meniscus::internals::grid::units::MemoryBudget;
@@ -44,7 +44,7 @@ fn the_library_and_the_program_write_the_same_bytes() {
             &["--domain", "-4,-9,-9,9,9,9", "--simplify", "0.5"],
             usual().domain([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
         ),
-        (&["--method", "mueller"], usual().method(Method::Mueller { iso: Method::HALF })),
+        (&["--method", "mueller"], usual().method(KernelMethod::Mueller { iso: KernelMethod::HALF })),
         (
             &["--memory", "24MiB", "--threads", "1", "--smallest-drop", "5"],
             usual().memory(MemoryBudget(24 << 20)).threads(1).smallest_drop(5),
@@ -230,7 +230,7 @@ fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
         (asked().domain([-1.0; 3], [1.0; 3]), "domain"),
         (asked().indicator(IndicatorKind::Counting), "indicator"),
         (asked().skip_invalid(true), "skip_invalid"),
-        (asked().method(Method::ZhuBridson), "method"),
+        (asked().method(KernelMethod::ZhuBridson), "method"),
         (asked().attributes(["heat"]), "attributes"),
     ] {
         let error = frame.surface_by(&other).unwrap_err();

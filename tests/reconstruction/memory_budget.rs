@@ -20,7 +20,7 @@ use crate::common::attributed::Attributed;
 use crate::common::files::{names, raw};
 use crate::common::program::{command, in_shell, kill_when};
 use crate::common::scene::{Random, splash};
-use crate::common::{INDICATORS, by, reconstruct, sampling, splashes, surfacing, tank};
+use crate::common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
 
 /// Particles that move and have a temperature.
 fn moving(positions: Vec<[f64; 3]>) -> Attributed {
@@ -39,7 +39,7 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
     for indicator in INDICATORS {
         for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
             let mut sampling =
-                Sampling { field: indicator.into(), side: indicator.brick_side(), carried, ..sampling() };
+                Sampling { method: indicator.into(), side: indicator.brick_side(), carried, ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
@@ -71,8 +71,9 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
         for (indicator, side) in
             INDICATORS.into_iter().flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            let content = by(indicator, 2.0).content();
-            let rule = PageRule { content, side, walls: None };
+            // Two particles a cell.
+            let spacing_cells = 2_f64.cbrt().recip();
+            let rule = PageRule { indicator, spacing_cells, side, walls: None };
             let plan =
                 BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
             let plan = plan.unwrap();

@@ -9,9 +9,9 @@ use meniscus::internals::backend::field;
 use meniscus::internals::brick::Block;
 use meniscus::internals::field::blur::Filter;
 use meniscus::internals::field::calibration::Calibration;
-use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::{Detail, Filters, Recipe};
-use meniscus::internals::frame::{Counted, Frame, Normals, Sampling, Surfacing};
+use meniscus::internals::frame::{Counted, Frame, Method, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::stretch::{Stretch, WantedBins};
 use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Grid, MortonKey};
@@ -453,12 +453,12 @@ fn needed(normals: Normals) -> CellBox {
 fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds() {
     // The widest Gaussians reach farthest where the water is calm, and what counts as inside where it is not.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
-        let sampling = Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
+        let sampling = Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
         // Cells that are needed end in the middle of wide ones, of which those beyond tell most.
         for (sides, normals) in [(0..3, Normals::None), (3..6, Normals::Gradient)] {
             let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
             let cells = needed(normals);
-            let seen = sampling.sight(IndicatorKind::Cloud.into(), &surfacing).cells(IVec3::ZERO);
+            let seen = sampling.sight(IndicatorKind::Cloud, &surfacing).cells(IVec3::ZERO);
             let outermost = if sides.start == 0 { seen.lo } else { seen.hi - 1 };
             let by = |plateau: u16| {
                 let surfacing = &surfacing;
@@ -496,12 +496,13 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
     for (detail, sigma, normals) in
         [(Detail::Smoothed, 1.5, Normals::None), (Detail::Recovered, 2.5, Normals::Gradient)]
     {
-        let asked = IndicatorRequest { kind: IndicatorKind::Counting, mean: Some(one) };
-        let sampling = Sampling { field: asked.into(), spacing: Some(1.0), ..sampling() };
+        let kind = IndicatorKind::Counting;
+        let method = Method::Indicator { kind, mean: Some(one) };
+        let sampling = Sampling { method, spacing: Some(1.0), ..sampling() };
         let sigma = Some(Sigma::new(sigma).unwrap());
         let plain = Surfacing { sigma, detail, normals, ..surfacing() };
         let cells = needed(normals);
-        let seen = sampling.sight(asked, &plain).cells(IVec3::ZERO);
+        let seen = sampling.sight(kind, &plain).cells(IVec3::ZERO);
         let calibration = |threshold: u16| {
             let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
             Calibration::Indicator { mean: Some(one), iso }
@@ -557,10 +558,9 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
 fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted() {
     // Of the paper's indicators attributes see as far as the field; of clouds less far.
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
-        let sampling = Sampling { field: kind.into(), spacing: Some(1.5), ..sampling() };
+        let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };
-        let [bare, carrying] =
-            [&sampling, &with].map(|s| s.sight(kind.into(), &surfacing()).cells(IVec3::ZERO));
+        let [bare, carrying] = [&sampling, &with].map(|s| s.sight(kind, &surfacing()).cells(IVec3::ZERO));
         let halo = surfacing().attribute_smoothing(kind, sampling.spacing, &sampling.grid).halo();
         let attributes = CellBox { lo: IVec3::splat(-halo), hi: IVec3::splat(BLOCK + 1 + halo) };
         assert_eq!(carrying, bare.union(&attributes));
@@ -571,14 +571,14 @@ fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted()
 fn a_part_counts_what_is_wanted_and_no_more() {
     let particles = splashes(7);
     let grid = Grid::new(DVec3::ZERO, 0.25).unwrap();
-    let sampling = Sampling { grid, field: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
+    let sampling = Sampling { grid, method: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
     let surfacing = surfacing();
     let whole = Counted::for_surface(&particles[..], &sampling, &surfacing, None).unwrap();
     let all: Vec<_> = whole.bins().collect();
     let middle = all[all.len() / 2].0;
     let first = MortonKey::of(middle.coord().div_euclid(IVec3::splat(2)));
     for stretch in [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first, ..Stretch::ALL }] {
-        let wanted = WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud.into(), &surfacing) };
+        let wanted = WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing) };
         let part = Counted::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
         let expected: Vec<_> = all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();
         assert!(!expected.is_empty() && expected.len() < all.len());

@@ -4,10 +4,10 @@ use std::fs;
 
 use glam::DVec3;
 use meniscus::error::{Error, FrameError};
-use meniscus::internals::baselines::Method;
+use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::estimate::Plan;
-use meniscus::internals::frame::{Counted, FieldRequest, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{Counted, Frame, Method, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget};
 use meniscus::internals::grid::{Grid, Periodic};
 use meniscus::internals::io::output::read_mesh;
@@ -26,7 +26,8 @@ use crate::common::program::{command, run};
 use crate::common::scene::Random;
 use crate::common::{fill, sampling, shuffle, surfacing};
 
-const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, Method::YuTurk { iso: 0.4 }];
+const METHODS: [KernelMethod; 3] =
+    [KernelMethod::Mueller { iso: 0.5 }, KernelMethod::ZhuBridson, KernelMethod::YuTurk { iso: 0.4 }];
 
 /// Particles that have a direction each: those of `first` for as many of them, again and again.
 /// All directions have a 1, so that what they are rounded to is the same whichever are seen together.
@@ -41,11 +42,11 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
 }
 
 /// In cells of an edge, with particles 1 apart.
-fn in_box(field: impl Into<FieldRequest>, cell: f64, faces: Faces) -> Sampling {
-    let (field, grid) = (field.into(), Grid::new(DVec3::ZERO, cell).unwrap());
-    let periodic = Periodic::new(&grid, faces, surfacing().reach(field, Some(1.0), &grid)).unwrap();
+fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
+    let (method, grid) = (method.into(), Grid::new(DVec3::ZERO, cell).unwrap());
+    let periodic = Periodic::new(&grid, faces, surfacing().reach(method, Some(1.0), &grid)).unwrap();
     let periodic = Some(periodic);
-    Sampling { field, grid, periodic, spacing: Some(1.0), side: field.brick_side(), ..sampling() }
+    Sampling { method, grid, periodic, spacing: Some(1.0), side: method.brick_side(), ..sampling() }
 }
 
 fn drawn(particles: &(impl Particles + ?Sized), sampling: &Sampling, surfacing: &Surfacing) -> (Frame, Mesh) {

@@ -14,7 +14,7 @@ use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::system::timings::Timings;
 use meniscus::mesh::Mesh;
 use meniscus::{
-    Cause, Error, IndicatorKind, MemoryBudget, Method, Particles, PeriodicMesh, Reconstruction, Surface,
+    Cause, Error, IndicatorKind, KernelMethod, MemoryBudget, Particles, PeriodicMesh, Reconstruction, Surface,
 };
 
 use crate::common::scene::Random;
@@ -204,7 +204,7 @@ impl Frame {
             let iso = between(random, 0.2, 0.8);
             return request.method(pick(
                 random,
-                &[Method::Mueller { iso }, Method::ZhuBridson, Method::YuTurk { iso }],
+                &[KernelMethod::Mueller { iso }, KernelMethod::ZhuBridson, KernelMethod::YuTurk { iso }],
             ));
         }
         request = request.indicator(self.indicator);
@@ -412,7 +412,7 @@ fn in_bricks(frame: &Frame) {
         grid: facts.grid,
         domain: facts.domain,
         spacing: facts.spacing,
-        field: surface.report().indicator.unwrap().kind().into(),
+        method: surface.report().indicator.unwrap().kind().into(),
         side,
         ..crate::common::sampling()
     };

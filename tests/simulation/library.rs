@@ -376,7 +376,7 @@ fn a_frame_that_is_sampled_once_is_drawn_as_often_as_one_likes() {
 fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
     let asked = Reconstruction::new;
     let counting = || asked().indicator(IndicatorKind::Counting);
-    let mueller = || asked().method(meniscus::Method::Mueller { iso: 0.5 });
+    let mueller = || asked().method(meniscus::KernelMethod::Mueller { iso: 0.5 });
     let folder = TempDir::new().unwrap();
     for (setting, request) in [
         ("sigma", asked().sigma(1.0)),
@@ -386,7 +386,7 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
         ("smooth", counting().smooth(1.6)),
         ("smooth", mueller().smooth(1.6)),
         ("sigma", mueller().sigma(1.6)),
-        ("iso", asked().method(meniscus::Method::ZhuBridson).iso(0.5)),
+        ("iso", asked().method(meniscus::KernelMethod::ZhuBridson).iso(0.5)),
         ("indicator", mueller().indicator(IndicatorKind::Cloud)),
     ] {
         let refused = |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting.name() == setting);

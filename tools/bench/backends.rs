@@ -132,7 +132,7 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
         grid: Grid::new(DVec3::ZERO, cell).expect("a valid grid"),
         domain: None,
         periodic: None,
-        field: kind.into(),
+        method: kind.into(),
         invalid: InvalidParticles::Refuse,
         side: kind.brick_side(),
         carried: Vec::new(),
@@ -143,7 +143,7 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
 
 /// The timings of a frame, and a checksum of its mesh.
 fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), FrameError> {
-    let is_cloud = sampling.field == IndicatorKind::Cloud.into();
+    let is_cloud = sampling.method == IndicatorKind::Cloud.into();
     let surfacing = match is_cloud {
         true => Surfacing::PLAIN,
         false => Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN },

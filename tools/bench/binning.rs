@@ -17,7 +17,7 @@ use meniscus::internals::brick::vulkan::{
 };
 use meniscus::internals::brick::{BrickSide, InvalidParticles};
 use meniscus::internals::field::indicator::vulkan::{BinEntry, Pipelines, indicate};
-use meniscus::internals::field::indicator::{Content, PageRule};
+use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::grid::{BIN, Grid, MortonKey};
 use meniscus::internals::shaders::{CLOUDS, INDICATE};
 use meniscus::internals::vulkan::{
@@ -126,7 +126,8 @@ fn main() -> Result<(), compile::Fault> {
     let [indicate_pipeline, clouds] =
         [&INDICATE, &CLOUDS].map(|shader| device.pipeline(shader).map(Arc::new));
     let pipelines = Pipelines { indicate: indicate_pipeline?, clouds: clouds? };
-    let rule = PageRule { content: Content::Symmetry, side: BrickSide::default(), walls: None };
+    let (indicator, side) = (IndicatorKind::Symmetry, BrickSide::default());
+    let rule = PageRule { indicator, spacing_cells: 1.0, side, walls: None };
     let [(_, records)] = &bins.runs[..] else { return Err("too many particles for one run".into()) };
     let seconds = best(|| {
         run(&device, |batch| {

@@ -11,7 +11,7 @@ use glam::DVec3;
 use meniscus::internals::backend::field;
 use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::internals::field::blur::{Weights, blur};
-use meniscus::internals::field::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
+use meniscus::internals::field::indicator::{IndicatorKind, PageRule, indicate};
 use meniscus::internals::frame::{Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{MemoryBudget, Sigma};
 use meniscus::internals::grid::{CellBox, Grid};
@@ -64,12 +64,8 @@ fn main() {
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Counting, IndicatorKind::Cloud] {
-        let content = match kind {
-            IndicatorKind::Symmetry => Content::Symmetry,
-            IndicatorKind::Counting => Content::Counts,
-            IndicatorKind::Cloud => Content::Clouds(Amount::of_spacing(1.0)),
-        };
-        let rule = PageRule { content, side: BrickSide::Eight, walls: None };
+        let side = BrickSide::Eight;
+        let rule = PageRule { indicator: kind, spacing_cells: 1.0, side, walls: None };
         let (seconds, _) = best_seconds(3, || indicate(&bins, 0..bins.keys().len(), &rule));
         let name = kind.name();
         row(&format!("accumulate, {name}"), count, "M particles/s", seconds);
@@ -94,7 +90,7 @@ fn main() {
         grid,
         domain: None,
         periodic: None,
-        field: IndicatorKind::Symmetry.into(),
+        method: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),

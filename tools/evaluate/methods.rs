@@ -1,11 +1,11 @@
 //! The methods that are compared, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
-use meniscus::internals::baselines::Method as Rival;
+use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::brick::InvalidParticles;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{
-    Detail, FieldRequest, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
+    self, Detail, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
 };
 use meniscus::internals::grid::Grid;
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma};
@@ -21,7 +21,7 @@ pub enum Method {
     /// By a discrete indicator function.
     Dif { indicator: IndicatorKind, sigma: Sigmas, iso: Iso, detail: Detail },
     /// By kernels.
-    Rival(Rival),
+    Kernels(KernelMethod),
 }
 
 /// How wide the Gaussian is.
@@ -49,9 +49,9 @@ impl Method {
     pub const SYMMETRY: Self = Self::by_default(IndicatorKind::Symmetry, Detail::Smoothed);
     pub const COUNTING: Self = Self::by_default(COUNTING, Detail::Smoothed);
     pub const CLOUD: Self = Self::by_default(CLOUD, Detail::Smoothed);
-    pub const MUELLER: Self = Self::Rival(Rival::Mueller { iso: Rival::HALF });
-    pub const ZHU_BRIDSON: Self = Self::Rival(Rival::ZhuBridson);
-    pub const YU_TURK: Self = Self::Rival(Rival::YuTurk { iso: Rival::HALF });
+    pub const MUELLER: Self = Self::Kernels(KernelMethod::Mueller { iso: KernelMethod::HALF });
+    pub const ZHU_BRIDSON: Self = Self::Kernels(KernelMethod::ZhuBridson);
+    pub const YU_TURK: Self = Self::Kernels(KernelMethod::YuTurk { iso: KernelMethod::HALF });
     /// Ours, and the paper's five with the surface half-way between inside and outside.
     pub const ALL: &[Self] =
         &[Self::CLOUD, Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
@@ -65,8 +65,8 @@ impl Method {
         Self::YU_TURK,
         Self::symmetry(1.0, Iso::At(0.1)),
         Self::counting(1.0, Iso::At(0.1)),
-        Self::Rival(Rival::Mueller { iso: 0.65 }),
-        Self::Rival(Rival::YuTurk { iso: 0.2 }),
+        Self::Kernels(KernelMethod::Mueller { iso: 0.65 }),
+        Self::Kernels(KernelMethod::YuTurk { iso: 0.2 }),
     ];
 
     pub const fn symmetry(sigma: f64, iso: Iso) -> Self {
@@ -109,9 +109,9 @@ impl Method {
                 };
                 format!("{}{filter}{at}{detail}", indicator.name())
             }
-            Self::Rival(Rival::Mueller { iso }) => format!("Mueller, iso {iso}"),
-            Self::Rival(Rival::ZhuBridson) => "Zhu-Bridson".into(),
-            Self::Rival(Rival::YuTurk { iso }) => format!("Yu-Turk, iso {iso}"),
+            Self::Kernels(KernelMethod::Mueller { iso }) => format!("Mueller, iso {iso}"),
+            Self::Kernels(KernelMethod::ZhuBridson) => "Zhu-Bridson".into(),
+            Self::Kernels(KernelMethod::YuTurk { iso }) => format!("Yu-Turk, iso {iso}"),
         }
     }
 
@@ -129,13 +129,13 @@ impl Method {
         normals: Normals,
         timings: &mut Timings,
     ) -> Result<Stitched, FrameError> {
-        let (field, surfacing): (FieldRequest, _) = match *self {
+        let (method, surfacing): (frame::Method, _) = match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
                 (indicator.into(), Surfacing { detail, ..surfacing(sigma.value(), iso.value()) })
             }
-            Self::Rival(rival) => (rival.into(), Surfacing::PLAIN),
+            Self::Kernels(kernels) => (kernels.into(), Surfacing::PLAIN),
         };
-        let frame = Frame::sample(particles, &sampling(grid, spacing, field), timings)?;
+        let frame = Frame::sample(particles, &sampling(grid, spacing, method), timings)?;
         frame.surface(&Surfacing { normals, ..surfacing }, timings)
     }
 }
@@ -171,15 +171,15 @@ pub fn grid(cell: f64) -> Outcome<Grid> {
 }
 
 /// Everything in memory, on the processor.
-pub fn sampling(grid: Grid, spacing: f64, field: impl Into<FieldRequest>) -> Sampling {
-    let field = field.into();
+pub fn sampling(grid: Grid, spacing: f64, method: impl Into<frame::Method>) -> Sampling {
+    let method = method.into();
     Sampling {
         grid,
         domain: None,
         periodic: None,
-        field,
+        method,
         invalid: InvalidParticles::Refuse,
-        side: field.brick_side(),
+        side: method.brick_side(),
         carried: Vec::new(),
         spacing: Some(spacing),
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),

@@ -3,8 +3,8 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
-use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::internals::frame::{Frame, Sampling};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{Frame, Method, Sampling};
 use meniscus::internals::simulation::frozen::{Measured, Origin, measure};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::timings::Timings;
@@ -54,7 +54,7 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     let free = sampling(grid(cell)?, 1.0, indicator);
     let Measured { grid, calibration, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
     let mean = calibration.and_then(|known| known.mean());
-    let frozen = Sampling { grid, field: IndicatorRequest { kind: indicator, mean }.into(), ..free };
+    let frozen = Sampling { grid, method: Method::Indicator { kind: indicator, mean }, ..free };
 
     let height = |step: u32| -> Outcome<f64> {
         let timings = &mut Timings::default();

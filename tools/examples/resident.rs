@@ -8,8 +8,8 @@ use std::error::Error;
 
 use ash::vk;
 use meniscus::devices::{
-    Coordinate, Device, DeviceOptions, DevicePositions, Exchange, Foreign, InvalidParticles, Moment,
-    Pipeline, Settings, Surfacing,
+    Coordinate, Device, DeviceOptions, DevicePositions, DeviceRequest, Exchange, Foreign, InvalidParticles,
+    Moment, Pipeline, Surfacing,
 };
 use meniscus::error::FrameError;
 use meniscus::{Grid, IndicatorKind};
@@ -191,10 +191,11 @@ unsafe fn simulate_and_draw(
         let pipeline = Pipeline::new(&library)?;
         let view = library.foreign_buffer(positions.raw, positions.bytes).whole();
         let input = [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Single }];
-        let settings = Settings {
+        let settings = DeviceRequest {
             grid: Grid::new([0.0; 3].into(), cell)?,
             domain: None,
-            indicator: IndicatorKind::Symmetry.into(),
+            indicator: IndicatorKind::Symmetry,
+            mean: None,
             invalid: InvalidParticles::Refuse,
             spacing: Some(cell),
             surfacing: Surfacing::PLAIN,

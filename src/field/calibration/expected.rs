@@ -4,7 +4,7 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::brick::DifField;
-use crate::field::indicator::{Indicator, count_table, symmetry};
+use crate::field::indicator::{Amount, Indicator, count_table, symmetry};
 use crate::grid::FRACTIONS;
 use crate::grid::units::FULL;
 
@@ -41,7 +41,10 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f
             fluid.theta() / dif.map_or(1.0, |dif| crowding(dif, fluid.mean_count()))
         }
         Indicator::Symmetry => Fluid::of(spacing, symmetry).theta(),
-        Indicator::Cloud(amount) => f64::from(amount.steps()) / (spacing * spacing * spacing),
+        Indicator::Cloud => {
+            let amount = f64::from(Amount::of_spacing(spacing).steps());
+            amount / (spacing * spacing * spacing)
+        }
     }
 }
 

@@ -6,7 +6,7 @@
 use thiserror::Error;
 
 use crate::brick::{BrickSide, FrameFacts};
-use crate::field::indicator::{Amount, Content, Indicator, IndicatorKind, IndicatorRequest, PageRule};
+use crate::field::indicator::{Indicator, IndicatorKind, PageRule};
 use crate::grid::units::{MeanCount, UnitError};
 
 /// A frame on which mu0 cannot be measured.
@@ -42,18 +42,14 @@ pub struct Fullness {
 pub fn indicate<B: Binned>(
     binned: B,
     facts: &FrameFacts,
-    asked: IndicatorRequest,
+    kind: IndicatorKind,
+    mean: Option<MeanCount>,
     side: BrickSide,
 ) -> Result<(Indicator, B::Made), B::Error> {
-    let measured = |full: Fullness| MeanCount::measured(full.particles, full.cells).map_err(NoMeanCount);
-    let known = match (asked.kind, asked.mean) {
-        (IndicatorKind::Symmetry, _) => Some(Indicator::Symmetry),
-        (IndicatorKind::Cloud, _) => Some(Indicator::Cloud(Amount::of_spacing(facts.spacing_cells_or_one()))),
-        (IndicatorKind::Counting, Some(mean)) => Some(Indicator::Counting(mean)),
-        (IndicatorKind::Counting, None) => None,
-    };
-    let content = known.map_or(Content::Counts, Indicator::content);
-    let (full, made) = binned.make_pages(&PageRule { content, side, walls: facts.walls() })?;
-    let indicator = known.map_or_else(|| measured(full).map(Indicator::Counting), Ok)?;
+    let spacing_cells = facts.spacing_cells_or_one();
+    let rule = PageRule { indicator: kind, spacing_cells, side, walls: facts.walls() };
+    let (full, made) = binned.make_pages(&rule)?;
+    let measured = || MeanCount::measured(full.particles, full.cells).map_err(NoMeanCount);
+    let indicator = kind.with_mean(|| mean.map_or_else(measured, Ok))?;
     Ok((indicator, made))
 }

@@ -18,7 +18,7 @@ pub(crate) use precision::refuse_finest;
 pub use precision::{COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for};
 
 use crate::field::distance::UNITS;
-use crate::field::indicator::SampledDif;
+use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::field::recipe::Filters;
 use crate::grid::units::{Isovalue, MeanCount};
 
@@ -47,6 +47,12 @@ impl Calibration {
             Self::Indicator { mean, .. } => mean,
             Self::Clouds { .. } => None,
         }
+    }
+
+    /// Whether it is of this kind of indicator, whose surfaces alone can be drawn by it.
+    #[must_use]
+    pub fn suits(&self, kind: IndicatorKind) -> bool {
+        matches!(self, Self::Clouds { .. }) == (kind == IndicatorKind::Cloud)
     }
 
     /// The isovalue of an indicator of the paper.

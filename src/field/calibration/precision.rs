@@ -11,7 +11,7 @@ use std::fmt;
 use thiserror::Error;
 
 use crate::field::blur::Smoothing;
-use crate::field::indicator::{Indicator, IndicatorKind, IndicatorRequest, SampledDif};
+use crate::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use crate::grid::units::{MeanCount, Sigma, shown};
 
 use super::Plateau;
@@ -112,22 +112,23 @@ fn step_cells(plateau: f64, width: f64) -> f64 {
 /// # Errors
 /// [`TooFine`].
 pub fn refuse_too_fine_for(
-    asked: IndicatorRequest,
+    kind: IndicatorKind,
+    mean: Option<MeanCount>,
     spacing: f64,
     cell_size: f64,
     sigma: impl Fn(f64) -> Sigma,
 ) -> Result<(), TooFine> {
-    let by = match asked.kind {
+    let by = match kind {
         IndicatorKind::Cloud => return refuse_finest(Some(spacing / cell_size), cell_size),
         // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
         IndicatorKind::Counting => Indicator::Counting(
-            asked.mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
+            mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
         ),
         IndicatorKind::Symmetry => Indicator::Symmetry,
     };
-    refuse_symmetry(asked.kind, Some(spacing / cell_size), cell_size)?;
+    refuse_symmetry(kind, Some(spacing / cell_size), cell_size)?;
     let plateau = |size: f64| expected(by, spacing / size, None);
-    let width = |size: f64| Smoothing::new(asked.kind, sigma(size)).width();
+    let width = |size: f64| Smoothing::new(kind, sigma(size)).width();
     let larger = |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
     refuse_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
 }

@@ -11,7 +11,7 @@ use crate::grid::units::FULL;
 use crate::grid::{BIN, FRACTIONS};
 
 use super::cloud::Clouds;
-use super::{Content, PageRule};
+use super::{Amount, IndicatorKind, PageRule};
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;
@@ -66,10 +66,11 @@ fn counts(sums: &CellSums, counts: &mut [u16]) {
 /// Where particles are in a scratch file that cannot be read.
 pub fn indicate(bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
     let shape = rule.shape();
-    let values = match rule.content {
-        Content::Symmetry => symmetry_all,
-        Content::Counts => counts,
-        Content::Clouds(amount) => {
+    let values = match rule.indicator {
+        IndicatorKind::Symmetry => symmetry_all,
+        IndicatorKind::Counting => counts,
+        IndicatorKind::Cloud => {
+            let amount = Amount::of_spacing(rule.spacing_cells);
             let clouds = Clouds::new(amount, rule.walls, shape);
             let page = |room: &mut Vec<u16>, bin: usize| {
                 Ok(clouds.page(room, bins.keys()[bin].coord(), &bins.contents(bin)?))

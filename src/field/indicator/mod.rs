@@ -48,42 +48,25 @@ pub enum IndicatorKind {
     Cloud,
 }
 
-/// An indicator as it is asked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct IndicatorRequest {
-    /// The kind of the indicator.
-    pub kind: IndicatorKind,
-    /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Only counting has a use for it.
-    pub mean: Option<MeanCount>,
-}
-
-/// An indicator with what it has to know.
+/// The indicator that made a field, with its `mu0` where it counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Indicator {
     /// [`IndicatorKind::Symmetry`].
     Symmetry,
     /// [`IndicatorKind::Counting`] with its `mu0`.
     Counting(MeanCount),
-    /// [`IndicatorKind::Cloud`] with what a particle adds.
-    Cloud(Amount),
-}
-
-/// Meaning of the samples in pages.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Content {
-    /// The DIF by symmetry.
-    Symmetry,
-    /// Numbers of particles, which become the DIF once `mu0` is known.
-    Counts,
-    /// Sums of the clouds of a page's own particles, of so much each.
-    Clouds(Amount),
+    /// [`IndicatorKind::Cloud`].
+    Cloud,
 }
 
 /// How pages are made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PageRule {
-    /// The samples that are stored.
-    pub content: Content,
+    /// The indicator whose samples are stored: the DIF by symmetry, sums of clouds, or numbers of
+    /// particles, which become the DIF once `mu0` is known.
+    pub indicator: IndicatorKind,
+    /// The particles' spacing in cells, which decides what a cloud adds.
+    pub spacing_cells: f64,
     /// The bricks that pages are stored in.
     pub side: BrickSide,
     /// Walls, if the fluid is in a tank.
@@ -94,21 +77,23 @@ impl PageRule {
     /// How the samples lie.
     #[must_use]
     pub fn shape(&self) -> PageShape {
-        self.content.kind().shape(self.side)
-    }
-}
-
-impl Content {
-    fn kind(self) -> IndicatorKind {
-        match self {
-            Self::Symmetry => IndicatorKind::Symmetry,
-            Self::Counts => IndicatorKind::Counting,
-            Self::Clouds(_) => IndicatorKind::Cloud,
-        }
+        self.indicator.shape(self.side)
     }
 }
 
 impl IndicatorKind {
+    /// The indicator of this kind, by `mu0` where it counts.
+    ///
+    /// # Errors
+    /// Those of `mean`, which only counting calls.
+    pub fn with_mean<E>(self, mean: impl FnOnce() -> Result<MeanCount, E>) -> Result<Indicator, E> {
+        match self {
+            Self::Symmetry => Ok(Indicator::Symmetry),
+            Self::Counting => mean().map(Indicator::Counting),
+            Self::Cloud => Ok(Indicator::Cloud),
+        }
+    }
+
     /// Returns the name of the kind.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -138,13 +123,6 @@ impl IndicatorKind {
     }
 }
 
-/// Asks for mu0 to be measured.
-impl From<IndicatorKind> for IndicatorRequest {
-    fn from(kind: IndicatorKind) -> Self {
-        Self { kind, mean: None }
-    }
-}
-
 impl Indicator {
     /// Returns the kind of the indicator.
     #[must_use]
@@ -152,7 +130,7 @@ impl Indicator {
         match self {
             Self::Symmetry => IndicatorKind::Symmetry,
             Self::Counting(_) => IndicatorKind::Counting,
-            Self::Cloud(_) => IndicatorKind::Cloud,
+            Self::Cloud => IndicatorKind::Cloud,
         }
     }
 
@@ -160,18 +138,8 @@ impl Indicator {
     #[must_use]
     pub fn mean(self) -> Option<MeanCount> {
         match self {
-            Self::Symmetry | Self::Cloud(_) => None,
+            Self::Symmetry | Self::Cloud => None,
             Self::Counting(mean) => Some(mean),
-        }
-    }
-
-    /// Meaning of the samples in its pages.
-    #[must_use]
-    pub fn content(self) -> Content {
-        match self {
-            Self::Symmetry => Content::Symmetry,
-            Self::Counting(_) => Content::Counts,
-            Self::Cloud(amount) => Content::Clouds(amount),
         }
     }
 

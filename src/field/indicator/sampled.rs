@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use crate::brick::{DifField, FrameFacts};
 
-use super::{Amount, Indicator, IndicatorKind, WideCells};
+use super::{Amount, Indicator, WideCells};
 
 /// A frame whose DIF is known: what a packed frame holds.
 #[derive(Debug)]
@@ -44,7 +44,7 @@ impl SampledDif {
     /// Whether the samples are clouds.
     #[must_use]
     pub fn is_clouds(&self) -> bool {
-        self.indicator.kind() == IndicatorKind::Cloud
+        self.indicator == Indicator::Cloud
     }
 
     /// The wide cells in which the calm surface is made of clouds.

@@ -8,7 +8,7 @@ use crate::brick::vulkan::{page_words, wall_bounds};
 use crate::shaders::{CloudsPush, IndicatePush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-use super::{Amount, Content, PageRule};
+use super::{Amount, IndicatorKind, PageRule};
 
 /// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every device.
 pub const OCTANT: u32 = 8;
@@ -52,10 +52,10 @@ pub fn indicate(
         let push = IndicatePush { counting: counting.into() };
         batch.dispatch(&pipelines.indicate, &views, &push, [8, count, 1])
     };
-    match rule.content {
-        Content::Symmetry => sums(batch, false),
-        Content::Counts => sums(batch, true),
-        Content::Clouds(amount) => clouds(batch, &pipelines.clouds, count, (rule, amount), &views),
+    match rule.indicator {
+        IndicatorKind::Symmetry => sums(batch, false),
+        IndicatorKind::Counting => sums(batch, true),
+        IndicatorKind::Cloud => clouds(batch, &pipelines.clouds, count, rule, &views),
     }
 }
 
@@ -64,7 +64,7 @@ fn clouds(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
     count: u32,
-    (rule, amount): (&PageRule, Amount),
+    rule: &PageRule,
     views: &[View; 3],
 ) -> Result<(), VulkanError> {
     let samples = rule.shape().bin_samples() as u32;
@@ -72,7 +72,7 @@ fn clouds(
     let [walls_lo, walls_hi] = wall_bounds(rule.walls);
     let push = CloudsPush {
         walls_lo,
-        amount: amount.steps().into(),
+        amount: Amount::of_spacing(rule.spacing_cells).steps().into(),
         walls_hi,
         brick_bits: rule.side.cells().ilog2(),
         group_samples: samples / groups,

@@ -11,7 +11,7 @@ use zstd::bulk::Decompressor;
 
 use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape, PageSource};
 use crate::field::calibration::refuse_finest;
-use crate::field::indicator::{Amount, Indicator, SampledDif};
+use crate::field::indicator::{Indicator, SampledDif};
 use crate::grid::units::{MeanCount, positive_length};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey, Periodic};
 use crate::io::bytes::{Bytes, Kept, open_bytes};
@@ -164,7 +164,7 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     let footer = read_tail(&window)?;
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
-    if version == FIRST_VERSION && matches!(indicator, Indicator::Cloud(_)) {
+    if version == FIRST_VERSION && indicator == Indicator::Cloud {
         let what = "clouds of version 1, which another surface was drawn of; pack the particles again";
         return Err(ReadFault::Unsupported(what.into()));
     }
@@ -289,7 +289,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
         2 => {
             let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
             refuse_finest(spacing_cells, grid.cell_size()).map_err(|e| fault(&e))?;
-            Indicator::Cloud(Amount::of_spacing(spacing_cells.unwrap_or(1.0)))
+            Indicator::Cloud
         }
         other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
     };

@@ -7,7 +7,7 @@ use zstd::bulk::Compressor;
 use zstd::zstd_safe::CParameter;
 
 use crate::brick::{FrameFacts, PageInfo, PageShape};
-use crate::field::indicator::{Indicator, IndicatorKind, SampledDif};
+use crate::field::indicator::{Indicator, SampledDif};
 use crate::grid::BIN;
 use crate::grid::units::MeanCount;
 
@@ -121,10 +121,10 @@ fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
         [lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]]
     });
     let mean = indicator.mean().map_or(0.0, MeanCount::particles);
-    let indicator = match indicator.kind() {
-        IndicatorKind::Symmetry => 0_u32,
-        IndicatorKind::Counting => 1,
-        IndicatorKind::Cloud => 2,
+    let indicator = match indicator {
+        Indicator::Symmetry => 0_u32,
+        Indicator::Counting(_) => 1,
+        Indicator::Cloud => 2,
     };
     let census = &facts.census;
     let particles = [census.binned, census.not_finite, census.too_far, census.outside];

@@ -1,7 +1,8 @@
 //! Making a part: the bins that decide its blocks are sampled, and those blocks meshed.
 
 use crate::error::{Error, PartsError};
-use crate::frame::{Counted, Frame as Engine, FrameError};
+use crate::field::indicator::IndicatorKind;
+use crate::frame::{Counted, Frame as Engine};
 use crate::grid::stretch::WantedBins;
 use crate::io::input::open_wanted;
 use crate::io::stamp::Stamp;
@@ -41,7 +42,7 @@ impl Parts {
             return Err(PartsError::NoPart { part, of: self.count }.into());
         }
         let (plan, fingerprint) = self.planned(&begun)?;
-        let Begun { checked, folder, .. } = begun;
+        let Begun { checked, folder, indicator } = begun;
         let path = part_in(&folder, part);
         let mark = mark(&plan, fingerprint, part, &checked);
         match PartFile::open(&path, mark, &components(&plan)) {
@@ -55,8 +56,9 @@ impl Parts {
         let prepare = || WholeFile::prepare(&path, Replace::Allow);
         let (file, unfinished) = control.cancel.guard(prepare, WholeFile::temporary)?;
         let mut timings = Timings::default();
-        let meshed =
-            self.meshed(&ready, &plan, mark, &mut timings).map_err(|error| error.of_file(&self.input))?;
+        let meshed = self
+            .meshed(&ready, &plan, indicator, mark, &mut timings)
+            .map_err(|error| error.of_file(&self.input))?;
         let stamp = Stamp::of(&self.input).map_err(|fault| ReadError::new(&self.input, fault.into()))?;
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
@@ -72,14 +74,20 @@ impl Parts {
         Ok(PartMade { path, bytes, blocks, triangles, read, was_there: false, warnings, timings })
     }
 
-    fn meshed(&self, ready: &Ready, plan: &Plan, mark: Mark, timings: &mut Timings) -> Result<Meshed, Error> {
+    fn meshed(
+        &self,
+        ready: &Ready,
+        plan: &Plan,
+        indicator: IndicatorKind,
+        mark: Mark,
+        timings: &mut Timings,
+    ) -> Result<Meshed, Error> {
         let Ready { checked, threads } = ready;
         let control = &checked.resources.control;
         threads.install(|| {
-            let asked = checked.sampling.field.indicator().ok_or(FrameError::OtherIndicator)?;
             let wanted = |carried: Vec<usize>| {
                 let sampling = plan.sampling(checked, carried)?;
-                let sight = sampling.sight(asked, &checked.surfacing);
+                let sight = sampling.sight(indicator, &checked.surfacing);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
             // What is seen depends on whether attributes are carried, and on no more of them.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::error::{Error, PartsError};
-use crate::field::indicator::IndicatorRequest;
+use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::Estimate;
 use crate::frame::{Counted, Frame as Engine, Sampling};
 use crate::grid::stretch::{Sight, Stretch};
@@ -47,17 +47,17 @@ impl Parts {
             (Err(fault), Again::Refuse) => return Err(fault),
             _ => {}
         }
-        let Begun { checked, folder, asked } = begun;
+        let Begun { checked, folder, indicator } = begun;
         let ready = checked.clone().on_threads()?;
         let mut timings = Timings::default();
-        let (plan, takes) = self.measured(&ready, asked, &mut timings)?;
+        let (plan, takes) = self.measured(&ready, indicator, &mut timings)?;
         let save = || {
             plan.save(&folder)?;
             sweep(&folder);
             Ok::<_, PartsError>(())
         };
         checked.resources.control.cancel.undisturbed(save)?;
-        self.told(plan, Some(takes), &Begun { checked, folder, asked }, timings)
+        self.told(plan, Some(takes), &Begun { checked, folder, indicator }, timings)
     }
 
     fn told(
@@ -81,7 +81,7 @@ impl Parts {
             moved_to: plan.moved.then_some(plan.origin),
             format: plan.format,
             cells: plan.cells,
-            indicator: begun.asked.kind,
+            indicator: begun.indicator,
             census: plan.census,
             calibration,
             budget: begun.checked.resources.budget.0,
@@ -95,7 +95,7 @@ impl Parts {
     fn measured(
         &self,
         ready: &Ready,
-        asked: IndicatorRequest,
+        indicator: IndicatorKind,
         timings: &mut Timings,
     ) -> Result<(Plan, Vec<PartTakes>), Error> {
         let (Ready { checked, threads }, input) = (ready, &self.input);
@@ -111,7 +111,7 @@ impl Parts {
             };
             let (file, chosen) = checked.resources.control.during(Stage::Reading, open)?;
             timings.done("spacing");
-            self.sampled(checked, asked, file, chosen, before, timings)
+            self.sampled(checked, indicator, file, chosen, before, timings)
         });
         let measured = measured.map_err(|error| error.of_file(input))?;
         if stamp()? != before {
@@ -123,7 +123,7 @@ impl Parts {
     fn sampled(
         &self,
         checked: &Checked,
-        asked: IndicatorRequest,
+        indicator: IndicatorKind,
         file: ParticleFile,
         chosen: ChosenSampling,
         stamp: Stamp,
@@ -152,7 +152,7 @@ impl Parts {
             (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
         let coincident = engine.coincident();
         drop(engine);
-        let shared = shared(&bins, &cuts, sampling.sight(asked, surfacing));
+        let shared = shared(&bins, &cuts, sampling.sight(indicator, surfacing));
         let parts = shares(&bins, &cuts, &shared);
         let plan = Plan {
             meniscus: env!("CARGO_PKG_VERSION").into(),

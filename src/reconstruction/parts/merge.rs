@@ -38,7 +38,7 @@ impl Parts {
     pub fn merge(&self) -> Result<Surface, Error> {
         let begun = self.begin()?;
         let (plan, fingerprint) = self.planned(&begun)?;
-        let Begun { checked, folder, asked } = begun;
+        let Begun { checked, folder, indicator } = begun;
         let Ready { checked, threads } = checked.on_threads()?;
         let mut timings = Timings::default();
         let control = &checked.resources.control;
@@ -48,7 +48,7 @@ impl Parts {
             timings.done("verify");
             let sampling = plan.sampling(&checked, Vec::new())?;
             let facts = plan.facts(&sampling);
-            let indicator = Some(plan.indicator(&facts, asked.kind)?);
+            let indicator = Some(plan.indicator(indicator)?);
             let backend = checked.resources.backend.name();
             let report = Report::of_facts(facts, indicator, &checked.surfacing, backend);
             drawn(&plan, &checked, &sampling, joined, report, &mut timings)

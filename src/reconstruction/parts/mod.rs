@@ -21,7 +21,8 @@ use std::path::{Path, PathBuf};
 use crate::brick::Census;
 use crate::error::{Conflict, Error, PartsError, Setting, Unfit};
 use crate::field::calibration::Calibration;
-use crate::field::indicator::{IndicatorKind, IndicatorRequest};
+use crate::field::indicator::IndicatorKind;
+use crate::frame::Method;
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
 use crate::system::timings::Timings;
@@ -167,7 +168,8 @@ impl Reconstruction {
 struct Begun {
     checked: Checked,
     folder: PathBuf,
-    asked: IndicatorRequest,
+    /// The indicator that makes the field: parts are not for kernels.
+    indicator: IndicatorKind,
 }
 
 impl Parts {
@@ -201,17 +203,19 @@ impl Parts {
             let with = Conflict::Packed(self.input.clone());
             return Err(Unfit { setting: Setting::named("parts"), with }.into());
         }
-        if let Some(method) = checked.settings.kernels() {
-            return Err(Unfit { setting: Setting::named("parts"), with: Conflict::Method(method) }.into());
-        }
+        let indicator = match checked.sampling.method {
+            Method::Indicator { kind, .. } => kind,
+            Method::Kernels(kernels) => {
+                let with = Conflict::Method(kernels);
+                return Err(Unfit { setting: Setting::named("parts"), with }.into());
+            }
+        };
         checked.refuse_of_indicator()?;
         refuse_same_file(&self.output, file_and_step(&self.input).0)?;
         if self.output.metadata().is_ok_and(|found| !found.is_file()) {
             return Err(PartsError::NoFile(self.output.clone()).into());
         }
-        let kind = checked.settings.indicator.unwrap_or_default();
-        let asked = checked.sampling.field.indicator().unwrap_or(kind.into());
-        Ok(Begun { checked, folder: self.folder(), asked })
+        Ok(Begun { checked, folder: self.folder(), indicator })
     }
 
     /// The plan that was made for what is asked for, and its fingerprint.

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, PartsError};
 use crate::field::calibration::{Calibrated, Calibration, Plateau};
-use crate::field::indicator::{Amount, Indicator, IndicatorKind, IndicatorRequest};
-use crate::frame::{Coincident, FieldRequest, Sampling};
+use crate::field::indicator::{Indicator, IndicatorKind};
+use crate::frame::{Coincident, Sampling};
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MeanCount;
 use crate::grid::{Grid, MortonKey};
@@ -193,16 +193,11 @@ impl Plan {
 
     /// How parts are sampled: as all of it was, and by the mu0 that was measured.
     pub(super) fn sampling(&self, checked: &Checked, carried: Vec<usize>) -> Result<Sampling, Error> {
-        let field = match checked.sampling.field {
-            FieldRequest::Indicator(asked) => {
-                let mean = self.mean.map(MeanCount::new).transpose()?;
-                FieldRequest::Indicator(IndicatorRequest { mean, ..asked })
-            }
-            kernels => kernels,
-        };
+        let mean = self.mean.map(MeanCount::new).transpose()?;
+        let method = checked.sampling.method.with_mean(mean);
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(self.cells.slab);
-        request.sampling_on(self.grid()?, field, self.cells.spacing(), carried, resources)
+        request.sampling_on(self.grid()?, method, self.cells.spacing(), carried, resources)
     }
 
     /// The facts of the whole frame.
@@ -211,13 +206,9 @@ impl Plan {
         FrameFacts { grid, domain, periodic, census: self.census, spacing }
     }
 
-    /// The indicator of the whole frame, by that which is asked for.
-    pub(super) fn indicator(&self, facts: &FrameFacts, kind: IndicatorKind) -> Result<Indicator, Error> {
-        Ok(match kind {
-            IndicatorKind::Symmetry => Indicator::Symmetry,
-            IndicatorKind::Cloud => Indicator::Cloud(Amount::of_spacing(facts.spacing_cells_or_one())),
-            IndicatorKind::Counting => Indicator::Counting(MeanCount::new(self.mean.unwrap_or_default())?),
-        })
+    /// The indicator of the whole frame, with the mu0 that was measured where it counts.
+    pub(super) fn indicator(&self, kind: IndicatorKind) -> Result<Indicator, Error> {
+        Ok(kind.with_mean(|| MeanCount::new(self.mean.unwrap_or_default()))?)
     }
 
     /// The measurements, unless a calibration was given.

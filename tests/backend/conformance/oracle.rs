@@ -36,7 +36,7 @@ fn variants(place: &Place, seed: u64) -> Vec<Variant> {
             (2.0, Detail::Smoothed),
         ] {
             for walls in [false, true] {
-                let mut sampling = Sampling { field: indicator.into(), ..place.sampling() };
+                let mut sampling = Sampling { method: indicator.into(), ..place.sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let (sigma, iso) = (Sigma::new(sigma).ok(), Isovalue::new(0.3).ok());
                 let surfacing = Surfacing { sigma, detail, iso, ..surfacing() };
@@ -64,8 +64,8 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
         (&water, 8.0, 1.6, true),
     ];
     let variant = |(particles, spacing, smooth, walls): (&Vec<[f64; 3]>, f64, f64, bool)| {
-        let field = IndicatorKind::Cloud.into();
-        let mut sampling = Sampling { field, spacing: Some(spacing), ..place.sampling() };
+        let method = IndicatorKind::Cloud.into();
+        let mut sampling = Sampling { method, spacing: Some(spacing), ..place.sampling() };
         if walls {
             // An odd number of cells from odd ones on, so that wide cells lie across walls.
             let odd = |spacings: f64| 2.0 * (spacings * spacing / 2.0).floor() + 1.0;
@@ -93,7 +93,7 @@ fn water(seed: u64) -> Vec<[f64; 3]> {
 
 /// The field that the oracle computes.
 fn dense_field(frame: &Frame, Variant { particles, sampling, surfacing }: &Variant) -> Dense<u16> {
-    if sampling.field != IndicatorKind::Cloud.into() {
+    if sampling.method != IndicatorKind::Cloud.into() {
         return oracle(frame, sampling, surfacing).integer(particles);
     }
     let inside = inside(frame, surfacing);
@@ -154,7 +154,7 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
             let frame = Frame::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
             let dense = dense_field(&frame, &variant);
             let what =
-                format!("seed {seed}, {:?}, spacing {:?}, {surfacing:?}", sampling.field, sampling.spacing);
+                format!("seed {seed}, {:?}, spacing {:?}, {surfacing:?}", sampling.method, sampling.spacing);
             let surface = recipe(&frame, surfacing).0.iso.threshold();
             let inside = dense.values.iter().filter(|&&sample| sample > surface).count();
             assert!(inside > 200, "{what}: the scene has an inside");
@@ -192,8 +192,8 @@ pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
     ]);
     for (spacing, walls) in [(1.0, false), (1.5, true), (2.0, false), (2.0, true)] {
         let particles: Vec<[f64; 3]> = spray.iter().map(|p| p.map(|x| x * spacing)).collect();
-        let field = IndicatorKind::Cloud.into();
-        let mut sampling = Sampling { field, spacing: Some(spacing), ..place.sampling() };
+        let method = IndicatorKind::Cloud.into();
+        let mut sampling = Sampling { method, spacing: Some(spacing), ..place.sampling() };
         if walls {
             let half = DVec3::splat((12.0 * spacing).floor());
             sampling.domain = Domain::new(&sampling.grid, -half, half).ok();
@@ -235,7 +235,7 @@ pub fn threads_particle_order_and_brick_side_change_no_byte(place: &Place) {
 
 pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place: &Place) {
     for Variant { particles, sampling, surfacing } in variants(place, 12) {
-        if sampling.field == IndicatorKind::Cloud.into() {
+        if sampling.method == IndicatorKind::Cloud.into() {
             continue;
         }
         let (frame, surface) = reconstruct(&particles[..], &sampling, &surfacing);
@@ -322,7 +322,7 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
         assert!(field_here.samples().iter().any(|&sample| sample > 20_000), "the scene has an inside");
         let recipe = surfacing.recipe(dif(&there), &measured.calibration);
         let field_there = field(&recipe, dif(&there), elsewhere);
-        assert!(field_here.samples() == field_there.samples(), "{:?}", sampling.field);
+        assert!(field_here.samples() == field_there.samples(), "{:?}", sampling.method);
     }
 }
 

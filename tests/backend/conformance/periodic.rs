@@ -3,8 +3,8 @@
 use glam::DVec3;
 use meniscus::internals::backend::Backend;
 use meniscus::internals::field::calibration::Calibration;
-use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::internals::frame::{Frame, Normals, Sampling, Surfacing};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{Frame, Method, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::{Domain, Grid, Periodic, PeriodicMesh};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
@@ -18,11 +18,11 @@ use crate::common::{INDICATORS, surfacing};
 /// Clouds and others in cells of an edge, with particles 1 apart.
 fn sampling(place: &Place, kind: IndicatorKind, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
-    Sampling { field: kind.into(), grid, spacing: Some(1.0), side: kind.brick_side(), ..place.sampling() }
+    Sampling { method: kind.into(), grid, spacing: Some(1.0), side: kind.brick_side(), ..place.sampling() }
 }
 
 fn in_box(sampling: &Sampling, surfacing: &Surfacing, faces: Faces) -> Sampling {
-    let reach = surfacing.reach(sampling.field, sampling.spacing, &sampling.grid);
+    let reach = surfacing.reach(sampling.method, sampling.spacing, &sampling.grid);
     let periodic = Periodic::new(&sampling.grid, faces, reach).unwrap();
     Sampling { periodic: Some(periodic), ..sampling.clone() }
 }
@@ -71,8 +71,8 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
                 assert_watertight(&found, &what);
 
                 let mean = calibration.and_then(|known| known.mean());
-                let field = IndicatorRequest { kind, mean }.into();
-                let alone = Sampling { field, ..sampling.clone() };
+                let method = Method::Indicator { kind, mean };
+                let alone = Sampling { method, ..sampling.clone() };
                 let (expected, _) =
                     drawn(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
                 // Between the outermost centres and the faces the mesh is cut, and its gradient ends there.

@@ -19,7 +19,7 @@ const CELLS: f64 = 1.6;
 fn frame(place: &Place, indicator: IndicatorKind) -> (Frame, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
-    let sampling = Sampling { field: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
+    let sampling = Sampling { method: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
     let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;

@@ -50,7 +50,7 @@ pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percen
                 let particles = fill(50.0, 1.0, jitter, 5, inside);
                 let (_, surface) = reconstruct(
                     &particles[..],
-                    &Sampling { field: indicator.into(), ..place.sampling() },
+                    &Sampling { method: indicator.into(), ..place.sampling() },
                     &surfacing(),
                 );
                 let what = format!("{name}, {indicator:?}, jitter {jitter}");
@@ -149,7 +149,7 @@ pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifo
 /// Clouds of particles a unit apart in cells of so many spacings.
 fn of_spacings(place: &Place, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
-    Sampling { field: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..place.sampling() }
+    Sampling { method: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..place.sampling() }
 }
 
 /// Cells from a quarter of a spacing to two thirds.
@@ -347,7 +347,7 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
                 [(0.8, Detail::Smoothed), (1.0, Detail::Recovered), (3.0, Detail::Smoothed)]
             {
                 for walls in [false, true] {
-                    let mut sampling = Sampling { field: indicator.into(), ..place.sampling() };
+                    let mut sampling = Sampling { method: indicator.into(), ..place.sampling() };
                     sampling.domain = walls.then(|| tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
                         let surfacing =
@@ -373,7 +373,7 @@ pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &P
             let sampling = place.sampling();
             let domain = Domain::new(&sampling.grid, lo, hi).unwrap();
             let particles = fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
-            let sampling = Sampling { field: indicator.into(), domain: Some(domain), ..sampling };
+            let sampling = Sampling { method: indicator.into(), domain: Some(domain), ..sampling };
             let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
             assert_watertight(&mesh, "a tank");
             let measures = measure(&mesh);
@@ -393,7 +393,7 @@ pub fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_els
         let sampling = place.sampling();
         let domain = Domain::new(&sampling.grid, -walls, walls).unwrap();
         let particles = fill(20.0, 1.5, 0.3, 9, |p| p.abs().cmplt(walls).all());
-        let sampling = Sampling { field: indicator.into(), domain: Some(domain), ..sampling };
+        let sampling = Sampling { method: indicator.into(), domain: Some(domain), ..sampling };
         let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
         assert_watertight(&mesh, "a full tank");
         let measures = measure(&mesh);
@@ -437,7 +437,7 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
     for indicator in INDICATORS {
         let surface = Frame::sample(
             &particles[..],
-            &Sampling { field: indicator.into(), spacing: Some(1.0), ..place.sampling() },
+            &Sampling { method: indicator.into(), spacing: Some(1.0), ..place.sampling() },
             &mut Timings::default(),
         )
         .and_then(|frame| frame.surface(&surfacing(), &mut Timings::default()));
