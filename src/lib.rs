@@ -16,11 +16,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a [`Report`]; [`Reconstruction::sample`] gives a
-//! [`Frame`], which is sampled once and drawn as often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a
-//! simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. [`Settings`] hold all that a request can say of a surface, and
-//! a [`Cloud`] adds attributes to positions in memory. What fails is an [`Error`], whose
-//! [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
+//! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a
+//! [`Report`]; [`Reconstruction::sample`] gives a [`Frame`], which is sampled once and drawn as
+//! often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a simulation
+//! are a [`Simulation`], or a [`LiveSimulation`] while it runs. [`Settings`] hold all that a
+//! request can say of a surface, and a [`Cloud`] adds attributes to positions in memory. What fails
+//! is an [`Error`], whose [`Cause`] says whose fault it is. Any of them can be ended early by a
+//! [`Cancel`].
 //!
 //! # Frames of a simulation
 //!
@@ -119,15 +121,18 @@
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
-//! Everything from a particle to the field is integer, so the result depends on nothing but the input: not
-//! on the particles' order, the threads, or how the field is stored. Every mesh is a closed, oriented
-//! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
+//! Everything from a particle to the field is integer, so the result depends on nothing but the
+//! input: not on the particles' order, the threads, or how the field is stored. Every mesh is a
+//! closed, oriented 2-manifold; vertices are shared by the identity of the grid edge that they lie
+//! on.
 //!
-//! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to know in [`guide`]. The modules of the
-//! pipeline are in [`internals`], for whoever changes them; [`guide::contributing`] says how.
+//! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to
+//! know in [`guide`]. The modules of the pipeline are in [`internals`], for whoever changes them;
+//! [`guide::contributing`] says how.
 //!
-//! Features, all of them on by default: `cli` builds the program, and what it needs of terminals; `pictures` the module
-//! [`picture`]; `hdf5` reads HDF5. A library that only makes meshes needs none of them.
+//! Features, all of them on by default: `cli` builds the program, and what it needs of terminals;
+//! `pictures` the module [`picture`]; `hdf5` reads HDF5. A library that only makes meshes needs
+//! none of them.
 
 mod backend;
 mod baselines;
@@ -150,8 +155,9 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, the spacing of the particles, simulations, animations in Blender and ParaView, periodic boxes,
-/// pictures, what to choose, how accurate and how fast it is, GPUs, limits, trust, and how to change it.
+/// Guides: what goes in and out, the spacing of the particles, simulations, animations in Blender
+/// and ParaView, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs,
+/// limits, trust, and how to change it.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -189,7 +195,8 @@ pub mod guide {
     pub mod trust {}
 }
 
-/// Meshes: their pieces, whole ones in memory, and what there is to check, to measure and to compare.
+/// Meshes: their pieces, whole ones in memory, and what there is to check, to measure and to
+/// compare.
 pub mod mesh {
     pub use crate::io::output::read_mesh;
     pub use crate::surface::mesh::check::{Found, Report as CheckReport, Topology, check};
@@ -226,8 +233,10 @@ pub mod files {
     pub use crate::simulation::{FrameFile, files, frames};
 }
 
-/// Where stages run: the processor, a Vulkan device, or a caller's own. A [`Pipeline`](devices::Pipeline) meshes particles that are on a
-/// device already, by a [`DeviceRequest`](devices::DeviceRequest) that [`Reconstruction::on_device`] makes of the usual settings.
+/// Where stages run: the processor, a Vulkan device, or a caller's own. A
+/// [`Pipeline`](devices::Pipeline) meshes particles that are on a device already, by a
+/// [`DeviceRequest`](devices::DeviceRequest) that [`Reconstruction::on_device`] makes of the usual
+/// settings.
 pub mod devices {
     pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
     pub use crate::backend::{Backend, Work};
@@ -237,27 +246,31 @@ pub mod devices {
     pub use crate::frame::{Detail, Normals, Surfacing};
     pub use crate::grid::units::{Sigma, Smooth};
     pub use crate::vulkan::{
-        Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Foreign, Instance,
-        Moment, Timing, View,
+        Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Foreign,
+        Instance, Moment, Timing, View,
     };
 }
 
-/// All modules, for the library's own tests and tools: what is in here may change from one version to the next.
+/// All modules, for the library's own tests and tools: what is in here may change from one version
+/// to the next.
 #[doc(hidden)]
 pub mod internals {
     /// Backends for the stages of a frame: the processor's cores, or a Vulkan device.
     pub mod backend {
         pub use crate::backend::*;
     }
-    /// The kernel methods that the paper compares against (section 3), on the same bins, dual grid and stitching.
+    /// The kernel methods that the paper compares against (section 3), on the same bins, dual grid
+    /// and stitching.
     pub mod baselines {
         pub use crate::baselines::*;
     }
-    /// Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of it.
+    /// Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of
+    /// it.
     pub mod brick {
         pub use crate::brick::*;
     }
-    /// From particles to the field whose level the surface is: indicators, filters, the recipe that joins them, and the calibration that says which level.
+    /// From particles to the field whose level the surface is: indicators, filters, the recipe that
+    /// joins them, and the calibration that says which level.
     pub mod field {
         pub use crate::field::*;
     }
@@ -265,7 +278,8 @@ pub mod internals {
     pub mod frame {
         pub use crate::frame::*;
     }
-    /// Where things are: the world-anchored cell grid, boxes of cells, Morton keys and the walls of a tank.
+    /// Where things are: the world-anchored cell grid, boxes of cells, Morton keys and the walls of
+    /// a tank.
     pub mod grid {
         pub use crate::grid::*;
     }
@@ -273,11 +287,13 @@ pub mod internals {
     pub mod io {
         pub use crate::io::*;
     }
-    /// The interface to particles: read by range, from several threads, as often as the pipeline likes.
+    /// The interface to particles: read by range, from several threads, as often as the pipeline
+    /// likes.
     pub mod particles {
         pub use crate::particles::*;
     }
-    /// Particles to a surface in one call, with everything chosen that is not said: the facade, and the policy behind it.
+    /// Particles to a surface in one call, with everything chosen that is not said: the facade, and
+    /// the policy behind it.
     pub mod reconstruction {
         pub use crate::reconstruction::*;
     }
@@ -289,11 +305,13 @@ pub mod internals {
     pub mod shaders {
         pub use crate::shaders::*;
     }
-    /// The frames of a simulation: which files they are, what is measured once for all of them, and what is known of each that is done.
+    /// The frames of a simulation: which files they are, what is measured once for all of them, and
+    /// what is known of each that is done.
     pub mod simulation {
         pub use crate::simulation::*;
     }
-    /// From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and what a mesh is checked and compared by.
+    /// From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and
+    /// what a mesh is checked and compared by.
     pub mod surface {
         pub use crate::surface::*;
     }
@@ -318,13 +336,13 @@ pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts, Planned,
-    Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
+    Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts,
+    Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
 };
 pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source};
 pub use simulation::{
-    Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing, Simulation,
-    Summary, Tallied, Trust,
+    Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing,
+    Simulation, Summary, Tallied, Trust,
 };
 pub use surface::simplify::TooSmall;
 pub use system::cancel::Cancel;

@@ -1,7 +1,7 @@
 //! Settings of a surface: each said once, with its name, its type, and the help that people read.
 //!
-//! The command line is parsed into [`Settings`], the bindings fill them by name, state files and plans keep them, and errors name
-//! them by [`Setting`]. Numbers are checked where they are used.
+//! The command line is parsed into [`Settings`], the bindings fill them by name, state files and
+//! plans keep them, and errors name them by [`Setting`]. Numbers are checked where they are used.
 
 mod faces;
 mod plain;
@@ -88,7 +88,8 @@ macro_rules! settings {
             /// The lines of documentation of each setting, in the same order.
             const DOCS: &[&[&str]] = &[$(&[$($doc),*]),*];
 
-            /// Sets what is called so in snake case from a caller's value; `false` where nothing is.
+            /// Sets what is called so in snake case from a caller's value; `false` where nothing
+            /// is.
             ///
             /// # Errors
             /// Those of the source, for a value of another type.
@@ -110,7 +111,8 @@ macro_rules! settings {
                 true
             }
 
-            /// The first setting that is given, differs from another one's, and is one of those that are meant.
+            /// The first setting that is given, differs from another one's, and is one of those
+            /// that are meant.
             pub(crate) fn given_otherwise(
                 &self,
                 other: &Self,
@@ -171,8 +173,9 @@ settings! {
 
     /// A box beyond whose faces the fluid repeats itself.
     ///
-    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z. Beyond a face the fluid goes on as it does
-    /// behind the opposite one. Particles on an upper face count as on the lower one; others outside are refused.
+    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z. Beyond a
+    /// face the fluid goes on as it does behind the opposite one. Particles on an upper face count
+    /// as on the lower one; others outside are refused.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
@@ -190,26 +193,31 @@ settings! {
 
     /// Smoothing width in spacings; more is calmer [default: 1.6].
     ///
-    /// Particles within this distance merge: 2 for the noise of FLIP, less to see every ripple. For the indicator cloud.
+    /// Particles within this distance merge: 2 for the noise of FLIP, less to see every ripple. For
+    /// the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with [default: dif].
+    /// How the field is made: by discrete indicator functions, or by a kernel method to compare
+    /// them with [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
 
-    /// Width of the Gaussian, for the indicators counting and symmetry [default: a spacing, and a cell at the least].
+    /// Width of the Gaussian, for the indicators counting and symmetry
+    /// [default: a spacing, and a cell at the least].
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
     sigma: Option<f64>,
 
-    /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller and yu-turk [default: auto].
+    /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller
+    /// and yu-turk [default: auto].
     ///
-    /// auto is 0.47 of the field deep in the fluid. Where no fluid is deep, the spacing tells what the field would be there. For kernel
-    /// methods auto is 0.5.
+    /// auto is 0.47 of the field deep in the fluid. Where no fluid is deep, the spacing tells what
+    /// the field would be there. For kernel methods auto is 0.5.
     #[arg(value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     iso: Option<Iso>,
 
-    /// Recover details that smoothing loses, such as drops, for the indicators counting and symmetry.
+    /// Recover details that smoothing loses, such as drops, for the indicators counting and
+    /// symmetry.
     #[arg(help_heading = "Surface", hide_short_help = true)]
     detail: bool,
 
@@ -237,7 +245,8 @@ settings! {
     #[arg(alias = "drop-smaller", value_name = "CELLS3", allow_negative_numbers = true, help_heading = "Output", hide_short_help = true)]
     smallest_component: Option<f64>,
 
-    /// Leave out drops of fewer particles, as told by their volume [default: 1, which leaves out none].
+    /// Leave out drops of fewer particles, as told by their volume
+    /// [default: 1, which leaves out none].
     #[arg(value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
     smallest_drop: Option<u32>,
 
@@ -245,8 +254,8 @@ settings! {
     #[arg(help_heading = "Output", hide_short_help = true)]
     compress: bool,
 
-    /// The axis that points up in the mesh, which is turned where the particles have the other one up. In a .glb y does
-    /// [default: as in the particles].
+    /// The axis that points up in the mesh, which is turned where the particles have the other one
+    /// up. In a .glb y does [default: as in the particles].
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<UpAxis>,
 
@@ -258,14 +267,17 @@ settings! {
 /// Settings by their keys, as state files and plans keep them.
 pub type Kept = Map<String, Value>;
 
-/// Says what is different now from when a version was asked for some settings, for people; empty where nothing is. Another version may
-/// have made something else of the same settings.
+/// Says what is different now from when a version was asked for some settings, for people; empty
+/// where nothing is. Another version may have made something else of the same settings.
 pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "version".into();
     }
     let keys = kept.keys().chain(wanted.keys().filter(|key| !kept.contains_key(*key)));
-    keys.filter(|key| kept.get(*key) != wanted.get(*key)).map(String::as_str).collect::<Vec<_>>().join(", ")
+    keys.filter(|key| kept.get(*key) != wanted.get(*key))
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// Settings that need the particles: a frame that is sampled keeps those that it was sampled by.
@@ -306,7 +318,8 @@ impl Settings {
         self.spacing.or(self.radius.map(|radius| 2.0 * radius))
     }
 
-    /// Settings that make the same mesh, said in one way: a spacing for a radius, and nothing for a default.
+    /// Settings that make the same mesh, said in one way: a spacing for a radius, and nothing for a
+    /// default.
     pub(crate) fn plain(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];
@@ -315,7 +328,10 @@ impl Settings {
             radius: None,
             iso,
             method: self.method.filter(|method| *method != MethodName::Dif),
-            attributes: self.attributes.clone().map(|names| if names.is_empty() { none() } else { names }),
+            attributes: self
+                .attributes
+                .clone()
+                .map(|names| if names.is_empty() { none() } else { names }),
             ..self.clone()
         }
     }
@@ -340,7 +356,8 @@ impl Settings {
         }
     }
 
-    /// The names of the attributes that are to be carried; `None` for the velocity, where it can be held.
+    /// The names of the attributes that are to be carried; `None` for the velocity, where it can be
+    /// held.
     #[must_use]
     pub fn attribute_names(&self) -> Option<&[String]> {
         let names = self.attributes.as_deref()?;
@@ -441,7 +458,10 @@ mod tests {
         let mut settings = all();
         for setting in Settings::ALL {
             let help = setting.help();
-            assert!(help.len() > 10 && !help.contains('\n') && !help.contains("  "), "{setting}: {help}");
+            assert!(
+                help.len() > 10 && !help.contains('\n') && !help.contains("  "),
+                "{setting}: {help}"
+            );
             assert!(settings.clear(setting.name()), "{setting}");
         }
         assert_eq!(settings, Settings::default());

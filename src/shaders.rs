@@ -1,6 +1,7 @@
 //! Every shader of `spirv`, and the push constants that each takes.
 //!
-//! `cargo run --example shaders` writes this file from the WGSL sources, which explain buffers and fields.
+//! `cargo run --example shaders` writes this file from the WGSL sources, which explain buffers and
+//! fields.
 #![allow(missing_docs, reason = "the WGSL sources explain them")]
 
 use bytemuck::{Pod, Zeroable};

@@ -1,5 +1,6 @@
-//! Every target of `tests/fuzz`, on stable Rust: mutations of its seeds, the same each time. What libFuzzer does for hours this does for
-//! seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as much, of the targets whose names contain `MENISCUS_FUZZ`.
+//! Every target of `tests/fuzz`, on stable Rust: mutations of its seeds, the same each time. What
+//! libFuzzer does for hours this does for seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as
+//! much, of the targets whose names contain `MENISCUS_FUZZ`.
 #![cfg(feature = "cli")]
 #![allow(
     dead_code,
@@ -45,7 +46,9 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
     for (number, seed) in
         seeds.iter().enumerate().filter(|(_, seed)| target.runs >= QUICK && seed.len() < SHORT)
     {
-        for (at, mask) in (0..seed.len()).flat_map(|at| [0x01, 0x10, 0x80, 0xff].map(|mask| (at, mask))) {
+        for (at, mask) in
+            (0..seed.len()).flat_map(|at| [0x01, 0x10, 0x80, 0xff].map(|mask| (at, mask)))
+        {
             let mut data = seed.clone();
             data[at] ^= mask;
             run(&format_args!("number {number} with byte {at} changed by {mask:#x}"), &data);
@@ -61,9 +64,11 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
 #[test]
 fn no_mutation_of_any_input_brings_a_target_down() {
     let set = |name: &str| std::env::var(name).ok();
-    let times = set("MENISCUS_FUZZ_RUNS").map_or(1, |times| times.parse().expect("a number of times"));
+    let times =
+        set("MENISCUS_FUZZ_RUNS").map_or(1, |times| times.parse().expect("a number of times"));
     let name = set("MENISCUS_FUZZ").unwrap_or_default();
-    let mut chosen: Vec<Target> = targets::all().into_iter().filter(|t| t.name.contains(&name)).collect();
+    let mut chosen: Vec<Target> =
+        targets::all().into_iter().filter(|t| t.name.contains(&name)).collect();
     assert!(!chosen.is_empty(), "no target is called {name}");
     chosen.reverse();
     let left = Mutex::new(chosen);

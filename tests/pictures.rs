@@ -1,4 +1,5 @@
-//! Pictures of meshes: what is seen is what is there, whatever draws it; and files of pictures, whole or not at all.
+//! Pictures of meshes: what is seen is what is there, whatever draws it; and files of pictures,
+//! whole or not at all.
 #![cfg(feature = "pictures")]
 #![allow(clippy::unwrap_used)]
 
@@ -17,7 +18,9 @@ use common::shapes::{cuboid, sphere, torus};
 use meniscus::files::Replace;
 use meniscus::mesh::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
-use meniscus::picture::{Colour, Effort, Image, Picture, PictureError, Pictures, Reference, Scope, View};
+use meniscus::picture::{
+    Colour, Effort, Image, Picture, PictureError, Pictures, Reference, Scope, View,
+};
 use meniscus::{Cancel, Cause, Error, Reconstruction, Surface, UpAxis};
 use rayon::ThreadPoolBuilder;
 use tempfile::TempDir;
@@ -43,8 +46,10 @@ fn red_box(image: &Image) -> [usize; 4] {
         let pixels = image.rgb().chunks(3).enumerate().filter(|(_, pixel)| is_red(pixel));
         pixels.map(|(n, _)| [n % image.width(), n / image.width()])
     };
-    let [left, right] = [places().map(|p| p[0]).min().unwrap(), places().map(|p| p[0]).max().unwrap()];
-    let [top, bottom] = [places().map(|p| p[1]).min().unwrap(), places().map(|p| p[1]).max().unwrap()];
+    let [left, right] =
+        [places().map(|p| p[0]).min().unwrap(), places().map(|p| p[0]).max().unwrap()];
+    let [top, bottom] =
+        [places().map(|p| p[1]).min().unwrap(), places().map(|p| p[1]).max().unwrap()];
     [left, right, top, bottom]
 }
 
@@ -98,7 +103,10 @@ fn every_box_is_seen_whole_and_nearly_fills_the_picture_from_anywhere() {
         }
         let image = picture.draw(&mesh).unwrap();
         let [left, right, top, bottom] = red_box(&image);
-        assert!(left > 0 && top > 0 && right < pixels[0] - 1 && bottom < pixels[1] - 1, "{n}: {size:?}");
+        assert!(
+            left > 0 && top > 0 && right < pixels[0] - 1 && bottom < pixels[1] - 1,
+            "{n}: {size:?}"
+        );
         let filled = [(right - left + 1, pixels[0]), (bottom - top + 1, pixels[1])];
         let filled = filled.map(|(seen, all)| seen as f64 / all as f64);
         assert!(filled[0].max(filled[1]) > 0.85, "{n}: {size:?} fills {filled:?}");
@@ -142,7 +150,11 @@ fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
     let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
     let velocities = mesh.positions.iter().flat_map(|_| [3.0, 0.0, 4.0]).collect();
     mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
-    mesh.attributes.push(VertexAttribute { name: "velocity".into(), components: 3, values: velocities });
+    mesh.attributes.push(VertexAttribute {
+        name: "velocity".into(),
+        components: 3,
+        values: velocities,
+    });
     let by = |name: &str, map: &str| {
         small().colour(Colour::Attribute { name: name.into(), map: map.parse().unwrap() })
     };
@@ -155,13 +167,20 @@ fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
     assert!(bottom[0] > bottom[2] && top[2] > top[0], "{bottom:?} {top:?}");
     // The legend is at the right edge, where otherwise the backdrop is.
     let plain = small().draw(&mesh).unwrap();
-    let edge =
-        |image: &Image| image.rgb().chunks(3 * 160).map(|row| row[3 * 135..].to_vec()).collect::<Vec<_>>();
+    let edge = |image: &Image| {
+        image.rgb().chunks(3 * 160).map(|row| row[3 * 135..].to_vec()).collect::<Vec<_>>()
+    };
     assert_ne!(edge(&image), edge(&plain));
     let missing = by("pressure", "magma").draw(&mesh).unwrap_err();
-    assert_eq!(missing.to_string(), "no attribute \"pressure\" on the vertices; there are: height, velocity");
+    assert_eq!(
+        missing.to_string(),
+        "no attribute \"pressure\" on the vertices; there are: height, velocity"
+    );
     let unknown = "rainbow".parse::<meniscus::picture::ColourMap>().unwrap_err();
-    assert!(unknown.to_string().starts_with("no colour map \"rainbow\"; there are: viridis, "), "{unknown}");
+    assert!(
+        unknown.to_string().starts_with("no colour map \"rainbow\"; there are: viridis, "),
+        "{unknown}"
+    );
 }
 
 #[test]
@@ -177,7 +196,10 @@ fn what_lies_behind_before_and_beside_the_eye_is_cut_off() {
     // From inside of the fluid there is nothing but it.
     let ball = sphere(1.0, 4);
     let inside = View::At { eye: [0.0; 3], target: [0.0, 0.0, 1.0] };
-    assert_eq!(red(&Picture::new().size(64, 48).view(inside).colour(RED).draw(&ball).unwrap()), 64 * 48);
+    assert_eq!(
+        red(&Picture::new().size(64, 48).view(inside).colour(RED).draw(&ball).unwrap()),
+        64 * 48
+    );
 }
 
 #[test]
@@ -197,8 +219,12 @@ fn what_no_picture_can_show_is_refused() {
         assert!(matches!(picture.draw(&ball), Err(PictureError::Size(..) | PictureError::View(_))));
     }
     let error = small().memory(1 << 20).draw(&ball).unwrap_err();
-    assert!(matches!(error, PictureError::Memory { needed, allowed } if needed > allowed), "{error}");
-    let weird = Mesh { positions: vec![[f64::NAN; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
+    assert!(
+        matches!(error, PictureError::Memory { needed, allowed } if needed > allowed),
+        "{error}"
+    );
+    let weird =
+        Mesh { positions: vec![[f64::NAN; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
     let nothing = small().draw(&Mesh::default()).unwrap();
     assert_eq!(small().draw(&weird).unwrap(), nothing);
     let endless = Mesh { positions: vec![[f64::INFINITY, 0.0, 1.0]; 3], ..weird };
@@ -234,7 +260,8 @@ fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_bod
         let rows = image.rgb().chunks(3 * 160).skip(30).take(60);
         rows.flat_map(|row| row[3 * 40..3 * 120].to_vec()).collect::<Vec<u8>>()
     };
-    let differ = middle(&fine).iter().zip(middle(&coarse)).filter(|(a, b)| a.abs_diff(*b) > 6).count();
+    let differ =
+        middle(&fine).iter().zip(middle(&coarse)).filter(|(a, b)| a.abs_diff(*b) > 6).count();
     assert_eq!(differ, 0, "of {}", middle(&fine).len());
 }
 
@@ -242,19 +269,21 @@ fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_bod
 fn a_draft_shows_what_the_full_picture_shows_with_fewer_samples() {
     let mesh = torus(120, 60);
     let picture = small().ground(true);
-    let [full, draft] =
-        [Effort::Full, Effort::Draft].map(|effort| picture.clone().effort(effort).draw(&mesh).unwrap());
+    let [full, draft] = [Effort::Full, Effort::Draft]
+        .map(|effort| picture.clone().effort(effort).draw(&mesh).unwrap());
     assert_ne!(full, draft);
-    let differences: Vec<u8> = full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
-    // Edges alone differ: whatever is drawn elsewhere, or from elsewhere, differs on most of the body.
+    let differences: Vec<u8> =
+        full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
+    // Edges alone differ: whatever is drawn elsewhere, or from elsewhere, differs on most of the
+    // body.
     let far = differences.iter().filter(|&&difference| difference > 24).count();
     assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
 }
 
 /// The surface of a dam break that splashes, as it is made.
 fn splash(request: &Reconstruction) -> Surface {
-    let file =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small/ParticleData_Fluid_20.bgeo");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/data/dambreak_small/ParticleData_Fluid_20.bgeo");
     request.run_file(file).unwrap()
 }
 
@@ -269,17 +298,29 @@ fn a_draft_of_a_fine_mesh_is_drawn_of_fewer_triangles_and_shows_what_the_full_pi
     let of_all = draft.draw(&surface.to_mesh().unwrap()).unwrap();
     assert_eq!(drawn, draft.draw(&*coarser).unwrap());
     assert_ne!(drawn, of_all);
-    let [far, near] = [24, 8]
-        .map(|limit| drawn.rgb().iter().zip(of_all.rgb()).filter(|(a, b)| a.abs_diff(**b) > limit).count());
+    let [far, near] = [24, 8].map(|limit| {
+        drawn.rgb().iter().zip(of_all.rgb()).filter(|(a, b)| a.abs_diff(**b) > limit).count()
+    });
     let channels = drawn.rgb().len();
-    assert!(100 * far < 2 * channels && 100 * near < 6 * channels, "{far} and {near} of {channels}");
-    // What shows triangles, or what vertices carry, is drawn of all of them, and so is a full picture.
-    let by_velocity = Colour::Attribute { name: "velocity".into(), map: "viridis".parse().unwrap() };
+    assert!(
+        100 * far < 2 * channels && 100 * near < 6 * channels,
+        "{far} and {near} of {channels}"
+    );
+    // What shows triangles, or what vertices carry, is drawn of all of them, and so is a full
+    // picture.
+    let by_velocity =
+        Colour::Attribute { name: "velocity".into(), map: "viridis".parse().unwrap() };
     for picture in [draft.clone().wireframe(true), draft.colour(by_velocity), picture.clone()] {
-        assert_eq!(picture.draw(surface.mesh()).unwrap(), picture.draw(&surface.to_mesh().unwrap()).unwrap());
+        assert_eq!(
+            picture.draw(surface.mesh()).unwrap(),
+            picture.draw(&surface.to_mesh().unwrap()).unwrap()
+        );
     }
     let dressed = splash(&Reconstruction::new().normals(true));
-    assert_eq!(picture.draw(dressed.mesh()).unwrap(), picture.draw(&dressed.to_mesh().unwrap()).unwrap());
+    assert_eq!(
+        picture.draw(dressed.mesh()).unwrap(),
+        picture.draw(&dressed.to_mesh().unwrap()).unwrap()
+    );
 }
 
 #[test]
@@ -300,11 +341,16 @@ fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() 
             *edges.entry([from.min(to), from.max(to)]).or_insert(0) += turned;
         }
     }
-    assert!(edges.values().all(|&sum| sum == 0), "each edge is passed as often one way as the other");
+    assert!(
+        edges.values().all(|&sum| sum == 0),
+        "each edge is passed as often one way as the other"
+    );
     let mut pieced = (Vec::new(), Vec::new());
     for piece in 0..mesh.pieces() {
         pieced.0.extend(mesh.vertices(piece).unwrap().positions.iter().copied());
-        pieced.1.extend(mesh.triangles(piece).unwrap().iter().map(|t| t.map(|vertex| vertex as u32)));
+        pieced
+            .1
+            .extend(mesh.triangles(piece).unwrap().iter().map(|t| t.map(|vertex| vertex as u32)));
     }
     assert!(pieced == (positions, triangles));
     // No vertex is farther from the surface than two cells.
@@ -312,7 +358,8 @@ fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() 
     let whole = surface.to_mesh().unwrap();
     assert!(all == (whole.positions.clone(), whole.triangles.clone()));
     let coarse = Mesh { positions: pieced.0, triangles: pieced.1, ..Mesh::default() };
-    let from = Colour::Distance { from: Reference::new(&whole).unwrap(), map: "turbo".parse().unwrap() };
+    let from =
+        Colour::Distance { from: Reference::new(&whole).unwrap(), map: "turbo".parse().unwrap() };
     let range = small().colour(from).scope_of(&coarse).unwrap().range.unwrap();
     let cell = 0.5 * 0.05;
     assert!(range.iter().all(|distance| distance.abs() < 2.0 * cell), "{range:?}");
@@ -337,7 +384,9 @@ fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
     let by_height = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
     let mut dressed = mesh.clone();
     dressed.normals = Some(mesh.positions.iter().map(|p| [p[0] as f32, 1.0, 0.5]).collect());
-    for (mesh, colour) in [(&mesh, Colour::Water), (&mesh, by_height.clone()), (&dressed, by_height)] {
+    for (mesh, colour) in
+        [(&mesh, Colour::Water), (&mesh, by_height.clone()), (&dressed, by_height)]
+    {
         let picture = small().colour(colour);
         let whole = picture.draw(mesh).unwrap();
         // Less than the vertices and triangles alone take.
@@ -345,7 +394,10 @@ fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
         assert!(56 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
         assert_eq!(picture.clone().memory(memory).draw(mesh).unwrap(), whole);
         let refused = picture.memory(20 << 20).draw(mesh).unwrap_err();
-        assert!(matches!(refused, PictureError::Memory { needed, .. } if needed > 20 << 20), "{refused}");
+        assert!(
+            matches!(refused, PictureError::Memory { needed, .. } if needed > 20 << 20),
+            "{refused}"
+        );
     }
 }
 
@@ -354,16 +406,30 @@ fn a_large_file_is_drawn_in_a_stream_with_the_same_bytes() {
     let folder = TempDir::new().unwrap();
     let mut mesh = torus(1200, 600);
     let velocities = mesh.positions.iter().flat_map(|p| p.map(|x| x as f32)).collect();
-    mesh.attributes.push(VertexAttribute { name: "velocity".into(), components: 3, values: velocities });
+    mesh.attributes.push(VertexAttribute {
+        name: "velocity".into(),
+        components: 3,
+        values: velocities,
+    });
     let write = |name: &str, mesh: &Mesh| {
         let file = folder.path().join(name);
-        let output = meniscus::internals::io::output::MeshOutput::prepare(&file, Replace::Refuse).unwrap();
+        let output =
+            meniscus::internals::io::output::MeshOutput::prepare(&file, Replace::Refuse).unwrap();
         output.write(mesh, meniscus::internals::io::CoordinateWidth::F32).unwrap();
     };
     write("large.ply", &mesh);
     let run = |output: &str, memory: &str| {
-        let arguments =
-            ["large.ply", "-o", output, "--size", "160x120", "--colour", "velocity", "--memory", memory];
+        let arguments = [
+            "large.ply",
+            "-o",
+            output,
+            "--size",
+            "160x120",
+            "--colour",
+            "velocity",
+            "--memory",
+            memory,
+        ];
         render(folder.path(), &arguments)
     };
     assert!(run("whole.png", "2GiB").status.success());
@@ -442,8 +508,8 @@ fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_t
     ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x * (1.0 + 0.1 * p[1])));
     let known = small().colour(colour.clone()).scope_of(&ball).unwrap();
     assert!(known.range.unwrap()[1] > 0.18);
-    let farthest =
-        (0..ball.positions.len()).min_by(|&a, &b| ball.positions[a][2].total_cmp(&ball.positions[b][2]));
+    let farthest = (0..ball.positions.len())
+        .min_by(|&a, &b| ball.positions[a][2].total_cmp(&ball.positions[b][2]));
     // Behind, where it is not seen.
     ball.positions[farthest.unwrap()] = [0.0, 0.0, -50.0];
     let found = small().colour(colour).scope_of(&ball).unwrap();
@@ -456,7 +522,11 @@ fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_t
         (scope.bounds, scope.beyond) = (bounds.bounds, beyond);
         let heights = ball.positions.iter().map(|p| p[1] as f32).collect();
         let mut mesh = ball.clone();
-        mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
+        mesh.attributes.push(VertexAttribute {
+            name: "height".into(),
+            components: 1,
+            values: heights,
+        });
         let colour = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
         small().colour(colour).scope(scope).draw(&mesh).unwrap()
     };
@@ -474,7 +544,8 @@ fn meshes_that_are_strange_give_a_picture() {
     let usual = small().draw(&ball).unwrap();
     for by in [1e-30, 1e-9, 1e9, 1e30, 1e60] {
         let seen = small().draw(&scaled(by)).unwrap();
-        let differ = seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
+        let differ =
+            seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
         assert!(differ < 100, "{by}: {differ} bytes differ");
     }
     // A vertex that is nowhere, or too far away for any number, does not count for the box.
@@ -483,7 +554,8 @@ fn meshes_that_are_strange_give_a_picture() {
         mesh.positions.push([wrong, 0.0, 0.0]);
         mesh.triangles.push([0, 1, mesh.positions.len() as u32 - 1]);
         let seen = small().draw(&mesh).unwrap();
-        let differ = seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 40).count();
+        let differ =
+            seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 40).count();
         assert!(differ < 2000, "{wrong}: {differ} bytes differ");
     }
     let flat = Mesh {
@@ -491,9 +563,13 @@ fn meshes_that_are_strange_give_a_picture() {
         triangles: vec![[0, 1, 2], [0, 0, 1], [1, 1, 1]],
         ..Mesh::default()
     };
-    let point = Mesh { positions: vec![[3.0; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
+    let point =
+        Mesh { positions: vec![[3.0; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
     for mesh in [flat, point] {
-        assert_eq!(small().ground(true).wireframe(true).draw(&mesh).unwrap().rgb().len(), 3 * 160 * 120);
+        assert_eq!(
+            small().ground(true).wireframe(true).draw(&mesh).unwrap().rgb().len(),
+            3 * 160 * 120
+        );
     }
     // Values that are no numbers are grey, and the others keep their colours.
     let mut valued = ball.clone();
@@ -501,10 +577,16 @@ fn meshes_that_are_strange_give_a_picture() {
     let values = values.collect();
     valued.attributes.push(VertexAttribute { name: "broken".into(), components: 1, values });
     let map = "red-blue".parse().unwrap();
-    let image = small().colour(Colour::Attribute { name: "broken".into(), map }).draw(&valued).unwrap();
+    let image =
+        small().colour(Colour::Attribute { name: "broken".into(), map }).draw(&valued).unwrap();
     let at = |x: usize, y: usize| [0, 1, 2].map(|c| i32::from(image.rgb()[3 * (y * 160 + x) + c]));
     let spread = |pixel: [i32; 3]| pixel.iter().max().unwrap() - pixel.iter().min().unwrap();
-    assert!(spread(at(80, 30)) < 10 && spread(at(55, 75)) > 30, "{:?} {:?}", at(80, 30), at(55, 75));
+    assert!(
+        spread(at(80, 30)) < 10 && spread(at(55, 75)) > 30,
+        "{:?} {:?}",
+        at(80, 30),
+        at(55, 75)
+    );
 }
 
 /// Balls that move, in numbered files, and something else beside them.
@@ -558,7 +640,8 @@ fn a_simulation_is_numbered_pictures_a_sheet_or_an_animation_through_one_camera(
             fs::read(at("out").join(name.replace("p_", "ball_"))).unwrap()
         );
         let bytes = read(name);
-        let seen = bytes.chunks(3).enumerate().filter(|(_, pixel)| is_red(pixel)).map(|(n, _)| n % 96);
+        let seen =
+            bytes.chunks(3).enumerate().filter(|(_, pixel)| is_red(pixel)).map(|(n, _)| n % 96);
         let seen: Vec<usize> = seen.collect();
         seen.iter().sum::<usize>() / seen.len()
     });
@@ -567,8 +650,9 @@ fn a_simulation_is_numbered_pictures_a_sheet_or_an_animation_through_one_camera(
     run(&["ball_10.ply", "ball_2.ply", "ball_7.ply", "-o", "sheet.png", "--size", "96x54"]);
     assert_eq!(png_size(&at("sheet.png")), [3 * 96 + 2 * 4, 54]);
     run(&["ball_*.ply", "-o", "moves.apng", "--size", "96x54", "--fps", "10"]);
-    let reader =
-        png::Decoder::new(BufReader::new(File::open(at("moves.apng")).unwrap())).read_info().unwrap();
+    let reader = png::Decoder::new(BufReader::new(File::open(at("moves.apng")).unwrap()))
+        .read_info()
+        .unwrap();
     assert_eq!(reader.info().animation_control().unwrap().num_frames, 3);
     assert_eq!(reader.info().frame_control().unwrap().delay_num, 100);
     run(&["ball_7.ply", "-o", "one.png", "--ground", "--camera", "30,20,2", "--up", "z"]);
@@ -591,11 +675,24 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
         (&["ball_2.ply", "-o", "a.png", "--size", "5"], 2, "a width and a height"),
         (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,3,4"], 2, "--camera takes"),
         (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,0"], 2, "a zoom positive"),
-        (&["ball_2.ply", "-o", "a.png", "--colour", "velocity"], 2, "ball_2.ply: no attribute \"velocity\""),
-        (&["ball_2.ply", "-o", "a.png", "--colour", "velocity:mauve"], 2, "no colour map \"mauve\""),
-        (&["ball_2.ply", "-o", "a.png", "--memory", "1MiB"], 2, "ball_2.ply: a picture of this mesh takes"),
+        (
+            &["ball_2.ply", "-o", "a.png", "--colour", "velocity"],
+            2,
+            "ball_2.ply: no attribute \"velocity\"",
+        ),
+        (
+            &["ball_2.ply", "-o", "a.png", "--colour", "velocity:mauve"],
+            2,
+            "no colour map \"mauve\"",
+        ),
+        (
+            &["ball_2.ply", "-o", "a.png", "--memory", "1MiB"],
+            2,
+            "ball_2.ply: a picture of this mesh takes",
+        ),
         (&["ball_2.ply", "-o", "a.png", "--reference", "bad.ply"], 3, "bad.ply"),
-        (&["ball_2.ply", "-o", "none/a.png"], 4, "none/a.png"),
+        (&["ball_2.ply", "-o", "ball_2.ply/a.png"], 4, "ball_2.ply/a.png"),
+        (&["none.ply", "-o", "made/a.png"], 3, "none.ply"),
         (&["gone.ply", "-o", "a.png"], 3, "gone.ply"),
         (&["bad.ply", "-o", "a.png"], 3, "bad.ply"),
         (&["none_{}.ply", "-o", "a.png"], 3, "no mesh"),
@@ -615,11 +712,13 @@ fn a_cancel_and_a_bad_mesh_end_an_animation_without_a_file() {
     let output = folder.path().join("moves.apng");
     let meshes = || folder.path().join("ball_{}.ply");
     let cancel = Cancel::new();
-    let pictures = Pictures::new(Picture::new(), [meshes()], &output).size(32, 18).cancel(cancel.clone());
+    let pictures =
+        Pictures::new(Picture::new(), [meshes()], &output).size(32, 18).cancel(cancel.clone());
     let ended = pictures.run(|_| cancel.cancel()).unwrap_err();
     assert!(matches!(ended, Error::Cancelled));
     fs::write(folder.path().join("ball_8.ply"), "ply\n").unwrap();
-    let bad = Pictures::new(Picture::new(), [meshes()], &output).size(32, 18).run(|_| ()).unwrap_err();
+    let bad =
+        Pictures::new(Picture::new(), [meshes()], &output).size(32, 18).run(|_| ()).unwrap_err();
     assert_eq!(bad.cause(), Cause::Input);
     assert!(bad.to_string().contains("ball_8.ply"), "{bad}");
     let left: Vec<String> =
@@ -632,8 +731,9 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
-    let run =
-        |arguments: &[&str], code| program::run(folder.path(), &[&["reconstruct"], arguments].concat(), code);
+    let run = |arguments: &[&str], code| {
+        program::run(folder.path(), &[&["reconstruct"], arguments].concat(), code)
+    };
     let frame = data.join("ParticleData_Fluid_10.bgeo");
     let frame = frame.to_str().unwrap();
     run(&[frame, "-o", "plain.ply"], 0);
@@ -642,10 +742,12 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
     assert_eq!(png_size(&at("seen.png")), [640, 360]);
     // The mesh's file gives the same picture: what was drawn is what was written.
     fs::rename(at("seen.png"), at("first.png")).unwrap();
-    let drawn = render(folder.path(), &["seen.ply", "-o", "seen.png", "--size", "640x360", "--ground"]);
+    let drawn =
+        render(folder.path(), &["seen.ply", "-o", "seen.png", "--size", "640x360", "--ground"]);
     assert!(drawn.status.success());
-    let near =
-        |a: &[u8], b: &[u8]| a.iter().zip(b).filter(|(a, b)| a.abs_diff(**b) > 8).count() * 100 < a.len();
+    let near = |a: &[u8], b: &[u8]| {
+        a.iter().zip(b).filter(|(a, b)| a.abs_diff(**b) > 8).count() * 100 < a.len()
+    };
     let pixels = |name: &str| {
         let mut reader =
             png::Decoder::new(BufReader::new(File::open(at(name)).unwrap())).read_info().unwrap();
@@ -673,7 +775,9 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
 }
 
 fn listing(folder: &Path) -> Vec<String> {
-    let names = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let names = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap());
     let mut names: Vec<String> = names.collect();
     names.sort();
     names

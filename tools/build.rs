@@ -1,5 +1,5 @@
-//! Links the C++ runtime into the programs, where the system has an archive of it. meshoptimizer needs hardly any of it,
-//! and to load it would take a third of the time that a small command does.
+//! Links the C++ runtime into the programs, where the system has an archive of it. meshoptimizer
+//! needs hardly any of it, and to load it would take a third of the time that a small command does.
 
 use std::env::var;
 use std::error::Error;
@@ -8,7 +8,8 @@ use std::path::Path;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=tools/build.rs");
-    if (var("CARGO_CFG_TARGET_OS")?, var("CARGO_CFG_TARGET_ENV")?) != ("linux".into(), "gnu".into()) {
+    if (var("CARGO_CFG_TARGET_OS")?, var("CARGO_CFG_TARGET_ENV")?) != ("linux".into(), "gnu".into())
+    {
         return Ok(());
     }
     let compiler = cc::Build::new().cpp(true).get_compiler();
@@ -17,7 +18,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let archive = String::from_utf8(asked.stdout)?;
     let archive = Path::new(archive.trim());
     if archive.is_absolute() {
-        // The linker takes the first that it finds, and looks here before it looks where the shared one is.
+        // The linker takes the first that it finds, and looks here before it looks where the shared
+        // one is.
         let here = var("OUT_DIR")?;
         println!("cargo:rerun-if-changed={}", archive.display());
         fs::copy(archive, Path::new(&here).join("libstdc++.a"))?;

@@ -1,4 +1,5 @@
-//! The backend that frames run on: the processor, a device that the caller names, or the faster of both.
+//! The backend that frames run on: the processor, a device that the caller names, or the faster of
+//! both.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -7,11 +8,14 @@ use std::sync::Arc;
 use bytesize::ByteSize;
 
 use crate::grid::units::MemoryBudget;
-use crate::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
+use crate::vulkan::{
+    Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError,
+};
 
 use super::{Cpu, Executor, Vulkan};
 
-/// The processor or a device, on which the stages of frames run. Every backend makes the same bytes.
+/// The processor or a device, on which the stages of frames run. Every backend makes the same
+/// bytes.
 ///
 /// Clones share the device and its compiled shaders.
 #[derive(Debug, Clone)]
@@ -57,8 +61,9 @@ impl Backend {
     }
 }
 
-/// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to
-/// compile shaders, or find them in its cache: a million particles.
+/// Bytes of particles that two threads make meshes of in about the time, a third of a second, that
+/// a driver takes to open a device and to compile shaders, or find them in its cache: a million
+/// particles.
 const SMALL: u64 = 12_000_000;
 
 /// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
@@ -91,7 +96,9 @@ impl fmt::Display for OnCpu {
             Self::LittleMemory(needed) => {
                 write!(f, "drivers of GPUs may need {}, and less may be used", ByteSize(*needed))
             }
-            Self::NoGpu => f.write_str("no GPU (drivers such as llvmpipe compute on the processor)"),
+            Self::NoGpu => {
+                f.write_str("no GPU (drivers such as llvmpipe compute on the processor)")
+            }
             Self::Small(bytes) => {
                 write!(f, "{} of particles are done before a GPU is ready", ByteSize(*bytes))
             }
@@ -102,7 +109,8 @@ impl fmt::Display for OnCpu {
     }
 }
 
-/// Opens a device, and compiles its shaders, or finds them in a folder for such; it may take three quarters of what is free of its memory.
+/// Opens a device, and compiles its shaders, or finds them in a folder for such; it may take three
+/// quarters of what is free of its memory.
 ///
 /// # Errors
 /// [`VulkanError`] where there is no such device, or it cannot be used.
@@ -111,8 +119,8 @@ pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, Vu
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device if it is worth while for inputs of so many bytes, if that is known, under a budget; else says why not, and takes
-/// the processor.
+/// Opens the best device if it is worth while for inputs of so many bytes, if that is known, under
+/// a budget; else says why not, and takes the processor.
 #[must_use]
 pub fn fastest(
     budget: MemoryBudget,
@@ -150,10 +158,17 @@ fn fast_device(
     opened(&instance, &info, cache).map_err(OnCpu::Vulkan)
 }
 
-fn opened(instance: &Arc<Instance>, info: &DeviceInfo, cache: Option<&Path>) -> Result<Backend, VulkanError> {
+fn opened(
+    instance: &Arc<Instance>,
+    info: &DeviceInfo,
+    cache: Option<&Path>,
+) -> Result<Backend, VulkanError> {
     let pipeline_cache = cache.map(PathBuf::from);
-    let options =
-        DeviceOptions { memory: Some(info.free / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
+    let options = DeviceOptions {
+        memory: Some(info.free / 4 * 3),
+        pipeline_cache,
+        ..DeviceOptions::default()
+    };
     let choice = DeviceChoice::Named(info.index.to_string());
     Backend::vulkan(Device::open(instance, &choice, &options)?)
 }
@@ -168,8 +183,8 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     files.into_iter().map(bytes).sum()
 }
 
-/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor. Containers that are given one GPU of several
-/// may have it under any number.
+/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
+/// Containers that are given one GPU of several may have it under any number.
 fn may_have_gpu(nodes: &Path) -> bool {
     let known = ["dri", "nvidiactl", "dxg"];
     !cfg!(target_os = "linux") || known.iter().any(|node| nodes.join(node).exists())

@@ -1,4 +1,5 @@
-//! Backends for the stages of a frame: the processor's cores, or a Vulkan device. Both give the same bytes.
+//! Backends for the stages of a frame: the processor's cores, or a Vulkan device. Both give the
+//! same bytes.
 
 pub mod choice;
 mod cpu;
@@ -41,7 +42,8 @@ pub trait Executor: Debug + Send + Sync {
     /// Whether frames can be computed side by side, each by a share of the threads.
     fn divides(&self) -> bool;
 
-    /// Bytes of the host's memory that a frame takes under `budget`, besides what every frame takes.
+    /// Bytes of the host's memory that a frame takes under `budget`, besides what every frame
+    /// takes.
     fn host_bytes(&self, budget: MemoryBudget) -> u64;
 
     /// Starts a frame. What it keeps on a device goes with it.
@@ -50,13 +52,13 @@ pub trait Executor: Debug + Send + Sync {
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
-    /// The field of all bins, whose particles are in memory. It may stay where it was made: what the host wants of it comes when it
-    /// does.
-    ///
-    /// # Errors
-    /// Those of [`indicate`](Self::indicate).
+    /// The field of all bins, whose particles are in memory. It may stay where it was made: what
+    /// the host wants of it comes when it does.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
-        Ok(DifField::in_memory(rule.shape(), self.indicate(bins, 0..bins.keys().len(), rule, meter)?))
+        Ok(DifField::in_memory(
+            rule.shape(),
+            self.indicate(bins, 0..bins.keys().len(), rule, meter)?,
+        ))
     }
 
     /// The pages of a range of bins, which `meter` counts.
@@ -71,12 +73,9 @@ pub trait Stages: Debug + Send + Sync {
         meter: &Meter<'_>,
     ) -> io::Result<Pages>;
 
-    /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes them in order, so many at once as
-    /// are made together, while others are on their way. `meter` counts the regions; once it does not go on, what is taken is worth
-    /// nothing.
-    ///
-    /// # Errors
-    /// Those of `take`.
+    /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes
+    /// them in order, so many at once as are made together, while others are on their way. `meter`
+    /// counts the regions; once it does not go on, what is taken is worth nothing.
     fn contour(
         &self,
         surfaces: &Surfaces<'_>,
@@ -88,7 +87,8 @@ pub trait Stages: Debug + Send + Sync {
     /// Failures so far that were made good.
     fn warnings(&self) -> Vec<String>;
 
-    /// How much of the work so far a device did: all of it, unless the processor had to stand in for one, or there is none.
+    /// How much of the work so far a device did: all of it, unless the processor had to stand in
+    /// for one, or there is none.
     fn on_device(&self) -> Work;
 }
 
@@ -125,7 +125,6 @@ pub struct Surfaces<'a> {
 
 impl Surfaces<'_> {
     /// The parts of blocks in which dual cells can be mixed, in Morton order.
-    #[must_use]
     pub fn regions(&self) -> Vec<CellBox> {
         // A dual cell reaches one cell up from its lowest corner.
         let dif = &self.sampled.dif;
@@ -140,7 +139,8 @@ impl Surfaces<'_> {
             _ => self.recipe.filters.not_inside(cells),
         };
         let regions = dif.regions(reach + 1, reach);
-        let regions = regions.into_par_iter().map(cut).filter(|cells| !cells.is_empty()).map(not_inside);
+        let regions =
+            regions.into_par_iter().map(cut).filter(|cells| !cells.is_empty()).map(not_inside);
         regions.filter(|cells| !cells.is_empty()).collect()
     }
 
@@ -156,7 +156,8 @@ impl Surfaces<'_> {
         self.sampled.facts.walls()
     }
 
-    /// The cells of which a surface is drawn: within walls, and between the periodic faces that cut it.
+    /// The cells of which a surface is drawn: within walls, and between the periodic faces that cut
+    /// it.
     fn mesh_walls(&self) -> Option<CellBox> {
         self.sampled.facts.mesh_walls(self.periodic_mesh).map(|walls| walls.cells())
     }

@@ -5,16 +5,22 @@ use crate::brick::{AXIS_BITS, COORD_BITS, HALVED_BITS, RECORD_BITS};
 use crate::field::distance::vulkan::{CUBE_PARTS, CUBE_WORDS};
 use crate::field::distance::{BRICK, MOST_APART, ZERO};
 use crate::field::indicator::vulkan::{CLOUD_SAMPLES, OCTANT};
-use crate::field::indicator::{DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
+use crate::field::indicator::{
+    DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
+};
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::surface::dual_mc::vulkan::{SIGN_TILES, TILE_WORDS};
 use crate::surface::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK};
 
 /// Returns the name, the WGSL type and the value of each constant.
-#[must_use]
 pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
-    const { assert!(RECORD_BITS <= 64 && 2 * AXIS_BITS > 32, "y lies in both words of a packed particle") };
+    const {
+        assert!(
+            RECORD_BITS <= 64 && 2 * AXIS_BITS > 32,
+            "y lies in both words of a packed particle"
+        )
+    };
     const { assert!(3 * COORD_BITS < 64 && 2 * COORD_BITS > 32, "y lies in both words of a bin's key") };
     vec![
         ("FULL", "u32", FULL.into()),

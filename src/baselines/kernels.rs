@@ -19,7 +19,8 @@ use super::scheme::Scheme;
 
 /// Particles whose kernels are worked out at once, or those of one bin.
 const BATCH: usize = 1 << 17;
-/// Cells beyond a block that its normals look at: one up to the dual cells' corners, and one more all round.
+/// Cells beyond a block that its normals look at: one up to the dual cells' corners, and one more
+/// all round.
 const MARGIN: i32 = 2;
 
 /// The field of a frame by a kernel method, ready to be meshed block by block.
@@ -27,11 +28,17 @@ pub trait KernelField: Debug + Send + Sync {
     /// The parts of blocks that the surface can pass through, in Morton order.
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox>;
 
-    /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost points.
+    /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost
+    /// points.
     ///
     /// # Errors
     /// Where kernels are in a scratch file that cannot be read.
-    fn mesh(&self, region: CellBox, with: Normals, walls: Option<CellBox>) -> io::Result<Option<BlockMesh>>;
+    fn mesh(
+        &self,
+        region: CellBox,
+        with: Normals,
+        walls: Option<CellBox>,
+    ) -> io::Result<Option<BlockMesh>>;
 }
 
 /// The kernels of all particles.
@@ -127,14 +134,19 @@ impl<S: Scheme> Kernels<S> {
     }
 }
 
-fn bin_kernels<S: Scheme>(bins: &Bins, bin: usize, scheme: &S) -> io::Result<(Vec<S::Kernel>, Reached)> {
+fn bin_kernels<S: Scheme>(
+    bins: &Bins,
+    bin: usize,
+    scheme: &S,
+) -> io::Result<(Vec<S::Kernel>, Reached)> {
     let coord = bins.keys()[bin].coord();
     let corner = coord * BIN;
     let reach = scheme.neighbourhood().ceil() as i32;
     let neighbours = Neighbours::load(bins, CellBox::cube(coord, BIN).grown(reach, reach), corner)?;
     let contents = bins.contents(bin)?;
-    let kernels: Vec<_> =
-        places(&contents, IVec3::ZERO).map(|(_, place)| scheme.kernel(place, &neighbours)).collect();
+    let kernels: Vec<_> = places(&contents, IVec3::ZERO)
+        .map(|(_, place)| scheme.kernel(place, &neighbours))
+        .collect();
     let reached = kernels.iter().fold(CellBox::EMPTY, |cells, kernel| {
         let [place, reach] = scheme.extent(kernel);
         cells.union(&centres(place, reach, corner))
@@ -158,8 +170,14 @@ impl<S: Scheme> KernelField for Kernels<S> {
         block_parts(reached.filter(|cells| !cells.is_empty()))
     }
 
-    fn mesh(&self, region: CellBox, with: Normals, walls: Option<CellBox>) -> io::Result<Option<BlockMesh>> {
-        let mut field = self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
+    fn mesh(
+        &self,
+        region: CellBox,
+        with: Normals,
+        walls: Option<CellBox>,
+    ) -> io::Result<Option<BlockMesh>> {
+        let mut field =
+            self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
         if let Some(walls) = walls {
             field.repeat_edges(walls);
         }

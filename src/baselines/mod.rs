@@ -1,11 +1,14 @@
-//! The kernel methods that the paper compares against (section 3), on the same bins, dual grid and stitching.
+//! The kernel methods that the paper compares against (section 3), on the same bins, dual grid and
+//! stitching.
 //!
-//! Each sums something over the particles around the centre of a cell. What a particle adds is worked out once, as its
-//! kernel, from the particles around it; then the field of a block is the sum of the kernels that reach it. Here a
-//! field is real, and positive inside the fluid. Lengths are in cells.
+//! Each sums something over the particles around the centre of a cell. What a particle adds is
+//! worked out once, as its kernel, from the particles around it; then the field of a block is the
+//! sum of the kernels that reach it. Here a field is real, and positive inside the fluid. Lengths
+//! are in cells.
 //!
-//! Sums run over the bins along the Morton curve, and in each over the particles by cell and place, so that they are
-//! the same on any number of threads. Particles are placed to 1 / 8192 of a cell, as for the DIF.
+//! Sums run over the bins along the Morton curve, and in each over the particles by cell and place,
+//! so that they are the same on any number of threads. Particles are placed to 1 / 8192 of a cell,
+//! as for the DIF.
 
 mod kernels;
 mod mueller;
@@ -57,7 +60,8 @@ impl KernelMethod {
         }
     }
 
-    /// How far particles of a spacing in cells decide the field, in cells: by their kernels, and by the neighbours that tell of these.
+    /// How far particles of a spacing in cells decide the field, in cells: by their kernels, and by
+    /// the neighbours that tell of these.
     #[must_use]
     pub fn reach(self, spacing: f64) -> i32 {
         let support = Spacing::SUPPORT * spacing;
@@ -81,11 +85,12 @@ impl KernelMethod {
     }
 
     /// Bytes of a cell while its field is made: the largest sum, and the field.
-    pub const CELL_BYTES: u64 = (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
+    pub const CELL_BYTES: u64 =
+        (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }
 
-/// Works out the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Those beyond `bytes` go
-/// to a scratch file in `folder`.
+/// Works out the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Those
+/// beyond `bytes` go to a scratch file in `folder`.
 ///
 /// # Errors
 /// Where scratch files fail.
@@ -100,7 +105,9 @@ pub fn kernel_field(
         KernelMethod::Mueller { iso } => {
             Box::new(Kernels::of(bins, Mueller::new(spacing, iso), bytes, folder)?)
         }
-        KernelMethod::ZhuBridson => Box::new(Kernels::of(bins, ZhuBridson::new(spacing), bytes, folder)?),
+        KernelMethod::ZhuBridson => {
+            Box::new(Kernels::of(bins, ZhuBridson::new(spacing), bytes, folder)?)
+        }
         KernelMethod::YuTurk { iso } => {
             Box::new(Kernels::of(bins, YuTurk::new(spacing, iso), bytes, folder)?)
         }

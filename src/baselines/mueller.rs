@@ -1,7 +1,9 @@
-//! Mueller, Charypar and Gross 2003, "Particle-based fluid simulation for interactive applications" (their eq. 2).
+//! Mueller, Charypar and Gross 2003, "Particle-based fluid simulation for interactive applications"
+//! (their eq. 2).
 //!
-//! phi(x) = sum_i W(x - x_i, h) m_i / rho_i with rho_i = sum_j m_j W(x_i - x_j, h). Masses are equal, so they and the
-//! scale of W (their eq. 3) cancel: a particle's share is w(x - x_i) / sum_j w(x_i - x_j).
+//! phi(x) = sum_i W(x - x_i, h) m_i / rho_i with rho_i = sum_j m_j W(x_i - x_j, h). Masses are
+//! equal, so they and the scale of W (their eq. 3) cancel: a particle's share is w(x - x_i) / sum_j
+//! w(x_i - x_j).
 
 use glam::DVec3;
 
@@ -24,7 +26,8 @@ impl Mueller {
 /// The number density at a place, over that of a particle alone: sum_j w(x_j - place).
 pub fn density(place: DVec3, support: f64, neighbours: &Neighbours) -> f64 {
     let mut density = 0.0;
-    neighbours.within(place, support, |_, squared| density += weight(squared / (support * support)));
+    neighbours
+        .within(place, support, |_, squared| density += weight(squared / (support * support)));
     density
 }
 

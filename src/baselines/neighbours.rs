@@ -17,7 +17,8 @@ pub struct Neighbours {
     places: Vec<DVec3>,
 }
 
-/// The cells of a bin's particles, and their places; both relative to what the bin's `corner` is relative to.
+/// The cells of a bin's particles, and their places; both relative to what the bin's `corner` is
+/// relative to.
 pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item = (IVec3, DVec3)> {
     contents.particles().map(move |(local, offset)| {
         let local = local as i32;
@@ -35,12 +36,14 @@ impl Neighbours {
     /// Where particles are in a scratch file that cannot be read.
     pub fn load(bins: &Bins, cells: CellBox, origin: IVec3) -> io::Result<Self> {
         let local = CellBox { lo: cells.lo - origin, hi: cells.hi - origin };
-        let mut near = Self { cells: local, starts: vec![0; local.volume() + 1], places: Vec::new() };
+        let mut near =
+            Self { cells: local, starts: vec![0; local.volume() + 1], places: Vec::new() };
         let mut found: Vec<(usize, DVec3)> = Vec::new();
         for coord in cells.cubes(BIN) {
             let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
             let contents = bins.contents(bin)?;
-            let inside = places(&contents, coord * BIN - origin).filter(|(cell, _)| local.contains(*cell));
+            let inside =
+                places(&contents, coord * BIN - origin).filter(|(cell, _)| local.contains(*cell));
             found.extend(inside.map(|(cell, place)| (near.index(cell), place)));
         }
         // Counts become starts, and starts move on as the cells fill up.
@@ -60,20 +63,25 @@ impl Neighbours {
     }
 
     fn index(&self, cell: IVec3) -> usize {
-        let (local, size) = ((cell - self.cells.lo).as_usizevec3(), self.cells.size().as_usizevec3());
+        let (local, size) =
+            ((cell - self.cells.lo).as_usizevec3(), self.cells.size().as_usizevec3());
         local.x + size.x * (local.y + size.y * local.z)
     }
 
-    /// Calls `visit` with every particle nearer to `place` than `radius`, as seen from there, and its squared distance.
+    /// Calls `visit` with every particle nearer to `place` than `radius`, as seen from there, and
+    /// its squared distance.
     #[inline]
     pub fn within(&self, place: DVec3, radius: f64, mut visit: impl FnMut(DVec3, f64)) {
         let squared = radius * radius;
-        let CellBox { lo, hi } =
-            CellBox { lo: (place - radius).floor().as_ivec3(), hi: (place + radius).floor().as_ivec3() + 1 }
-                .intersection(&self.cells);
+        let CellBox { lo, hi } = CellBox {
+            lo: (place - radius).floor().as_ivec3(),
+            hi: (place + radius).floor().as_ivec3() + 1,
+        }
+        .intersection(&self.cells);
         // How far a place is from a layer of cells.
-        let apart =
-            |place: f64, cell: i32| (f64::from(cell) - place).max(place - f64::from(cell + 1)).max(0.0);
+        let apart = |place: f64, cell: i32| {
+            (f64::from(cell) - place).max(place - f64::from(cell + 1)).max(0.0)
+        };
         for z in lo.z..hi.z {
             for y in lo.y..hi.y {
                 let left = squared - apart(place.z, z).powi(2) - apart(place.y, y).powi(2);

@@ -33,7 +33,6 @@ impl Spacing {
     }
 
     /// The spacing in cells.
-    #[must_use]
     pub fn cells(self) -> f64 {
         self.0
     }

@@ -1,19 +1,23 @@
 //! Yu and Turk 2013, "Reconstructing surfaces of particle-based fluids using anisotropic kernels".
 //!
-//! phi(x) = sum_i W(x - xbar_i, G_i) m_i / rho_i with W(r, G) = s det(G) w(|G r|), and m_i / rho_i as Mueller's.
+//! phi(x) = sum_i W(x - xbar_i, G_i) m_i / rho_i with W(r, G) = s det(G) w(|G r|), and m_i / rho_i
+//! as Mueller's.
 //!
-//! Over the particles j nearer than R = 2 h, weighted by w_ij = 1 - (|x_i - x_j| / R)^3, with their mean x_i^w:
+//! Over the particles j nearer than R = 2 h, weighted by w_ij = 1 - (|x_i - x_j| / R)^3, with their
+//! mean x_i^w:
 //!
 //! - xbar_i = (1 - lambda) x_i + lambda x_i^w (their eq. 6), lambda = 1/2;
-//! - C_i = sum_j w_ij (x_j - x_i^w)(x_j - x_i^w)^T / sum_j w_ij (their eq. 9), decomposed as A diag(s_1, s_2, s_3) A^T,
-//!   s_1 the greatest;
-//! - s'_k = k_s max(s_k, s_1 / k_r) where there are more than N_e other particles, else s'_k = k_n (their eq. 15);
+//! - C_i = sum_j w_ij (x_j - x_i^w)(x_j - x_i^w)^T / sum_j w_ij (their eq. 9), decomposed as A
+//!   diag(s_1, s_2, s_3) A^T, s_1 the greatest;
+//! - s'_k = k_s max(s_k, s_1 / k_r) where there are more than N_e other particles, else s'_k = k_n
+//!   (their eq. 15);
 //! - G_i = A diag(1 / s'_k) A^T / h (their eq. 16).
 //!
-//! k_r = 4, k_n = 0.5 and N_e = 25 are theirs; so is lambda = 0.9, but with h two spacings that moves the particles of a
-//! flat surface inwards by more than a spacing, and 1/2 is what the implementation takes that the paper compared with
-//! (Kim, Fluid Engine Development, 2016). Their k_s, to make k_s C about the identity deep in the fluid, depends on
-//! the unit of length; its value without one follows from a uniform density: C is then 0.15 R^2 times the identity.
+//! k_r = 4, k_n = 0.5 and N_e = 25 are theirs; so is lambda = 0.9, but with h two spacings that
+//! moves the particles of a flat surface inwards by more than a spacing, and 1/2 is what the
+//! implementation takes that the paper compared with (Kim, Fluid Engine Development, 2016). Their
+//! k_s, to make k_s C about the identity deep in the fluid, depends on the unit of length; its
+//! value without one follows from a uniform density: C is then 0.15 R^2 times the identity.
 
 use glam::{DMat3, DVec3};
 use glamx::DSymmetricEigen3;
@@ -32,8 +36,8 @@ const K_N: f64 = 0.5;
 const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, over h.
 const NEIGHBOURHOOD: f64 = 2.0;
-/// How far particles decide the field, over h: the neighbours of one, and its kernel, which in a fluid is hardly longer than twice
-/// as far as it reaches where the density is uniform.
+/// How far particles decide the field, over h: the neighbours of one, and its kernel, which in a
+/// fluid is hardly longer than twice as far as it reaches where the density is uniform.
 pub const REACH: f64 = NEIGHBOURHOOD + 2.0;
 /// The eigenvalues of C, over R^2, where the density is uniform.
 const UNIFORM: f64 = 0.15;

@@ -1,8 +1,9 @@
 //! Binning: a counting sort of the particles by the bin of 16^3 cells that holds them.
 //!
-//! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into its bin's place in
-//! memory, or into its run of bins (`runs`). Where there is room, the first reading keeps what the second would
-//! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
+//! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into
+//! its bin's place in memory, or into its run of bins (`runs`). Where there is room, the first
+//! reading keeps what the second would find. The order inside a bin is arbitrary; whoever reads a
+//! bin adds integers.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -25,10 +26,12 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{CHUNK, Placer, Sieve};
 use super::slots::{Record, Slots};
 
-/// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits number, and the last stands for none.
+/// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits
+/// number, and the last stands for none.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
-/// The memory limits of counting: how many bins may be listed, and how many particles' places may be kept.
+/// The memory limits of counting: how many bins may be listed, and how many particles' places may
+/// be kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CountingRoom {
     /// Bins that may be listed.
@@ -37,16 +40,16 @@ pub struct CountingRoom {
     pub places: usize,
 }
 
-/// Bytes of places that are kept from the first reading to the second, at the most: frames that have more mostly touch
-/// more bins than a place can name.
+/// Bytes of places that are kept from the first reading to the second, at the most: frames that
+/// have more mostly touch more bins than a place can name.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
     /// Bytes of a place that is kept.
     pub const PLACE: u64 = size_of::<Record>() as u64;
 
-    /// The room that suits a budget of so many bytes: half of it for tables, and an eighth, or less if that is enough, for places.
-    #[must_use]
+    /// The room that suits a budget of so many bytes: half of it for tables, and an eighth, or less
+    /// if that is enough, for places.
     pub fn within(budget: u64) -> Self {
         let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
         let places = (budget / 8).min(MOST_PLACES) / Self::PLACE;
@@ -123,7 +126,8 @@ pub struct Census {
     pub not_finite: usize,
     /// Particles that are skipped, for they are beyond the addressable grid.
     pub too_far: usize,
-    /// Particles that are not counted, for they are outside of the domain's walls, or of a periodic box.
+    /// Particles that are not counted, for they are outside of the domain's walls, or of a periodic
+    /// box.
     pub outside: usize,
 }
 
@@ -143,7 +147,8 @@ pub(super) struct RangePlan {
     pub(super) table: BinTable,
     /// The rank among all bins of each bin in the table; [`NOWHERE`] for those without particles.
     pub(super) ranks: Vec<u32>,
-    /// Each particle's bin, by its rank in the table, and record, packed into a word; empty where they were not kept.
+    /// Each particle's bin, by its rank in the table, and record, packed into a word; empty where
+    /// they were not kept.
     pub(super) places: Vec<Record>,
 }
 
@@ -183,11 +188,8 @@ impl BinPlan {
         Self::count_while(particles, grid, domain, invalid, room, |_| ())
     }
 
-    /// Counts `particles`, and lets `look` see the positions of all, some at once, in no order, for whoever needs them too: of none twice, and
-    /// not of all where there are too many bins.
-    ///
-    /// # Errors
-    /// Those of [`count`](Self::count).
+    /// Counts `particles`, and lets `look` see the positions of all, some at once, in no order, for
+    /// whoever needs them too: of none twice, and not of all where there are too many bins.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -200,11 +202,8 @@ impl BinPlan {
         Self::of_placed(particles, placer, invalid, room, look)
     }
 
-    /// Counts the particles of some bins alone, of which all that are invalid have been refused or skipped before: nothing is
-    /// known of the others, not even their number.
-    ///
-    /// # Errors
-    /// [`BinError::TooManyBins`].
+    /// Counts the particles of some bins alone, of which all that are invalid have been refused or
+    /// skipped before: nothing is known of the others, not even their number.
     pub fn count_wanted(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -241,7 +240,9 @@ impl BinPlan {
         {
             return Err(match fault {
                 Unplaced::NotFinite => BinError::NotFinite { index, position },
-                Unplaced::TooFar => BinError::TooFar { index, position, cell_size: grid.cell_size() },
+                Unplaced::TooFar => {
+                    BinError::TooFar { index, position, cell_size: grid.cell_size() }
+                }
             });
         }
         let mut census = Census::default();
@@ -255,7 +256,8 @@ impl BinPlan {
         if bins.len() > limit {
             return Err(BinError::TooManyBins { limit });
         }
-        let rank: HashMap<BinCode, u32> = bins.iter().zip(0..).map(|(&(_, bin), i)| (bin, i)).collect();
+        let rank: HashMap<BinCode, u32> =
+            bins.iter().zip(0..).map(|(&(_, bin), i)| (bin, i)).collect();
         let mut first = vec![0; bins.len() + 1];
         let ranges = ranges
             .into_iter()
@@ -272,17 +274,21 @@ impl BinPlan {
         for i in 0..bins.len() {
             first[i + 1] += first[i];
         }
-        Ok(Self { placer, census, keys: bins.into_iter().map(|(key, _)| key).collect(), first, ranges })
+        Ok(Self {
+            placer,
+            census,
+            keys: bins.into_iter().map(|(key, _)| key).collect(),
+            first,
+            ranges,
+        })
     }
 
     /// Returns how many particles were binned, and how many were left out and why.
-    #[must_use]
     pub fn census(&self) -> Census {
         self.census
     }
 
     /// The bins that hold particles, in Morton order.
-    #[must_use]
     pub fn keys(&self) -> &[MortonKey] {
         &self.keys
     }
@@ -292,29 +298,33 @@ impl BinPlan {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Bytes that each thread takes to look up the bins of so many particles, of which it may leave those out that are not `wanted`.
-    #[must_use]
+    /// Bytes that each thread takes to look up the bins of so many particles, of which it may leave
+    /// those out that are not `wanted`.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { Sieve::bytes(particles) } else { 0 }
     }
 
     /// Bytes of the places that were kept.
-    #[must_use]
     pub fn places_bytes(&self) -> u64 {
         self.ranges.iter().map(|range| CountingRoom::PLACE * range.places.len() as u64).sum()
     }
 
-    /// The second reading, into memory: sorts the same `particles` into their bins, and with them the
-    /// attributes whose numbers are in `carried`.
+    /// The second reading, into memory: sorts the same `particles` into their bins, and with them
+    /// the attributes whose numbers are in `carried`.
     ///
     /// # Errors
     /// [`Unread::Changed`] for particles that are not where they were when they were counted.
-    pub fn fill(self, particles: &(impl Particles + ?Sized), carried: &[usize]) -> Result<Bins, Unread> {
+    pub fn fill(
+        self,
+        particles: &(impl Particles + ?Sized),
+        carried: &[usize],
+    ) -> Result<Bins, Unread> {
         let Self { placer, census, keys, first, ranges } = self;
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
         let (binned, mut next) = (census.binned, first.clone());
-        // Each range's next free slot of each of its bins, and where a range of such a bin's slots ends.
+        // Each range's next free slot of each of its bins, and where a range of such a bin's slots
+        // ends.
         let cursors: Vec<Vec<usize>> = ranges
             .iter()
             .map(|RangePlan { table, ranks, .. }| {
@@ -333,7 +343,8 @@ impl BinPlan {
             let ends: Vec<usize> = ends.map(|(&first, &count)| first + count as usize).collect();
             let mut placed = Vec::with_capacity(CHUNK);
             let mut put = |first: usize, placed: &[Placed]| {
-                let slot = |&(rank, _): &Placed| advance(&mut cursors, rank).filter(|&slot| slot < binned);
+                let slot =
+                    |&(rank, _): &Placed| advance(&mut cursors, rank).filter(|&slot| slot < binned);
                 let to: Vec<Option<usize>> = placed.iter().map(slot).collect();
                 for (slot, &(_, record)) in to.iter().zip(placed) {
                     if let &Some(slot) = slot {
@@ -341,7 +352,8 @@ impl BinPlan {
                     }
                 }
                 if !carried.is_empty() {
-                    let attributes = Tuples::read(particles, carried, &components, first, placed.len());
+                    let attributes =
+                        Tuples::read(particles, carried, &components, first, placed.len());
                     for (i, slot) in to.iter().enumerate() {
                         if let &Some(slot) = slot {
                             slots.put_attributes(slot, attributes.tuple(i));
@@ -375,7 +387,8 @@ impl BinPlan {
     }
 }
 
-/// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`], or was in no table before.
+/// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is
+/// [`NOWHERE`], or was in no table before.
 #[inline(always)]
 fn advance(numbers: &mut [usize], rank: u32) -> Option<usize> {
     let number = numbers.get_mut(rank as usize)?;
@@ -421,7 +434,9 @@ const MOST_COUNTED: usize = u32::MAX as usize;
 
 /// A few ranges of particles a thread. What is computed does not depend on how many there are.
 fn ranges(len: usize) -> Vec<Range<usize>> {
-    let count = (rayon::current_num_threads() * 2).min(len.div_ceil(1 << 16)).max(len.div_ceil(MOST_COUNTED));
+    let count = (rayon::current_num_threads() * 2)
+        .min(len.div_ceil(1 << 16))
+        .max(len.div_ceil(MOST_COUNTED));
     let count = count.max(1);
     (0..count).map(|i| len * i / count..len * (i + 1) / count).collect()
 }
@@ -438,7 +453,8 @@ struct RangeCount {
 /// All bins of all ranges, in Morton order, each with its key.
 fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
     let touched = counts.iter().flat_map(|c| c.table.bins());
-    let mut bins: Vec<_> = touched.map(|(_, bin, _)| (MortonKey::of(bin_coord(bin)), bin)).collect();
+    let mut bins: Vec<_> =
+        touched.map(|(_, bin, _)| (MortonKey::of(bin_coord(bin)), bin)).collect();
     bins.par_sort_unstable();
     bins.dedup();
     bins
@@ -522,19 +538,25 @@ mod tests {
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
         // Along each axis so many bins: in the second scene more than a place can name.
         for bins in [5, 25] {
-            let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
-            let place = |i: usize| std::array::from_fn(|a| f64::from(16 * bins) * coordinate(i, a) - 5.0);
+            let coordinate =
+                |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
+            let place =
+                |i: usize| std::array::from_fn(|a| f64::from(16 * bins) * coordinate(i, a) - 5.0);
             let mut particles: Vec<[f64; 3]> = (0..30_000).map(place).collect();
             particles[12_345][1] = f64::NAN;
             for domain in [None, Some(&walls)] {
                 let [with, without] = [kept, CountingRoom::BINS].map(|room| {
-                    BinPlan::count(&particles[..], &grid, domain, InvalidParticles::Skip, room).unwrap()
+                    BinPlan::count(&particles[..], &grid, domain, InvalidParticles::Skip, room)
+                        .unwrap()
                 });
                 let all_kept = with.places_bytes() == CountingRoom::PLACE * particles.len() as u64;
                 assert_eq!(all_kept, bins == 5);
                 assert_eq!(without.places_bytes(), 0);
                 assert_eq!(with.census(), without.census());
-                assert!(binned(with, &particles) == binned(without, &particles), "{bins} bins an axis");
+                assert!(
+                    binned(with, &particles) == binned(without, &particles),
+                    "{bins} bins an axis"
+                );
             }
         }
     }

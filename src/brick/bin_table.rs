@@ -1,7 +1,8 @@
 //! A table of the bins that a range of particles touches, found by their coordinates.
 //!
-//! Particles come in any order, so a table of a large frame is looked up all over. Its bins lie in cubes: a hash finds a cube, a small
-//! cache in front of it those that were asked for before, and counters of neighbouring bins share a line of the processor's cache.
+//! Particles come in any order, so a table of a large frame is looked up all over. Its bins lie in
+//! cubes: a hash finds a cube, a small cache in front of it those that were asked for before, and
+//! counters of neighbouring bins share a line of the processor's cache.
 
 use std::hash::BuildHasher;
 
@@ -34,7 +35,8 @@ pub(super) struct BinTable {
 }
 
 impl BinTable {
-    /// The rank of a bin in this table, [`CUBE`] for each cube; a new cube is entered with no particles.
+    /// The rank of a bin in this table, [`CUBE`] for each cube; a new cube is entered with no
+    /// particles.
     #[inline(always)]
     fn rank(&mut self, bin: BinCode, latest: &mut LatestNumbers) -> u32 {
         let number = *latest.of_cube(bin, |cube| self.found_cube(cube));
@@ -45,8 +47,11 @@ impl BinTable {
     fn found_cube(&mut self, cube: BinCode) -> u32 {
         let Self { cubes, hasher, codes, counts } = self;
         let code = |&number: &u32| codes[number as usize];
-        match cubes.entry(hasher.hash_one(cube), |number| code(number) == cube, |n| hasher.hash_one(code(n)))
-        {
+        match cubes.entry(
+            hasher.hash_one(cube),
+            |number| code(number) == cube,
+            |n| hasher.hash_one(code(n)),
+        ) {
             Entry::Occupied(found) => *found.get(),
             Entry::Vacant(free) => {
                 let number = codes.len() as u32;
@@ -58,8 +63,9 @@ impl BinTable {
         }
     }
 
-    /// For each particle the rank of its bin, and its place there. Whoever has these of many at once reads what belongs to their bins in a
-    /// short loop: it waits for several lines of the cache at the same time.
+    /// For each particle the rank of its bin, and its place there. Whoever has these of many at
+    /// once reads what belongs to their bins in a short loop: it waits for several lines of the
+    /// cache at the same time.
     pub(super) fn place_all(
         &mut self,
         addresses: &[Address],

@@ -41,8 +41,8 @@ pub(super) enum Store {
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
 }
 
-/// At most `most` of so many things along the Morton curve, equally far apart. An odd step, for the curve takes turns in
-/// even ones.
+/// At most `most` of so many things along the Morton curve, equally far apart. An odd step, for the
+/// curve takes turns in even ones.
 pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
@@ -61,8 +61,8 @@ pub struct BinContents<'a> {
 }
 
 impl BinContents<'_> {
-    /// The particles as they are stored: per axis, from x on, the offset in the cell and then the cell in the bin.
-    #[must_use]
+    /// The particles as they are stored: per axis, from x on, the offset in the cell and then the
+    /// cell in the bin.
     pub fn packed(&self) -> &[u64] {
         &self.records
     }
@@ -86,8 +86,9 @@ impl Bins {
     ) -> Self {
         let (records, attributes) = slots.into_parts();
         let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
-        let without =
-            |(values, &n): (&Vec<f32>, &usize)| values.par_chunks(n.max(1)).filter(is_lacking).count();
+        let without = |(values, &n): (&Vec<f32>, &usize)| {
+            values.par_chunks(n.max(1)).filter(is_lacking).count()
+        };
         let without = attributes.iter().zip(&components).map(without).collect();
         Self { keys, first, components, without, store: Store::Memory { records, attributes } }
     }
@@ -95,32 +96,29 @@ impl Bins {
     /// Bytes that a bin takes in tables until the surface is done, however little it holds.
     pub const TABLE_BYTES: u64 = 344;
 
-    /// For each attribute, the particles whose value is not finite: beyond what f32 holds, or nothing at all.
-    #[must_use]
+    /// For each attribute, the particles whose value is not finite: beyond what f32 holds, or
+    /// nothing at all.
     pub fn without(&self) -> &[usize] {
         &self.without
     }
 
     /// Bytes of a binned particle with attributes of so many components.
-    #[must_use]
     pub fn particle_bytes(components: &[usize]) -> u64 {
         tuple_bytes(components) as u64
     }
 
     /// The bins that hold particles, in Morton order.
-    #[must_use]
     pub fn keys(&self) -> &[MortonKey] {
         &self.keys
     }
 
     /// How many particles bin number `bin` holds.
-    #[must_use]
     pub fn count(&self, bin: usize) -> usize {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Puts the particles of every bin in order of their cells, x fastest, and of their places in them: whoever
-    /// adds real numbers can then add them in one order.
+    /// Puts the particles of every bin in order of their cells, x fastest, and of their places in
+    /// them: whoever adds real numbers can then add them in one order.
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read or written.
@@ -137,7 +135,8 @@ impl Bins {
 
     fn sorted_bin(&self, bin: usize) -> io::Result<(Vec<Record>, Vec<Vec<f32>>)> {
         let BinContents { records, attributes } = self.contents(bin)?;
-        let mut order: Vec<(u64, u32)> = records.iter().map(|&record| cell_first(record)).zip(0..).collect();
+        let mut order: Vec<(u64, u32)> =
+            records.iter().map(|&record| cell_first(record)).zip(0..).collect();
         order.sort_unstable();
         let gather = |(values, &n): (&Cow<[f32]>, &usize)| {
             let tuple = |&(_, from): &(u64, u32)| &values[from as usize * n..][..n];
@@ -147,7 +146,12 @@ impl Bins {
         Ok((order.iter().map(|&(_, from)| records[from as usize]).collect(), attributes))
     }
 
-    fn replace(&mut self, bin: usize, records: &[Record], attributes: &[Vec<f32>]) -> io::Result<()> {
+    fn replace(
+        &mut self,
+        bin: usize,
+        records: &[Record],
+        attributes: &[Vec<f32>],
+    ) -> io::Result<()> {
         let range = self.first[bin]..self.first[bin + 1];
         match &mut self.store {
             Store::Memory { records: to, attributes: all } => {
@@ -167,7 +171,8 @@ impl Bins {
         Ok(())
     }
 
-    /// The particles of bin number `bin`, in no particular order unless they were [sorted](Self::sorted).
+    /// The particles of bin number `bin`, in no particular order unless they were
+    /// [sorted](Self::sorted).
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read.
@@ -189,7 +194,10 @@ impl Bins {
                 let mut attributes = Vec::new();
                 for (at, &n) in attributes_at.iter().zip(&self.components) {
                     let mut values = vec![0_f32; n * range.len()];
-                    scratch.read_at(at + 4 * n as u64 * first, bytemuck::cast_slice_mut(&mut values))?;
+                    scratch.read_at(
+                        at + 4 * n as u64 * first,
+                        bytemuck::cast_slice_mut(&mut values),
+                    )?;
                     attributes.push(Cow::Owned(values));
                 }
                 Ok(BinContents { records: Cow::Owned(records), attributes })
@@ -212,11 +220,13 @@ fn cell_first(record: Record) -> u64 {
 }
 
 /// A packed particle's cell in the bin, and its offset in the cell.
-#[must_use]
 #[inline(always)]
 pub fn unpack(record: u64) -> ([usize; 3], [u32; 3]) {
     let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));
-    (axis.map(|bits| (bits >> FRACTION_BITS) as usize), axis.map(|bits| bits & ((1 << FRACTION_BITS) - 1)))
+    (
+        axis.map(|bits| (bits >> FRACTION_BITS) as usize),
+        axis.map(|bits| bits & ((1 << FRACTION_BITS) - 1)),
+    )
 }
 
 /// The number of a cell in its bin, x fastest.

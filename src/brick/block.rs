@@ -41,19 +41,16 @@ pub struct Block<T = u16> {
 
 impl<T: Copy + Default> Block<T> {
     /// All zero.
-    #[must_use]
     pub fn zero(cells: CellBox) -> Self {
         Self { cells, samples: vec![T::default(); cells.volume()] }
     }
 
     /// The cells that it samples.
-    #[must_use]
     pub fn cells(&self) -> CellBox {
         self.cells
     }
 
     /// Every sample, x fastest, then y, then z.
-    #[must_use]
     pub fn samples(&self) -> &[T] {
         &self.samples
     }
@@ -64,7 +61,6 @@ impl<T: Copy + Default> Block<T> {
     }
 
     /// Samples from one cell to the next along x, y and z.
-    #[must_use]
     pub fn strides(&self) -> [usize; 3] {
         let size = self.cells.size().as_usizevec3();
         [1, size.x, size.x * size.y]
@@ -74,7 +70,6 @@ impl<T: Copy + Default> Block<T> {
     ///
     /// # Panics
     /// In debug builds, if the block does not hold it.
-    #[must_use]
     #[inline]
     pub fn index(&self, cell: IVec3) -> usize {
         debug_assert!(self.cells.contains(cell), "{cell} is not in {:?}", self.cells);
@@ -84,7 +79,6 @@ impl<T: Copy + Default> Block<T> {
     }
 
     /// The sample of `cell`.
-    #[must_use]
     #[inline]
     pub fn at(&self, cell: IVec3) -> T {
         self.samples[self.index(cell)]
@@ -101,7 +95,6 @@ impl<T: Copy + Default> Block<T> {
     }
 
     /// The tightest box around the samples of which `is` holds.
-    #[must_use]
     pub fn box_of(&self, is: impl Fn(T) -> bool) -> CellBox {
         let mut found = CellBox::EMPTY;
         for ([y, z], row) in self.rows(self.cells) {
@@ -109,15 +102,19 @@ impl<T: Copy + Default> Block<T> {
             if row.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) == 0 {
                 continue;
             }
-            let [first, end] =
-                [row.iter().position(|&s| is(s)), row.iter().rposition(|&s| is(s)).map(|at| at + 1)]
-                    .map(|at| self.cells.lo.x + at.unwrap_or(0) as i32);
-            found = found.union(&CellBox { lo: IVec3::new(first, y, z), hi: IVec3::new(end, y + 1, z + 1) });
+            let [first, end] = [
+                row.iter().position(|&s| is(s)),
+                row.iter().rposition(|&s| is(s)).map(|at| at + 1),
+            ]
+            .map(|at| self.cells.lo.x + at.unwrap_or(0) as i32);
+            found = found
+                .union(&CellBox { lo: IVec3::new(first, y, z), hi: IVec3::new(end, y + 1, z + 1) });
         }
         found
     }
 
-    /// Puts what `value` makes of what is there and of `samples`, which are those of the box `from`, x fastest, in `part`.
+    /// Puts what `value` makes of what is there and of `samples`, which are those of the box
+    /// `from`, x fastest, in `part`.
     ///
     /// # Panics
     /// Unless `part` is in the block and in `from`.
@@ -128,7 +125,11 @@ impl<T: Copy + Default> Block<T> {
         samples: &[T],
         value: impl Fn(T, T) -> T,
     ) {
-        assert!(self.cells.covers(&part) && from.covers(&part), "{part:?} is not in {:?}", self.cells);
+        assert!(
+            self.cells.covers(&part) && from.covers(&part),
+            "{part:?} is not in {:?}",
+            self.cells
+        );
         let size = part.size().as_usizevec3();
         let from_strides = [from.size().x, from.size().x * from.size().y].map(|n| n as usize);
         let [_, row, slab] = self.strides();
@@ -136,7 +137,8 @@ impl<T: Copy + Default> Block<T> {
         let local = (part.lo - from.lo).as_usizevec3();
         let samples = &samples[local.x + local.y * from_strides[0] + local.z * from_strides[1]..];
         let rows = (0..size.z).flat_map(|z| {
-            (0..size.y).map(move |y| (y * row + z * slab, y * from_strides[0] + z * from_strides[1]))
+            (0..size.y)
+                .map(move |y| (y * row + z * slab, y * from_strides[0] + z * from_strides[1]))
         });
         let to = &mut self.samples[first..];
         match size.x {
@@ -159,8 +161,8 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// Puts what `value` makes of what is there and of single samples into `part`, and skips samples outside of it.
-    /// The places of `samples` are counted from the cell `corner`.
+    /// Puts what `value` makes of what is there and of single samples into `part`, and skips
+    /// samples outside of it. The places of `samples` are counted from the cell `corner`.
     ///
     /// # Panics
     /// Unless `part` is in the block.
@@ -185,7 +187,6 @@ impl<T: Copy + Default> Block<T> {
     ///
     /// # Panics
     /// Unless all of `cells` are in the block.
-    #[must_use]
     pub fn part(&self, cells: CellBox) -> Self {
         let mut part = Self::zero(cells);
         part.put_part(cells, self.cells, &self.samples, |_, sample| sample);
@@ -204,18 +205,17 @@ impl<T: Copy + Default> Block<T> {
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
-    #[must_use]
     pub fn along_each_axis(mut self, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
         let mut spare = Vec::new();
         (0..3).for_each(|axis| self.along(axis, reach, &mut spare, &fill));
         self
     }
 
-    /// An operation along one axis; the result is smaller by `reach` on both sides. What is in `spare` is of no use before
-    /// or after.
+    /// An operation along one axis; the result is smaller by `reach` on both sides. What is in
+    /// `spare` is of no use before or after.
     ///
-    /// `fill` makes a row of the result, whatever was in it: sample i of the taps i, i + step, ..., the first of them
-    /// `reach` cells below it and the last as far above.
+    /// `fill` makes a row of the result, whatever was in it: sample i of the taps i, i + step, ...,
+    /// the first of them `reach` cells below it and the last as far above.
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
@@ -241,11 +241,14 @@ impl<T: Copy + Default> Block<T> {
         };
         let volume = self.cells.volume();
         if axis == 0 {
-            // Rows are short: they are done as one, and what lies on both sides of an end is left out.
+            // Rows are short: they are done as one, and what lies on both sides of an end is left
+            // out.
             let all = self.samples.len() - margin;
             fill_all(&mut spare[..all], &self.samples);
             let width = self.cells.size().x as usize;
-            for (to, row) in self.samples.chunks_exact_mut(width).zip(spare[..all].chunks(width + margin)) {
+            for (to, row) in
+                self.samples.chunks_exact_mut(width).zip(spare[..all].chunks(width + margin))
+            {
                 to.copy_from_slice(&row[..width]);
             }
         } else {
@@ -285,8 +288,9 @@ impl<T: Copy + Default> Block<T> {
     }
 }
 
-/// Puts what `value` makes of what is there and of `samples` in rows of `N` that begin at given places in both: rows as
-/// bricks have them or reach into a neighbour's halo, whose width the compiler knows.
+/// Puts what `value` makes of what is there and of `samples` in rows of `N` that begin at given
+/// places in both: rows as bricks have them or reach into a neighbour's halo, whose width the
+/// compiler knows.
 #[inline(always)]
 fn put_rows<T: Copy, const N: usize>(
     to: &mut [T],
@@ -295,7 +299,8 @@ fn put_rows<T: Copy, const N: usize>(
     value: impl Fn(T, T) -> T,
 ) {
     for (at, from) in rows {
-        let (Some(to), Some(from)) = (to[at..].first_chunk_mut::<N>(), samples[from..].first_chunk::<N>())
+        let (Some(to), Some(from)) =
+            (to[at..].first_chunk_mut::<N>(), samples[from..].first_chunk::<N>())
         else {
             unreachable!("both boxes cover the part")
         };

@@ -1,5 +1,5 @@
-//! Boxes around chunks of particles, found on the way while all of them are read: who wants the particles of some bins alone can
-//! pass over the chunks whose boxes hold none of those.
+//! Boxes around chunks of particles, found on the way while all of them are read: who wants the
+//! particles of some bins alone can pass over the chunks whose boxes hold none of those.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -69,8 +69,9 @@ impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
         Self { particles, grid: *grid, chunks }
     }
 
-    /// The box of bins around the particles of each chunk that were read: particles that are on the grid, and within a domain's walls,
-    /// lie in bins of their chunk's box. `None` where none is on the grid.
+    /// The box of bins around the particles of each chunk that were read: particles that are on the
+    /// grid, and within a domain's walls, lie in bins of their chunk's box. `None` where none is on
+    /// the grid.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
         let bins = |chunk: &Chunk| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);
@@ -175,7 +176,8 @@ mod tests {
             let at = grid.origin()[axis] + 16.0 * grid.cell_size() * bins;
             [at.next_down(), at, at.next_up()][(i + axis) % 3]
         };
-        let mut all: Vec<[f64; 3]> = (0..5000).map(|i| std::array::from_fn(|axis| place(i, axis))).collect();
+        let mut all: Vec<[f64; 3]> =
+            (0..5000).map(|i| std::array::from_fn(|axis| place(i, axis))).collect();
         (all[3][1], all[700][0], all[1900][2]) = (f64::NAN, 1e30, f64::NEG_INFINITY);
         all[2000..2064].fill([f64::NAN; 3]);
         all
@@ -184,7 +186,8 @@ mod tests {
     #[test]
     fn every_chunk_s_box_is_around_the_bins_of_its_particles_and_no_wider() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
-        let walls = Domain::new(&grid, DVec3::splat(-100.1), DVec3::new(90.0, 120.0, 111.3)).unwrap();
+        let walls =
+            Domain::new(&grid, DVec3::splat(-100.1), DVec3::new(90.0, 120.0, 111.3)).unwrap();
         let particles = particles(&grid);
         for (chunk, read) in [(64, 512), (1000, 77), (5000, 5000), (1, 13)] {
             let counts = || (0..5000).step_by(chunk).map(|first| chunk.min(5000 - first));
@@ -195,15 +198,19 @@ mod tests {
                 }
                 for (own, found) in particles.chunks(chunk).zip(watched.boxes(domain)) {
                     let room = CountingRoom::BINS;
-                    let counted =
-                        |domain| BinPlan::count(own, &grid, domain, InvalidParticles::Skip, room).unwrap();
+                    let counted = |domain| {
+                        BinPlan::count(own, &grid, domain, InvalidParticles::Skip, room).unwrap()
+                    };
                     let around = |plan: &BinPlan| {
                         let bins = plan.keys().iter().map(|key| CellBox::cube(key.coord(), 1));
                         bins.reduce(|one, other| one.union(&other))
                     };
                     let (inside, all) = (around(&counted(domain)), around(&counted(None)));
                     assert_eq!(found.is_some(), all.is_some());
-                    assert!(inside.is_none_or(|inside| found.is_some_and(|found| found.covers(&inside))));
+                    assert!(
+                        inside
+                            .is_none_or(|inside| found.is_some_and(|found| found.covers(&inside)))
+                    );
                     if domain.is_none() {
                         assert_eq!(found, inside);
                     }

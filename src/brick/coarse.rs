@@ -1,8 +1,8 @@
 //! A field in cells twice as wide, made of the finer one bin by bin where it is asked for.
 //!
-//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the four cells around its middle, so that mass, centroid and, but
-//! for a constant, the width of what lies in them stay the same wherever it lies. Beyond walls the finer field repeats its
-//! edge cells, as for all filters.
+//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the four cells around its middle, so
+//! that mass, centroid and, but for a constant, the width of what lies in them stay the same
+//! wherever it lies. Beyond walls the finer field repeats its edge cells, as for all filters.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -25,7 +25,6 @@ const WEIGHT_BITS: u32 = 9;
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
 /// The box of wide cells around a box of cells, or in which these leave something.
-#[must_use]
 pub fn halved_box(cells: CellBox) -> CellBox {
     CellBox { lo: cells.lo >> 1, hi: (cells.hi + 1) >> 1 }
 }
@@ -33,7 +32,8 @@ pub fn halved_box(cells: CellBox) -> CellBox {
 /// How pages of cells lie that were made of others half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
-/// Along an axis that has `step` sums in each plane, every two planes of `run` make one of `to`, but for the outermost two.
+/// Along an axis that has `step` sums in each plane, every two planes of `run` make one of `to`,
+/// but for the outermost two.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     if step == 1 {
@@ -44,15 +44,16 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     }
     for (to, first) in to.chunks_exact_mut(step).zip((0..).step_by(2 * step)) {
         let [a, b, c, d] = [first, first + step, first + 2 * step, first + 3 * step];
-        let (a, b, c, d) = (&run[a..a + step], &run[b..b + step], &run[c..c + step], &run[d..d + step]);
+        let (a, b, c, d) =
+            (&run[a..a + step], &run[b..b + step], &run[c..c + step], &run[d..d + step]);
         for ((((to, a), b), c), d) in to.iter_mut().zip(a).zip(b).zip(c).zip(d) {
             *to = a + 3 * (b + c) + d;
         }
     }
 }
 
-/// The finer cells of which those of a bin of wide cells are made: none where no wide cell is within the walls of the finer ones.
-#[must_use]
+/// The finer cells of which those of a bin of wide cells are made: none where no wide cell is
+/// within the walls of the finer ones.
 pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
     let wide = CellBox::cube(bin, BIN);
     let wide = walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
@@ -60,7 +61,6 @@ pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
 }
 
 /// The finer cells of which a box of wide cells is made, away from walls.
-#[must_use]
 pub fn halved_from_box(wide: CellBox) -> CellBox {
     CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 }
 }
@@ -76,11 +76,13 @@ struct Halving {
     kept: Option<Kept>,
 }
 
-/// Pages in a scratch file: made again, each of a halved field that was halved before would take hundreds of pages of the finest.
+/// Pages in a scratch file: made again, each of a halved field that was halved before would take
+/// hundreds of pages of the finest.
 #[derive(Debug)]
 struct Kept {
     scratch: Scratch,
-    /// Where each page begins, and how many words it takes; `None` for one that could not be written.
+    /// Where each page begins, and how many words it takes; `None` for one that could not be
+    /// written.
     places: Vec<Option<(u64, usize)>>,
 }
 
@@ -116,7 +118,9 @@ impl Halving {
             let planes = size[axis];
             size[axis] = planes / 2 - 1;
             let mut to = vec![0; size.element_product()];
-            for (to, run) in to.chunks_exact_mut(step * size[axis]).zip(sums.chunks_exact(step * planes)) {
+            for (to, run) in
+                to.chunks_exact_mut(step * size[axis]).zip(sums.chunks_exact(step * planes))
+            {
                 halved_along(to, run, step);
             }
             sums = to;
@@ -146,11 +150,16 @@ impl PageSource for Halving {
 }
 
 impl DifField {
-    /// The field in cells twice as wide, which hold what lies in them times `factor`, at most 1, and at most 65535. What is in
-    /// memory of this one is of that, too; else its pages go to a scratch file in a folder, or are made again as they are asked for where
-    /// there is none, or no room in it.
-    #[must_use]
-    pub fn halved(self: &Arc<Self>, walls: Option<CellBox>, factor: f64, scratch: Option<&Path>) -> Self {
+    /// The field in cells twice as wide, which hold what lies in them times `factor`, at most 1,
+    /// and at most 65535. What is in memory of this one is of that, too; else its pages go to a
+    /// scratch file in a folder, or are made again as they are asked for where there is none, or no
+    /// room in it.
+    pub fn halved(
+        self: &Arc<Self>,
+        walls: Option<CellBox>,
+        factor: f64,
+        scratch: Option<&Path>,
+    ) -> Self {
         let reach = self.ghost_layer();
         let touched = |cells: CellBox| CellBox { lo: (cells.lo - 1) >> 1, hi: (cells.hi + 2) >> 1 };
         let mut bins: Vec<IVec3> = self
@@ -163,7 +172,9 @@ impl DifField {
         bins.retain(|&bin| !halved_from(bin, walls).is_empty());
         bins.sort_unstable_by_key(|&bin| MortonKey::of(bin));
         let factor = Factor::new(factor);
-        if let Some((infos, pages)) = self.elsewhere().and_then(|pages| pages.halved(&bins, walls, factor)) {
+        if let Some((infos, pages)) =
+            self.elsewhere().and_then(|pages| pages.halved(&bins, walls, factor))
+        {
             let bins = infos.iter().map(|info| info.key.coord()).collect();
             let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
             return Self::elsewhere_paged(HALVED, infos, pages, Box::new(halving));
@@ -179,9 +190,13 @@ impl DifField {
                 let scratch = scratch.and_then(|folder| Scratch::in_folder(folder).ok());
                 let pages = halving.bins.par_iter().filter_map(|bin| {
                     let (info, samples) = page(bin)?;
-                    Some(((*bin, info), scratch.as_ref().and_then(|scratch| Kept::keep(scratch, &samples))))
+                    Some((
+                        (*bin, info),
+                        scratch.as_ref().and_then(|scratch| Kept::keep(scratch, &samples)),
+                    ))
                 });
-                let (pages, places): (Vec<_>, Vec<_>) = pages.collect::<Vec<_>>().into_iter().unzip();
+                let (pages, places): (Vec<_>, Vec<_>) =
+                    pages.collect::<Vec<_>>().into_iter().unzip();
                 let (bins, infos) = pages.into_iter().unzip();
                 let kept = scratch.map(|scratch| Kept { scratch, places });
                 Self::paged(HALVED, infos, Box::new(Halving { bins, kept, ..halving }), share)
@@ -201,7 +216,9 @@ mod tests {
     fn noise() -> Arc<DifField> {
         let mut state = 7_u64;
         let mut random = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             state >> 33
         };
         let bins = [IVec3::new(-1, 0, 0), IVec3::ZERO, IVec3::new(0, 0, 1), IVec3::new(3, 0, 1)];
@@ -231,8 +248,10 @@ mod tests {
                         at = at.clamp(walls.lo, walls.hi - 1);
                     }
                     let sample = fine.gather(CellBox { lo: at, hi: at + 1 }).at(at);
-                    sum +=
-                        weights[x as usize] * weights[y as usize] * weights[z as usize] * f64::from(sample);
+                    sum += weights[x as usize]
+                        * weights[y as usize]
+                        * weights[z as usize]
+                        * f64::from(sample);
                 }
             }
         }
@@ -250,7 +269,11 @@ mod tests {
             let block = wide.gather(cells);
             let mut any = 0;
             for cell in cells.cubes(1) {
-                assert_eq!(block.at(cell), plain(&fine, walls, cell, factor), "{cell} of {walls:?}");
+                assert_eq!(
+                    block.at(cell),
+                    plain(&fine, walls, cell, factor),
+                    "{cell} of {walls:?}"
+                );
                 any += i32::from(block.at(cell) > 0);
             }
             assert!(any > 200);

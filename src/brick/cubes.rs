@@ -15,7 +15,8 @@ pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
     IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
 }
 
-/// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the processor's cache.
+/// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the
+/// processor's cache.
 const CUBE_BITS: u32 = 1;
 /// Bins of a cube.
 pub(super) const CUBE: usize = 1 << (3 * CUBE_BITS);
@@ -34,11 +35,14 @@ pub(super) fn in_cube(bin: BinCode) -> u32 {
 
 /// The code of a bin of a cube, by its number there.
 pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
-    let axis = |a: u32| (number as BinCode >> (a * CUBE_BITS) & ((1 << CUBE_BITS) - 1)) << (a * COORD_BITS);
+    let axis = |a: u32| {
+        (number as BinCode >> (a * CUBE_BITS) & ((1 << CUBE_BITS) - 1)) << (a * COORD_BITS)
+    };
     cube | axis(0) | axis(1) | axis(2)
 }
 
-/// A direct-mapped cache of what is known of cubes: of all cubes that are so many apart along each axis, that which was last asked for.
+/// A direct-mapped cache of what is known of cubes: of all cubes that are so many apart along each
+/// axis, that which was last asked for.
 pub(super) struct Latest<T> {
     /// The number of low bits of a cube's coordinate that index the cache, along each axis.
     bits: u32,
@@ -46,7 +50,8 @@ pub(super) struct Latest<T> {
 }
 
 impl<T: Copy + Default> Latest<T> {
-    /// For so many particles, which may lie in any order: about as many cubes along each axis as a pool of them has.
+    /// For so many particles, which may lie in any order: about as many cubes along each axis as a
+    /// pool of them has.
     pub(super) fn of(particles: usize) -> Self {
         let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }

@@ -1,9 +1,9 @@
 //! The Elias-Fano code: a multiset of integers in close to the least room that it can take.
 //!
-//! Each of n integers up to u keeps its lowest l bits, l being the width of u / n. What is above them is its
-//! key; in order of their keys, integer number i sets bit `key + i` of a bit map. That makes l + 1 bits an
-//! integer, and up to n for the keys. The order of integers with the same key is free, so that a counting sort
-//! will do.
+//! Each of n integers up to u keeps its lowest l bits, l being the width of u / n. What is above
+//! them is its key; in order of their keys, integer number i sets bit `key + i` of a bit map. That
+//! makes l + 1 bits an integer, and up to n for the keys. The order of integers with the same key
+//! is free, so that a counting sort will do.
 //!
 //! P. Elias: *Efficient storage and retrieval by content and address of static files* (1974).
 
@@ -22,7 +22,8 @@ pub(super) struct EliasFano {
 impl EliasFano {
     /// For `count` integers, at least one, none above `greatest`.
     pub fn new(count: usize, greatest: u64) -> Self {
-        let low_bits = (u64::BITS - (greatest / count as u64).leading_zeros()).clamp(1, u64::BITS - 1);
+        let low_bits =
+            (u64::BITS - (greatest / count as u64).leading_zeros()).clamp(1, u64::BITS - 1);
         Self { count, low_bits, keys: (greatest >> low_bits) as usize + 1 }
     }
 
@@ -70,7 +71,8 @@ impl EliasFano {
     /// The integers that `words` stand for.
     pub fn decode(self, words: &[u64]) -> impl Iterator<Item = u64> + '_ {
         let (map, low) = words.split_at(self.map_words());
-        let ones = map.iter().enumerate().flat_map(|(w, &word)| ones(word).map(move |bit| w * WORD + bit));
+        let ones =
+            map.iter().enumerate().flat_map(|(w, &word)| ones(word).map(move |bit| w * WORD + bit));
         ones.enumerate().map(move |(i, one)| {
             let (word, shift) = self.low_place(i);
             let pair = u128::from(low[word + 1]) << WORD | u128::from(low[word]);
@@ -103,7 +105,8 @@ mod tests {
                     state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
                     (state ^ state >> 29) % greatest.saturating_add(1).max(1)
                 });
-                let mut integers: Vec<u64> = [0, greatest].into_iter().chain(random).take(count).collect();
+                let mut integers: Vec<u64> =
+                    [0, greatest].into_iter().chain(random).take(count).collect();
                 let code = EliasFano::new(count, greatest);
                 let order = code.order(&integers);
                 let words = code.encode(order.iter().map(|&i| integers[i as usize]));
@@ -113,7 +116,11 @@ mod tests {
                 assert!(decoded == integers, "{count} up to {greatest}");
                 let least = (u64::BITS - (greatest / count as u64).leading_zeros()).max(1);
                 let most = (least as usize + 2) * count + 4 * WORD;
-                assert!(words.len() * WORD <= most, "{count} up to {greatest}: {} words", words.len());
+                assert!(
+                    words.len() * WORD <= most,
+                    "{count} up to {greatest}: {} words",
+                    words.len()
+                );
             }
         }
     }

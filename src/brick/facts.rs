@@ -11,7 +11,8 @@ pub struct FrameFacts {
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The box that repeats itself, if one does: images of the particles beyond its faces are binned as well.
+    /// The box that repeats itself, if one does: images of the particles beyond its faces are
+    /// binned as well.
     pub periodic: Option<Periodic>,
     /// Numbers of particles: in bins, and left out. Images do not count.
     pub census: Census,
@@ -35,7 +36,8 @@ impl FrameFacts {
         }
     }
 
-    /// The cells in which a particle is itself, and not an image of another; `None` where there are no images.
+    /// The cells in which a particle is itself, and not an image of another; `None` where there are
+    /// no images.
     #[must_use]
     pub fn own_cells(&self) -> Option<CellBox> {
         self.periodic.as_ref().map(Periodic::cells)

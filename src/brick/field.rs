@@ -16,7 +16,8 @@ use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Page
 
 /// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
 ///
-/// A cell is full exactly where what is stored is not 0: where it holds particles, in the paper's sense, or is near some.
+/// A cell is full exactly where what is stored is not 0: where it holds particles, in the paper's
+/// sense, or is near some.
 #[derive(Debug)]
 pub struct DifField {
     shape: PageShape,
@@ -37,7 +38,6 @@ enum Stored {
 
 impl DifField {
     /// Makes a field of pages in memory, in the order of their keys.
-    #[must_use]
     pub fn in_memory(shape: PageShape, pages: Pages) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
         Self::new(shape, infos, Store::Memory(samples))
@@ -45,7 +45,6 @@ impl DifField {
 
     /// Makes a field of pages, in the order of their keys, whose samples are read from `source`.
     /// Those last used stay in memory as long as they take no more than `cache_bytes`.
-    #[must_use]
     pub fn paged(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -57,9 +56,8 @@ impl DifField {
         Self::new(shape, infos, Store::paged(source, cache_bytes, mean_bytes))
     }
 
-    /// Makes a field of pages, in the order of their keys, whose samples are elsewhere and come when they are wanted.
-    /// Where that fails they are made by `otherwise`.
-    #[must_use]
+    /// Makes a field of pages, in the order of their keys, whose samples are elsewhere and come
+    /// when they are wanted. Where that fails they are made by `otherwise`.
     pub fn elsewhere_paged(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -76,21 +74,19 @@ impl DifField {
         Self { shape, infos, rank, store, stored: Stored::Theta }
     }
 
-    /// Takes what is stored for numbers of particles, and `theta` for the DIF by number: 0 for none, more
-    /// than 0 for any, and 1 beyond its end.
-    #[must_use]
+    /// Takes what is stored for numbers of particles, and `theta` for the DIF by number: 0 for
+    /// none, more than 0 for any, and 1 beyond its end.
     pub fn with_decode(self, theta: &[u16]) -> Self {
         Self { stored: Stored::Counts(DecodeTable::new(theta)), ..self }
     }
 
     /// Bytes of samples that may be in memory; `None` where all are.
-    #[must_use]
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         self.store.cache_bytes()
     }
 
-    /// Returns the samples that are in another memory than the host's, such as a device's, if the field has such.
-    #[must_use]
+    /// Returns the samples that are in another memory than the host's, such as a device's, if the
+    /// field has such.
     pub fn elsewhere(&self) -> Option<&dyn Elsewhere> {
         match &self.store {
             Store::Elsewhere { pages, .. } => Some(&**pages),
@@ -99,31 +95,27 @@ impl DifField {
     }
 
     /// How far from a page's full cells the DIF can be more than 0, in cells.
-    #[must_use]
     pub fn ghost_layer(&self) -> i32 {
         self.shape.ghost_layer
     }
 
     /// How its pages' samples lie.
-    #[must_use]
     pub fn shape(&self) -> PageShape {
         self.shape
     }
 
     /// Edge of a brick.
-    #[must_use]
     pub fn side(&self) -> BrickSide {
         self.shape.side
     }
 
     /// Cells that are full by what their own bin's particles leave in them.
-    #[must_use]
     pub fn full_cells(&self) -> u64 {
         self.infos.iter().map(|info| u64::from(info.full_count)).sum()
     }
 
-    /// Mean of the DIF over the full cells, in 0 to 1, where bricks have no ghost layers. Reads all pages.
-    #[must_use]
+    /// Mean of the DIF over the full cells, in 0 to 1, where bricks have no ghost layers. Reads all
+    /// pages.
     pub fn mean_of_full(&self) -> f64 {
         let theta = |&sample: &u16| u64::from(self.stored.theta(sample));
         let pages = (0..self.infos.len()).into_par_iter();
@@ -132,30 +124,28 @@ impl DifField {
     }
 
     /// Bricks that hold particles.
-    #[must_use]
     pub fn bricks(&self) -> u64 {
         self.infos.iter().map(|info| u64::from(info.bricks.count_ones())).sum()
     }
 
     /// Bytes of all samples of its bricks, however they are kept.
-    #[must_use]
     pub fn sample_bytes(&self) -> u64 {
         let bytes = |info: &PageInfo| (info.samples(self.shape) * size_of::<u16>()) as u64;
         self.infos.iter().map(bytes).sum()
     }
 
     /// Cuts the DIF of `cells` out of the bricks.
-    #[must_use]
     pub fn gather(&self, cells: CellBox) -> Block {
         match &self.stored {
-            Stored::Theta if self.shape.ghost_layer > 0 => self.gather_by(cells, u16::saturating_add),
+            Stored::Theta if self.shape.ghost_layer > 0 => {
+                self.gather_by(cells, u16::saturating_add)
+            }
             Stored::Theta => self.gather_by(cells, |_, theta| theta),
             Stored::Counts(table) => self.gather_by(cells, |_, count| table.theta(count)),
         }
     }
 
     /// Cuts `cells` out of the DIF; beyond `walls` their edge cells are repeated.
-    #[must_use]
     pub fn gather_within(&self, cells: CellBox, walls: Option<CellBox>) -> Block {
         let mut block = self.gather(cells);
         if let Some(walls) = walls {
@@ -164,7 +154,8 @@ impl DifField {
         block
     }
 
-    /// Cuts out the samples by what `value` makes of what is there already and of what another brick has stored.
+    /// Cuts out the samples by what `value` makes of what is there already and of what another
+    /// brick has stored.
     fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
         let PageShape { side, ghost_layer } = self.shape;
         let edge = side.cells();
@@ -196,7 +187,8 @@ impl DifField {
         block
     }
 
-    /// Writes the samples of a whole bin as they are stored, dense as [`PageInfo::from_dense`] takes them.
+    /// Writes the samples of a whole bin as they are stored, dense as [`PageInfo::from_dense`]
+    /// takes them.
     ///
     /// # Panics
     /// If no page is there, or `dense` is not as long as a bin.
@@ -207,13 +199,12 @@ impl DifField {
     }
 
     /// Whether a bin has a page.
-    #[must_use]
     pub fn has_page(&self, bin: IVec3) -> bool {
         self.rank.contains_key(&bin)
     }
 
-    /// theta by the number of particles, and 1 for all numbers beyond, where what is stored is counts.
-    #[must_use]
+    /// theta by the number of particles, and 1 for all numbers beyond, where what is stored is
+    /// counts.
     pub fn decode_table(&self) -> Option<&[u16]> {
         match &self.stored {
             Stored::Counts(table) => Some(&table.0),
@@ -222,23 +213,23 @@ impl DifField {
     }
 
     /// Cells of the boxes around the full ones of all bins that some cells lie in.
-    #[must_use]
     pub fn full_volume(&self, cells: CellBox) -> usize {
         let bins = cells.cubes(BIN).filter_map(|bin| self.rank.get(&bin));
         bins.map(|&rank| self.infos[rank as usize].full.volume()).sum()
     }
 
-    /// The parts of some cells that lie within `reach` cells of a bin's full ones along every axis, which may overlap.
+    /// The parts of some cells that lie within `reach` cells of a bin's full ones along every axis,
+    /// which may overlap.
     pub fn parts_near(&self, cells: CellBox, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
         let bins = cells.grown(reach, reach).cubes(BIN).filter_map(|bin| self.rank.get(&bin));
-        let near =
-            bins.map(move |&rank| self.infos[rank as usize].full.grown(reach, reach).intersection(&cells));
+        let near = bins.map(move |&rank| {
+            self.infos[rank as usize].full.grown(reach, reach).intersection(&cells)
+        });
         near.filter(|part| !part.is_empty())
     }
 
-    /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell along
-    /// every axis, as boxes of cells, in the Morton order of their blocks.
-    #[must_use]
+    /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell
+    /// along every axis, as boxes of cells, in the Morton order of their blocks.
     pub fn regions(&self, below: i32, above: i32) -> Vec<CellBox> {
         block_parts(self.infos.iter().map(|info| info.full.grown(below, above)))
     }
@@ -249,13 +240,11 @@ impl DifField {
     }
 
     /// All pages, in the order of their keys.
-    #[must_use]
     pub fn infos(&self) -> &[PageInfo] {
         &self.infos
     }
 
     /// All samples of page number `page`'s bricks, not decoded.
-    #[must_use]
     pub fn stored(&self, page: usize) -> Cow<'_, [u16]> {
         self.store.once(page, self.shape)
     }
@@ -297,20 +286,18 @@ pub struct Factor(u32);
 
 impl Factor {
     /// Rounds a factor of at most 1 down to its step.
-    #[must_use]
     pub fn new(factor: f64) -> Self {
         Self((factor * f64::from(1 << FACTOR_BITS)) as u32)
     }
 
     /// The factor in steps of 2^-16.
-    #[must_use]
     pub fn steps(self) -> u32 {
         self.0
     }
 }
 
-/// Samples that are not in the host's memory, and what can be made of them where they are. Whatever fails is `None`, and made
-/// on the host.
+/// Samples that are not in the host's memory, and what can be made of them where they are. Whatever
+/// fails is `None`, and made on the host.
 pub trait Elsewhere: Send + Sync + Debug {
     /// How many pages there are.
     fn count(&self) -> usize;
@@ -327,7 +314,8 @@ pub trait Elsewhere: Send + Sync + Debug {
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn Elsewhere>)>;
 
-    /// For each page a bit for each brick of four cells, by its Morton index: those that no cube of `width` parts along each axis
-    /// touches that holds less than `least`; a part is two cells wide, and cubes slide by one.
+    /// For each page a bit for each brick of four cells, by its Morton index: those that no cube of
+    /// `width` parts along each axis touches that holds less than `least`; a part is two cells
+    /// wide, and cubes slide by one.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

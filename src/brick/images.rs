@@ -1,7 +1,9 @@
-//! Particles of a periodic box together with their images: all that binning has to know of such a box.
+//! Particles of a periodic box together with their images: all that binning has to know of such a
+//! box.
 //!
-//! Images follow the particles, and are never kept: of every group of particles it is known how many its particles have, and
-//! whoever reads images has them made anew of the particles of their groups. Groups without any are not read again.
+//! Images follow the particles, and are never kept: of every group of particles it is known how
+//! many its particles have, and whoever reads images has them made anew of the particles of their
+//! groups. Groups without any are not read again.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -50,7 +52,8 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     /// Counts the images of particles, if their box is periodic: reads all of them once.
     ///
     /// # Errors
-    /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless such are skipped.
+    /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless
+    /// such are skipped.
     pub fn of(
         particles: Metered<'a, P>,
         grid: &Grid,
@@ -77,7 +80,10 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
             all += std::mem::replace(before, all);
         }
         before.push(all);
-        Ok(Self { particles, images: Some(Images { before, astray: astray.into_inner(), ..images }) })
+        Ok(Self {
+            particles,
+            images: Some(Images { before, astray: astray.into_inner(), ..images }),
+        })
     }
 
     /// Counts, from now on, the particles that are read in a stage, up to a share of it.
@@ -85,8 +91,8 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         self.particles.begin(stage, to);
     }
 
-    /// The counts of the particles themselves, by those of a census that was taken with their images.
-    #[must_use]
+    /// The counts of the particles themselves, by those of a census that was taken with their
+    /// images.
     pub fn census(&self, census: Census) -> Census {
         let Some(images) = &self.images else { return census };
         Census {
@@ -153,7 +159,9 @@ impl Images<'_> {
                     astray += 1;
                     BinError::OutsideBox { index, position, axis }
                 }
-                Err(Misplaced::Unplaced(Unplaced::NotFinite)) => BinError::NotFinite { index, position },
+                Err(Misplaced::Unplaced(Unplaced::NotFinite)) => {
+                    BinError::NotFinite { index, position }
+                }
                 Err(Misplaced::Unplaced(Unplaced::TooFar)) => {
                     BinError::TooFar { index, position, cell_size: self.placer.grid.cell_size() }
                 }
@@ -171,8 +179,9 @@ impl Images<'_> {
         images
     }
 
-    /// Calls `take` with groups of which some images are wanted, the `count` ones from number `first` on: the group's particles, the
-    /// place of each wanted image's own among them, and where those images are.
+    /// Calls `take` with groups of which some images are wanted, the `count` ones from number
+    /// `first` on: the group's particles, the place of each wanted image's own among them, and
+    /// where those images are.
     fn groups(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -189,20 +198,25 @@ impl Images<'_> {
             let range = group_range(particles, group);
             let mut positions = vec![[0.0; 3]; range.len()];
             particles.positions(range.start, &mut positions);
-            let all =
-                positions.iter().enumerate().flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
-            // Particles that have moved meanwhile have other images: none where there are fewer, which whoever bins them finds out.
+            let all = positions
+                .iter()
+                .enumerate()
+                .flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
+            // Particles that have moved meanwhile have other images: none where there are fewer,
+            // which whoever bins them finds out.
             let nowhere = std::iter::repeat((0, [f64::NAN; 3]));
             let numbered = (self.before[group]..self.before[group + 1]).zip(all.chain(nowhere));
             let numbered = numbered.filter(|(number, _)| wanted.contains(number));
-            let (own, images): (Vec<usize>, Vec<[f64; 3]>) = numbered.map(|(_, image)| image).unzip();
+            let (own, images): (Vec<usize>, Vec<[f64; 3]>) =
+                numbered.map(|(_, image)| image).unzip();
             take(range.clone(), &own, &images);
             particles.release(range);
         }
     }
 }
 
-/// The parts of a slice for so many particles from `first` on: those that are among `own`, and those that come after.
+/// The parts of a slice for so many particles from `first` on: those that are among `own`, and
+/// those that come after.
 fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
     let at = width * own.saturating_sub(first);
     out.split_at_mut(at.min(out.len()))
@@ -220,7 +234,8 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
         if !real.is_empty() {
             self.particles.positions(first, real);
             // What is not in the box is nowhere.
-            real.iter_mut().for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
+            real.iter_mut()
+                .for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
         }
         let (first, count) = (first.max(own) - own, rest.len());
         images.groups(&self.particles, first, count, |_, _, positions| {
@@ -305,10 +320,12 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, Some([0.0, 1.0])], 3).unwrap();
         let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
-        let mut positions: Vec<[f64; 3]> = (0..5000).map(|i| [at(i, 0), at(i, 1), at(i, 2)]).collect();
+        let mut positions: Vec<[f64; 3]> =
+            (0..5000).map(|i| [at(i, 0), at(i, 1), at(i, 2)]).collect();
         // A whole group far from any face.
         positions[2048..3072].fill([0.5; 3]);
-        (positions[7], positions[8], positions[9]) = ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
+        (positions[7], positions[8], positions[9]) =
+            ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
         let info = AttributeInfo { name: "number".into(), components: 2 };
         let particles = Numbered(positions, vec![info]);
         let control = Control::default();
@@ -332,8 +349,9 @@ mod tests {
             let moved = [0, 2].map(|a| (position[a] - own[a]).abs());
             assert!(moved.iter().all(|d| *d < 1e-5 || (d - 1.0).abs() < 1e-5) && moved != [0.0; 2]);
             assert_eq!(position[1], own[1]);
-            let beyond =
-                |a: usize| !(0.0..1.0).contains(&position[a]) && (-0.061..1.061).contains(&position[a]);
+            let beyond = |a: usize| {
+                !(0.0..1.0).contains(&position[a]) && (-0.061..1.061).contains(&position[a])
+            };
             assert!(beyond(0) || beyond(2), "{position:?}");
         }
         for step in [1, 7, 512, 3000] {
@@ -342,13 +360,17 @@ mod tests {
                 let (mut some, mut some_values) = (vec![[0.0; 3]; count], vec![0.0; 2 * count]);
                 all.positions(first, &mut some);
                 all.attribute(0, first, &mut some_values);
-                let bits = |p: &[[f64; 3]]| p.iter().map(|p| p.map(f64::to_bits)).collect::<Vec<_>>();
+                let bits =
+                    |p: &[[f64; 3]]| p.iter().map(|p| p.map(f64::to_bits)).collect::<Vec<_>>();
                 assert_eq!(bits(&some), bits(&whole[first..first + count]));
                 assert_eq!(some_values, values[2 * first..2 * (first + count)]);
             }
         }
         let counted = Census { binned: len - 2, not_finite: 2, too_far: 0, outside: 0 };
-        assert_eq!(all.census(counted), Census { binned: 4998, not_finite: 1, too_far: 0, outside: 1 });
+        assert_eq!(
+            all.census(counted),
+            Census { binned: 4998, not_finite: 1, too_far: 0, outside: 1 }
+        );
     }
 
     /// Particles that are elsewhere each time they are read.

@@ -15,7 +15,8 @@ use super::{PageSamples, PageShape};
 pub struct PageInfo {
     /// The key of the page's bin.
     pub key: MortonKey,
-    /// A bit for every brick that has a full cell of its own, by its Morton index in the bin. Others are not stored.
+    /// A bit for every brick that has a full cell of its own, by its Morton index in the bin.
+    /// Others are not stored.
     pub bricks: u64,
     /// The tightest box around the bin's full cells, in cells of the world.
     pub full: CellBox,
@@ -27,17 +28,23 @@ pub struct PageInfo {
 pub type Pages = Vec<(PageInfo, PageSamples)>;
 
 impl PageInfo {
-    /// Describes a bin with `full_count` full cells, given the layers across x, y and z that hold any, a bit each.
-    pub(super) fn of_layers(key: MortonKey, bricks: u64, layers: [u16; 3], full_count: u32) -> Self {
+    /// Describes a bin with `full_count` full cells, given the layers across x, y and z that hold
+    /// any, a bit each.
+    pub(super) fn of_layers(
+        key: MortonKey,
+        bricks: u64,
+        layers: [u16; 3],
+        full_count: u32,
+    ) -> Self {
         let lo = IVec3::from(layers.map(|bits| bits.trailing_zeros() as i32));
         let hi = IVec3::from(layers.map(|bits| bits.ilog2() as i32 + 1));
         let corner = key.coord() * BIN;
         Self { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
     }
 
-    /// Keeps the bricks of `dense` that have a full cell of their own. Without ghost layers `dense` is a whole bin, x fastest; with
-    /// ghost layers it is as [`from_bricks`](Self::from_bricks) takes it.
-    #[must_use]
+    /// Keeps the bricks of `dense` that have a full cell of their own. Without ghost layers `dense`
+    /// is a whole bin, x fastest; with ghost layers it is as [`from_bricks`](Self::from_bricks)
+    /// takes it.
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, PageSamples)> {
         if shape.ghost_layer > 0 {
             return Self::from_bricks(bin, &mut dense.to_vec(), shape);
@@ -53,10 +60,13 @@ impl PageInfo {
         Self::from_bricks(bin, &mut bricks, shape)
     }
 
-    /// Keeps those of all bricks of a bin, in Morton order and x fastest in each, that have a full cell of their own; what is
-    /// in `samples` is of no use afterwards.
-    #[must_use]
-    pub fn from_bricks(bin: IVec3, samples: &mut [u16], shape: PageShape) -> Option<(Self, PageSamples)> {
+    /// Keeps those of all bricks of a bin, in Morton order and x fastest in each, that have a full
+    /// cell of their own; what is in `samples` is of no use afterwards.
+    pub fn from_bricks(
+        bin: IVec3,
+        samples: &mut [u16],
+        shape: PageShape,
+    ) -> Option<(Self, PageSamples)> {
         let mut full = FullCells::default();
         let (mut bricks, mut kept) = (0, 0);
         for index in 0..shape.side.bricks_a_bin() {
@@ -75,9 +85,8 @@ impl PageInfo {
         })
     }
 
-    /// Takes a page out of the `samples` of a bin that is one brick, and leaves 0: what particles in these cells of the bin
-    /// have left. `None` if that is nothing in any cell of its own.
-    #[must_use]
+    /// Takes a page out of the `samples` of a bin that is one brick, and leaves 0: what particles
+    /// in these cells of the bin have left. `None` if that is nothing in any cell of its own.
     pub fn take_sparse(
         bin: IVec3,
         samples: &mut [u16],
@@ -95,25 +104,32 @@ impl PageInfo {
         any.then(|| (full.page(MortonKey::of(bin), 1), PageSamples::Sparse(sparse)))
     }
 
-    /// Describes the page of stored samples, or returns `None` where they make no valid page.
-    /// A valid page has a full cell in every one of `bricks`, and nothing farther from the bin's full cells than the ghost layer is wide.
+    /// Describes the page of stored samples, or returns `None` where they make no valid page. A
+    /// valid page has a full cell in every one of `bricks`, and nothing farther from the bin's full
+    /// cells than the ghost layer is wide.
     ///
     /// # Panics
     /// If the samples are not of the bricks' number.
-    #[must_use]
-    pub fn from_samples(key: MortonKey, bricks: u64, samples: &[u16], shape: PageShape) -> Option<Self> {
+    pub fn from_samples(
+        key: MortonKey,
+        bricks: u64,
+        samples: &[u16],
+        shape: PageShape,
+    ) -> Option<Self> {
         let mut full = FullCells::default();
         let set = (0..shape.side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
         assert_eq!(set.clone().count() * shape.brick_samples(), samples.len());
-        let stored = || set.clone().map(local_from_morton).zip(samples.chunks_exact(shape.brick_samples()));
+        let stored =
+            || set.clone().map(local_from_morton).zip(samples.chunks_exact(shape.brick_samples()));
         if bricks == 0 || !stored().all(|(local, brick)| full.add(local, brick, shape)) {
             return None;
         }
         let page = full.page(key, bricks);
         let near = page.full.grown(shape.ghost_layer, shape.ghost_layer);
         let first = |local: IVec3| key.coord() * (BIN / shape.side.cells()) + local;
-        let is_near =
-            |(local, brick): (IVec3, &[u16])| nonzero_are_in(brick, shape.cells_of(first(local)), near);
+        let is_near = |(local, brick): (IVec3, &[u16])| {
+            nonzero_are_in(brick, shape.cells_of(first(local)), near)
+        };
         (shape.ghost_layer == 0 || stored().all(is_near)).then_some(page)
     }
 
@@ -125,17 +141,19 @@ impl PageInfo {
             let local = local_from_morton(index);
             let Some(samples) = self.brick(samples, local, shape) else { continue };
             if shape.ghost_layer == 0 {
-                for (first, from) in rows(local * edge, edge).zip(samples.chunks_exact(edge as usize)) {
+                for (first, from) in
+                    rows(local * edge, edge).zip(samples.chunks_exact(edge as usize))
+                {
                     dense[first..first + edge as usize].copy_from_slice(from);
                 }
             } else {
-                dense[index * shape.brick_samples()..][..shape.brick_samples()].copy_from_slice(samples);
+                dense[index * shape.brick_samples()..][..shape.brick_samples()]
+                    .copy_from_slice(samples);
             }
         }
     }
 
     /// Bytes that its samples take in memory at the most.
-    #[must_use]
     pub fn most_bytes(&self, shape: PageShape) -> usize {
         let nonzero = shape.cells_a_particle() * self.full_count as usize;
         let near = self.full.grown(shape.ghost_layer, shape.ghost_layer).volume();
@@ -143,13 +161,18 @@ impl PageInfo {
     }
 
     /// How many samples are stored.
-    #[must_use]
     pub fn samples(&self, shape: PageShape) -> usize {
         self.bricks.count_ones() as usize * shape.brick_samples()
     }
 
-    /// The part of the page's `samples` that is one brick, given its place in the bin counted in bricks.
-    pub(super) fn brick<'a>(&self, samples: &'a [u16], local: IVec3, shape: PageShape) -> Option<&'a [u16]> {
+    /// The part of the page's `samples` that is one brick, given its place in the bin counted in
+    /// bricks.
+    pub(super) fn brick<'a>(
+        &self,
+        samples: &'a [u16],
+        local: IVec3,
+        shape: PageShape,
+    ) -> Option<&'a [u16]> {
         let bit = 1_u64 << local_morton(local);
         (self.bricks & bit != 0).then(|| {
             let size = shape.brick_samples();
@@ -185,12 +208,14 @@ impl Default for FullCells {
 }
 
 impl FullCells {
-    /// Counts in what the brick at `local` leaves in the bin; whether it has a full cell of its own.
+    /// Counts in what the brick at `local` leaves in the bin; whether it has a full cell of its
+    /// own.
     fn add(&mut self, local: IVec3, samples: &[u16], shape: PageShape) -> bool {
         let PageShape { side, ghost_layer } = shape;
         let (own, edge) = (CellBox::cube(local, side.cells()), shape.edge());
         let first = own.lo - ghost_layer;
-        let inside = own.grown(ghost_layer, ghost_layer).intersection(&CellBox::cube(IVec3::ZERO, BIN));
+        let inside =
+            own.grown(ghost_layer, ghost_layer).intersection(&CellBox::cube(IVec3::ZERO, BIN));
         let of_brick = ((1_u32 << side.cells()) - 1) << own.lo.x;
         let full = fullness(samples);
         let mut any = 0;
@@ -219,7 +244,8 @@ impl FullCells {
     }
 }
 
-/// Returns a bit for each layer of a bin across x, y and z that has a full cell, and the number of full cells.
+/// Returns a bit for each layer of a bin across x, y and z that has a full cell, and the number of
+/// full cells.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512bitalg",
     "x86_64+avx2+popcnt",
@@ -238,7 +264,6 @@ fn summary(rows: &[u16; (BIN * BIN) as usize]) -> ([u16; 3], u32) {
 }
 
 /// A byte for each sample: 1 where it is not 0.
-#[must_use]
 pub fn fullness(samples: &[u16]) -> Vec<u8> {
     samples.iter().map(|&sample| u8::from(sample > 0)).collect()
 }
@@ -247,13 +272,13 @@ pub fn fullness(samples: &[u16]) -> Vec<u8> {
 ///
 /// # Panics
 /// If there are more than 128.
-#[must_use]
 #[inline]
 pub fn full_bits(row: &[u8]) -> u128 {
     assert!(row.len() <= 128, "a row of {} cells", row.len());
     let (eights, rest) = row.as_chunks::<8>();
     let rest = rest.iter().rev().fold(0, |bits, &full| bits << 1 | u128::from(full));
     // The product brings byte i to bit 56 + i.
-    let bits = |&eight: &[u8; 8]| u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+    let bits =
+        |&eight: &[u8; 8]| u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
     eights.iter().rev().fold(rest, |all, eight| all << 8 | u128::from(bits(eight)))
 }

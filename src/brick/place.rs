@@ -111,8 +111,8 @@ impl Placer {
         }
     }
 
-    /// Calls `each` with the number of a chunk's first particle, their positions and their addresses, until it
-    /// fails.
+    /// Calls `each` with the number of a chunk's first particle, their positions and their
+    /// addresses, until it fails.
     pub fn for_each_chunk<E>(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -131,7 +131,8 @@ impl Placer {
             positions[count..].fill(rest);
             if !place_all(&bounds, &positions, &mut addresses) {
                 for (address, &position) in addresses.iter_mut().zip(&positions[..count]) {
-                    *address = self.place(position).ok().flatten().map_or(Address::NOWHERE, Address::of);
+                    *address =
+                        self.place(position).ok().flatten().map_or(Address::NOWHERE, Address::of);
                 }
             }
             if let Some(sieve) = &mut sieve {
@@ -164,8 +165,9 @@ impl Bounds {
         let unbounded = [[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]];
         let domain = placer.domain.as_ref();
         let walls = domain.map_or(unbounded, |domain| domain.walls().map(|wall| wall.to_array()));
-        let steps =
-            domain.map_or(unbounded, |domain| domain.step_range().map(|steps| steps.map(|step| step as f64)));
+        let steps = domain.map_or(unbounded, |domain| {
+            domain.step_range().map(|steps| steps.map(|step| step as f64))
+        });
         Self {
             origin: repeated(placer.grid.origin().to_array()),
             cell: placer.grid.cell_size(),
@@ -215,8 +217,12 @@ mod tests {
 
     #[test]
     fn a_bins_coordinates_survive_packing() {
-        for bin in [IVec3::ZERO, IVec3::new(-1, 1, -2), IVec3::splat(-(1 << 18)), IVec3::splat((1 << 18) - 1)]
-        {
+        for bin in [
+            IVec3::ZERO,
+            IVec3::new(-1, 1, -2),
+            IVec3::splat(-(1 << 18)),
+            IVec3::splat((1 << 18) - 1),
+        ] {
             let steps = bin.to_array().map(|c| i64::from(c * BIN + 3) * i64::from(FRACTIONS) + 5);
             assert_eq!(bin_coord(Address::of(steps).bin), bin);
         }
@@ -225,8 +231,10 @@ mod tests {
     #[test]
     fn particles_are_left_out_whose_bins_are_not_wanted_in_whatever_order_bins_are_asked_for() {
         let sight = Sight::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
-        let stretch =
-            Stretch { first: MortonKey::of(IVec3::splat(-9)), end: MortonKey::of(IVec3::new(7, -3, 2)) };
+        let stretch = Stretch {
+            first: MortonKey::of(IVec3::splat(-9)),
+            end: MortonKey::of(IVec3::new(7, -3, 2)),
+        };
         let wanted = WantedBins { stretch, sight };
         // More bins along each axis than the cache has room for, each asked for several times.
         let (edge, mut sieve) = (41_i64, Sieve::new(wanted, 1));
@@ -235,7 +243,8 @@ mod tests {
             let bin = [at, at / edge, at / edge.pow(2)].map(|c| c % edge - edge / 2);
             Address::of(bin.map(|c| c * i64::from(BIN) * i64::from(FRACTIONS)))
         };
-        let addresses: Vec<Address> = (0..3 * edge.pow(3)).map(address).chain([Address::NOWHERE]).collect();
+        let addresses: Vec<Address> =
+            (0..3 * edge.pow(3)).map(address).chain([Address::NOWHERE]).collect();
         let mut kept = addresses.clone();
         sieve.keep(&mut kept);
         let expected = addresses.iter().map(|&address| {
@@ -267,7 +276,10 @@ mod tests {
             let mut all = vec![Address::NOWHERE; CHUNK];
             assert!(place_all(&Bounds::of(&placer), &positions, &mut all));
             for (position, address) in positions.iter().zip(all) {
-                assert_eq!(placer.place(*position).map(|steps| steps.map(Address::of)), Ok(Some(address)));
+                assert_eq!(
+                    placer.place(*position).map(|steps| steps.map(Address::of)),
+                    Ok(Some(address))
+                );
             }
             for stray in [f64::NAN, f64::INFINITY, 1e9, -1e9] {
                 let mut one = positions.clone();

@@ -1,4 +1,5 @@
-//! The second reading beyond memory: counted particles go into runs of bins, which are sorted one by one.
+//! The second reading beyond memory: counted particles go into runs of bins, which are sorted one
+//! by one.
 
 use std::io;
 use std::ops::Range;
@@ -18,13 +19,13 @@ use super::spill::{SpilledBins, in_bin_of_run};
 const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
 
-/// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in its run.
+/// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in
+/// its run.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
 impl BinPlan {
-    /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin
-    /// that is too large for that is a run of its own.
-    #[must_use]
+    /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in
+    /// `bytes`; a bin that is too large for that is a run of its own.
     pub fn runs(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -38,7 +39,8 @@ impl BinPlan {
         for bin in 0..self.keys.len() {
             match runs.last_mut() {
                 Some(run)
-                    if run.len() < RUN_BINS && self.first[bin + 1] - self.first[run.start] <= particles =>
+                    if run.len() < RUN_BINS
+                        && self.first[bin + 1] - self.first[run.start] <= particles =>
                 {
                     run.end = bin + 1;
                 }
@@ -48,13 +50,13 @@ impl BinPlan {
         runs
     }
 
-    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, and the
-    /// attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in all, and runs `memory_bytes`, the rest of
-    /// them being in the file.
+    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, and
+    /// the attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in
+    /// all, and runs `memory_bytes`, the rest of them being in the file.
     ///
     /// # Errors
-    /// Where the scratch file cannot be created or written; and within, [`Unread::Changed`] for particles that are not where they
-    /// were when they were counted.
+    /// Where the scratch file cannot be created or written; and within, [`Unread::Changed`] for
+    /// particles that are not where they were when they were counted.
     pub fn spill(
         self,
         particles: &(impl Particles + ?Sized),
@@ -68,43 +70,60 @@ impl BinPlan {
         ranges.iter_mut().for_each(|range| range.places = Vec::new());
         let mut at_of_bin = vec![0; keys.len()];
         for (run, number) in runs.iter().zip(0_u32..) {
-            at_of_bin[run.clone()].iter_mut().zip(number << RUN_BITS..).for_each(|(to, at)| *to = at);
+            at_of_bin[run.clone()]
+                .iter_mut()
+                .zip(number << RUN_BITS..)
+                .for_each(|(to, at)| *to = at);
         }
         let components = components(particles, carried);
         let spilled = SpilledBins::new(keys, first, components, runs, folder, memory_bytes)?;
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
-        let as_counted = ranges.into_par_iter().map(|RangePlan { range, mut table, ranks, .. }| {
-            let mut buffers = spilled.buffers(threads, buffer_bytes);
-            let mut latest = LatestNumbers::of(particles.len());
-            let counts = table.counts().iter().zip(ranks);
-            let expected = |(&left, bin)| Expected { at: *at_of_bin.get(bin as usize).unwrap_or(&0), left };
-            let mut expected: Vec<Expected> = counts.map(expected).collect();
-            let mut unexpected = false;
-            let (mut placed, mut found) = (Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK));
-            placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
-                let attributes =
-                    Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
-                table.place_all(addresses, &mut latest, &mut placed);
-                found.clear();
-                found.extend(placed.iter().map(|&(rank, _)| {
-                    let bin = expected.get_mut(rank as usize).filter(|bin| bin.left > 0);
-                    unexpected |= bin.is_none() && rank != NOWHERE;
-                    bin.map(|bin| {
-                        bin.left -= 1;
-                        bin.at
-                    })
-                }));
-                let filed = found.iter().zip(&placed).enumerate().filter_map(|(i, (&at, &(_, record)))| {
-                    let (run, in_run) = ((at? >> RUN_BITS) as usize, at? as usize % RUN_BINS);
-                    Some((i, run, in_bin_of_run(in_run, record)))
-                });
-                buffers.push_all(filed, &attributes)?;
-                Ok::<_, io::Error>(())
-            })?;
-            buffers.flush()?;
-            Ok(!unexpected && expected.iter().all(|bin| bin.left == 0))
-        });
-        let as_counted = as_counted.try_reduce(|| true, |one, other| Ok::<_, io::Error>(one & other))?;
+        let as_counted =
+            ranges.into_par_iter().map(|RangePlan { range, mut table, ranks, .. }| {
+                let mut buffers = spilled.buffers(threads, buffer_bytes);
+                let mut latest = LatestNumbers::of(particles.len());
+                let counts = table.counts().iter().zip(ranks);
+                let expected = |(&left, bin)| Expected {
+                    at: *at_of_bin.get(bin as usize).unwrap_or(&0),
+                    left,
+                };
+                let mut expected: Vec<Expected> = counts.map(expected).collect();
+                let mut unexpected = false;
+                let (mut placed, mut found) =
+                    (Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK));
+                placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
+                    let attributes = Tuples::read(
+                        particles,
+                        carried,
+                        &spilled.components,
+                        chunk_first,
+                        addresses.len(),
+                    );
+                    table.place_all(addresses, &mut latest, &mut placed);
+                    found.clear();
+                    found.extend(placed.iter().map(|&(rank, _)| {
+                        let bin = expected.get_mut(rank as usize).filter(|bin| bin.left > 0);
+                        unexpected |= bin.is_none() && rank != NOWHERE;
+                        bin.map(|bin| {
+                            bin.left -= 1;
+                            bin.at
+                        })
+                    }));
+                    let filed = found.iter().zip(&placed).enumerate().filter_map(
+                        |(i, (&at, &(_, record)))| {
+                            let (run, in_run) =
+                                ((at? >> RUN_BITS) as usize, at? as usize % RUN_BINS);
+                            Some((i, run, in_bin_of_run(in_run, record)))
+                        },
+                    );
+                    buffers.push_all(filed, &attributes)?;
+                    Ok::<_, io::Error>(())
+                })?;
+                buffers.flush()?;
+                Ok(!unexpected && expected.iter().all(|bin| bin.left == 0))
+            });
+        let as_counted =
+            as_counted.try_reduce(|| true, |one, other| Ok::<_, io::Error>(one & other))?;
         Ok(if as_counted { Ok(spilled) } else { Err(Unread::Changed) })
     }
 }

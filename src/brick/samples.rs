@@ -1,4 +1,5 @@
-//! The samples of a page in memory: all of them, or only those that are not 0 where these are few, as in spray.
+//! The samples of a page in memory: all of them, or only those that are not 0 where these are few,
+//! as in spray.
 
 use std::borrow::Cow;
 
@@ -6,7 +7,8 @@ use glam::IVec3;
 
 use super::{BrickSide, PageShape};
 
-/// Samples that are not 0 are kept by their places where they are no more than one in so many of all.
+/// Samples that are not 0 are kept by their places where they are no more than one in so many of
+/// all.
 const ONE_IN: usize = 8;
 
 /// Bits of a coordinate of a [`SamplePlace`].
@@ -38,7 +40,10 @@ impl SamplePlace {
     /// Counted from the brick's lowest sample.
     #[inline]
     pub(super) fn local(self) -> IVec3 {
-        IVec3::from([0, 1, 2].map(|axis| i32::from(self.0 >> (axis * PLACE_BITS)) & ((1 << PLACE_BITS) - 1)))
+        IVec3::from(
+            [0, 1, 2]
+                .map(|axis| i32::from(self.0 >> (axis * PLACE_BITS)) & ((1 << PLACE_BITS) - 1)),
+        )
     }
 
     fn index(self, edge: usize) -> usize {
@@ -49,13 +54,11 @@ impl SamplePlace {
 
 impl PageSamples {
     /// Whether so many samples that are not 0 are few enough to be kept by their places.
-    #[must_use]
     pub fn are_sparse(nonzero: usize, shape: PageShape) -> bool {
         shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / ONE_IN
     }
 
     /// Keeps all samples of a page: densely, or only those that are not 0 where these are few.
-    #[must_use]
     pub fn new(samples: Cow<'_, [u16]>, shape: PageShape) -> Self {
         if shape.side != BrickSide::Sixteen {
             return Self::Dense(samples.into_owned().into());
@@ -68,17 +71,19 @@ impl PageSamples {
         let mut sparse = Vec::with_capacity(nonzero);
         // Most of them are passed over many at a time.
         let (many, rest) = samples.as_chunks::<16>();
-        for (first, samples) in (0..).step_by(16).zip(many.iter().map(|many| &many[..]).chain([rest])) {
+        for (first, samples) in
+            (0..).step_by(16).zip(many.iter().map(|many| &many[..]).chain([rest]))
+        {
             if samples.iter().fold(0, |any, sample| any | sample) > 0 {
                 let samples = (first..).zip(samples).filter(|&(_, &sample)| sample > 0);
-                sparse.extend(samples.map(|(index, &sample)| (SamplePlace::of(index, edge), sample)));
+                sparse
+                    .extend(samples.map(|(index, &sample)| (SamplePlace::of(index, edge), sample)));
             }
         }
         Self::Sparse(sparse.into())
     }
 
     /// All samples, brick after brick.
-    #[must_use]
     pub fn dense(&self, shape: PageShape) -> Cow<'_, [u16]> {
         match self {
             Self::Dense(samples) => samples.as_ref().into(),
@@ -91,20 +96,22 @@ impl PageSamples {
         }
     }
 
-    /// The samples as words for a file: all of them, or the places and values of those that are not 0.
-    #[must_use]
+    /// The samples as words for a file: all of them, or the places and values of those that are not
+    /// 0.
     pub fn to_words(&self) -> Cow<'_, [u16]> {
         match self {
             Self::Dense(samples) => samples.as_ref().into(),
-            Self::Sparse(sparse) => sparse.iter().flat_map(|&(place, sample)| [place.0, sample]).collect(),
+            Self::Sparse(sparse) => {
+                sparse.iter().flat_map(|&(place, sample)| [place.0, sample]).collect()
+            }
         }
     }
 
-    /// All samples of a page, brick after brick, from its words: those of few samples are fewer than of all.
+    /// All samples of a page, brick after brick, from its words: those of few samples are fewer
+    /// than of all.
     ///
     /// # Panics
     /// For words of another shape.
-    #[must_use]
     pub fn dense_of_words(words: Vec<u16>, shape: PageShape) -> Vec<u16> {
         if !Self::are_sparse(words.len() / 2, shape) {
             return words;
@@ -115,7 +122,6 @@ impl PageSamples {
     }
 
     /// Bytes that they take in memory.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         match self {
             Self::Dense(samples) => size_of_val(&**samples),
@@ -123,8 +129,8 @@ impl PageSamples {
         }
     }
 
-    /// Bytes that they take at the most where no more than so many are not 0, in so many bricks at the most.
-    #[must_use]
+    /// Bytes that they take at the most where no more than so many are not 0, in so many bricks at
+    /// the most.
     pub fn most_bytes(nonzero: usize, bricks: usize, shape: PageShape) -> usize {
         if Self::are_sparse(nonzero, shape) {
             nonzero * size_of::<(SamplePlace, u16)>()
@@ -134,8 +140,8 @@ impl PageSamples {
     }
 }
 
-/// Takes the samples that are not 0 out of `samples`, of a bin that is one brick, and leaves 0. All of them are what
-/// particles leave around their cells, given in the bin: others are not looked at.
+/// Takes the samples that are not 0 out of `samples`, of a bin that is one brick, and leaves 0. All
+/// of them are what particles leave around their cells, given in the bin: others are not looked at.
 pub(super) fn take_sparse(
     samples: &mut [u16],
     cells: impl ExactSizeIterator<Item = [usize; 3]>,
@@ -143,7 +149,8 @@ pub(super) fn take_sparse(
 ) -> Box<[(SamplePlace, u16)]> {
     let (edge, reach) = (shape.edge() as usize, 2 * shape.ghost_layer as usize);
     let mut sparse = Vec::with_capacity(shape.cells_a_particle() * cells.len());
-    // The lowest sample around a cell is at the cell's own place, for the brick begins with its ghost layer.
+    // The lowest sample around a cell is at the cell's own place, for the brick begins with its
+    // ghost layer.
     for [x, y, z] in cells {
         for (z, y) in (z..=z + reach).flat_map(|z| (y..=y + reach).map(move |y| (z, y))) {
             let first = x + edge * (y + edge * z);
@@ -161,7 +168,8 @@ pub(super) fn take_sparse(
 mod tests {
     use super::*;
 
-    /// Returns the samples of one-brick bins, with and without a ghost layer, of which different numbers are not 0.
+    /// Returns the samples of one-brick bins, with and without a ghost layer, of which different
+    /// numbers are not 0.
     fn scenes() -> impl Iterator<Item = (PageShape, Vec<u16>)> {
         [0, 1].into_iter().flat_map(|ghost_layer| {
             let shape = PageShape { side: BrickSide::Sixteen, ghost_layer };

@@ -27,14 +27,13 @@ impl BrickSide {
         }
     }
 
-    /// How many fill a bin: the bits of [`PageInfo::bricks`](super::PageInfo::bricks) that can be set.
-    #[must_use]
+    /// How many fill a bin: the bits of [`PageInfo::bricks`](super::PageInfo::bricks) that can be
+    /// set.
     pub fn bricks_a_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize
     }
 
     /// Samples of a brick.
-    #[must_use]
     pub fn samples(self) -> usize {
         self.cells().pow(3) as usize
     }
@@ -45,8 +44,8 @@ impl BrickSide {
 pub struct PageShape {
     /// The edge of the bricks.
     pub side: BrickSide,
-    /// How many cells around its own a brick stores, in which its own particles leave something: 0 or 1. What is in a
-    /// cell is the sum over all bricks, at most 65535.
+    /// How many cells around its own a brick stores, in which its own particles leave something: 0
+    /// or 1. What is in a cell is the sum over all bricks, at most 65535.
     pub ghost_layer: i32,
 }
 
@@ -59,7 +58,6 @@ impl From<BrickSide> for PageShape {
 
 impl PageShape {
     /// Edge of a brick with its ghost layer, in cells.
-    #[must_use]
     pub fn edge(self) -> i32 {
         self.side.cells() + 2 * self.ghost_layer
     }
@@ -70,33 +68,30 @@ impl PageShape {
     }
 
     /// Cells in which a particle can leave something.
-    #[must_use]
     pub fn cells_a_particle(self) -> usize {
         (1 + 2 * self.ghost_layer as usize).pow(3)
     }
 
     /// Samples of a brick.
-    #[must_use]
     pub fn brick_samples(self) -> usize {
         self.edge().pow(3) as usize
     }
 
     /// Samples of a whole bin, dense.
-    #[must_use]
     pub fn bin_samples(self) -> usize {
         self.side.bricks_a_bin() * self.brick_samples()
     }
 
-    /// Where the samples of a cell lie in a dense bin with ghost layers, for the lowest of the cells around it: the sum over the
-    /// axes, each by the cell's coordinate in the bin.
-    #[must_use]
+    /// Where the samples of a cell lie in a dense bin with ghost layers, for the lowest of the
+    /// cells around it: the sum over the axes, each by the cell's coordinate in the bin.
     pub fn firsts(self) -> [[usize; BIN as usize]; 3] {
         let (side, edge) = (self.side.cells(), self.edge() as usize);
         [0, 1, 2].map(|axis: usize| {
             std::array::from_fn(|cell| {
                 let mut brick = IVec3::ZERO;
                 brick[axis] = cell as i32 / side;
-                local_morton(brick) * self.brick_samples() + (cell % side as usize) * edge.pow(axis as u32)
+                local_morton(brick) * self.brick_samples()
+                    + (cell % side as usize) * edge.pow(axis as u32)
             })
         })
     }

@@ -1,7 +1,8 @@
 //! Words of memory that are added at the end and taken away from there.
 //!
-//! They lie in slabs that are mapped one by one: large ones in huge pages, which the system hands out at a fraction of the cost of small
-//! ones, and whatever is taken away is the system's again at once.
+//! They lie in slabs that are mapped one by one: large ones in huge pages, which the system hands
+//! out at a fraction of the cost of small ones, and whatever is taken away is the system's again at
+//! once.
 
 use std::borrow::Cow;
 use std::io;

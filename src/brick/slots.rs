@@ -1,8 +1,10 @@
 //! Places for particles that several threads fill.
 //!
-//! No two threads have the same place, and all are joined before any is read: so much the order of memory needs, and no more.
+//! No two threads have the same place, and all are joined before any is read: so much the order of
+//! memory needs, and no more.
 
-// The standard library's and the system's, but where a test tries every order that threads can come in.
+// The standard library's and the system's, but where a test tries every order that threads can come
+// in.
 use super::atomic::{AtomicU32, AtomicU64, Ordering};
 use super::zeroed_in_huge_pages;
 
@@ -34,13 +36,17 @@ impl Slots {
         for attribute in &self.attributes {
             let components = attribute.len() / self.records.len();
             let to = &attribute[slot * components..(slot + 1) * components];
-            to.iter().zip(values.by_ref()).for_each(|(to, x)| to.store(x.to_bits(), Ordering::Relaxed));
+            to.iter()
+                .zip(values.by_ref())
+                .for_each(|(to, x)| to.store(x.to_bits(), Ordering::Relaxed));
         }
     }
 
     /// The records, and the values of each attribute, once all threads are done.
     pub(super) fn into_parts(self) -> (Vec<Record>, Vec<Vec<f32>>) {
-        let plain = |bits: Vec<AtomicU32>| bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect();
+        let plain = |bits: Vec<AtomicU32>| {
+            bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect()
+        };
         let records = self.records.into_iter().map(AtomicU64::into_inner).collect();
         (records, self.attributes.into_iter().map(plain).collect())
     }

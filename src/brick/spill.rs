@@ -1,9 +1,10 @@
-//! Binning beyond memory: particles put into runs of bins, in memory while there is room and then in a scratch file, and sorted
-//! run by run.
+//! Binning beyond memory: particles put into runs of bins, in memory while there is room and then
+//! in a scratch file, and sorted run by run.
 //!
-//! A run is a stretch of the Morton curve with as many particles as are sorted at once. Its particles are kept
-//! in pieces, each the Elias-Fano code of packed particles whose free upper bits name their bins in the run,
-//! and behind it their attributes in the same order. Coded, more of them fit into memory than sorted.
+//! A run is a stretch of the Morton curve with as many particles as are sorted at once. Its
+//! particles are kept in pieces, each the Elias-Fano code of packed particles whose free upper bits
+//! name their bins in the run, and behind it their attributes in the same order. Coded, more of
+//! them fit into memory than sorted.
 
 use std::borrow::Cow;
 use std::io;
@@ -24,7 +25,8 @@ use super::elias_fano::EliasFano;
 use super::slabs::Slabs;
 use super::slots::{Record, Slots};
 
-/// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
+/// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level
+/// cache.
 const PIECE: usize = 1 << 19;
 /// Particles of a piece that is not the last, at the least.
 const FEWEST: usize = 16;
@@ -91,8 +93,8 @@ struct Piece {
     at: Place,
 }
 
-/// Where the words of a piece begin: the code of its packed particles, and all components of all attributes of one particle after the
-/// other.
+/// Where the words of a piece begin: the code of its packed particles, and all components of all
+/// attributes of one particle after the other.
 #[derive(Debug)]
 enum Place {
     /// In the memory of its run.
@@ -105,8 +107,8 @@ enum Place {
 const CODED: usize = 6;
 
 impl SpilledBins {
-    /// Bytes that a particle with attributes of so many components takes before it is sorted, at the least.
-    #[must_use]
+    /// Bytes that a particle with attributes of so many components takes before it is sorted, at
+    /// the least.
     pub fn least_particle_bytes(components: &[usize]) -> u64 {
         (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
     }
@@ -123,7 +125,15 @@ impl SpilledBins {
         let held = || Held { pieces: Vec::new(), memory: Slabs::new(slab) };
         let held = runs.iter().map(|_| held().into()).collect();
         let memory = Room { most: memory_bytes, taken: AtomicU64::new(0) };
-        Ok(Self { keys, first, components, runs, scratch: Scratch::in_folder(folder)?, held, memory })
+        Ok(Self {
+            keys,
+            first,
+            components,
+            runs,
+            scratch: Scratch::in_folder(folder)?,
+            held,
+            memory,
+        })
     }
 
     fn held(&self, run: usize) -> MutexGuard<'_, Held> {
@@ -131,7 +141,6 @@ impl SpilledBins {
     }
 
     /// The runs, as ranges of bins.
-    #[must_use]
     pub fn runs(&self) -> &[Range<usize>] {
         &self.runs
     }
@@ -166,8 +175,8 @@ impl SpilledBins {
         RunBuffers { spilled: self, full, records, values }
     }
 
-    /// Shows all bins to `take`, run by run, once; it returns how many bytes it has kept in memory so far, which the runs that it has not
-    /// seen make room for.
+    /// Shows all bins to `take`, run by run, once; it returns how many bytes it has kept in memory
+    /// so far, which the runs that it has not seen make room for.
     ///
     /// # Errors
     /// Where `take` fails, or the scratch file cannot be read or written.
@@ -185,7 +194,8 @@ impl SpilledBins {
         Ok(())
     }
 
-    /// Moves pieces to the scratch file until those in memory take no more than `bytes`: those first that are wanted last.
+    /// Moves pieces to the scratch file until those in memory take no more than `bytes`: those
+    /// first that are wanted last.
     fn keep_within(&self, bytes: u64) -> io::Result<()> {
         for run in (0..self.runs.len()).rev() {
             let Held { pieces, memory } = &mut *self.held(run);
@@ -260,9 +270,12 @@ impl SpilledBins {
             let mut values = cast_slice(values).chunks_exact(width.max(1));
             let bin_of = |record: Record| (record >> RECORD_BITS) as usize;
             let bins = || records.chunk_by(|&a, &b| bin_of(a) == bin_of(b));
-            // All slots are taken before any is filled: the processor takes one only once all that was filled before is in memory.
+            // All slots are taken before any is filled: the processor takes one only once all that
+            // was filled before is in memory.
             bin_slots.clear();
-            bin_slots.extend(bins().map(|bin| next[bin_of(bin[0])].fetch_add(bin.len(), Ordering::Relaxed)));
+            bin_slots.extend(
+                bins().map(|bin| next[bin_of(bin[0])].fetch_add(bin.len(), Ordering::Relaxed)),
+            );
             for (bin, &slot) in bins().zip(&*bin_slots) {
                 for (slot, record) in (slot..).zip(bin) {
                     let values = values.next().unwrap_or_default();
@@ -278,7 +291,8 @@ impl SpilledBins {
         Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
     }
 
-    /// A place for all runs once they are sorted, to be read bin by bin; this file is then done with.
+    /// A place for all runs once they are sorted, to be read bin by bin; this file is then done
+    /// with.
     ///
     /// # Errors
     /// Where the scratch file cannot be created.
@@ -286,8 +300,10 @@ impl SpilledBins {
         let scratch = Scratch::in_folder(folder)?;
         let particles = *self.first.last().expect("there is always an end") as u64;
         let records_at = scratch.reserve(particles * size_of::<Record>() as u64);
-        let attributes_at =
-            self.components.iter().map(|&n| scratch.reserve(particles * size_of::<f32>() as u64 * n as u64));
+        let attributes_at = self
+            .components
+            .iter()
+            .map(|&n| scratch.reserve(particles * size_of::<f32>() as u64 * n as u64));
         let attributes_at = attributes_at.collect();
         let bins = Bins {
             keys: self.keys.clone(),
@@ -314,8 +330,10 @@ impl SortedStore {
     /// # Errors
     /// Where the scratch file cannot be written.
     pub fn push(&mut self, run: &Bins) -> io::Result<()> {
-        let (Store::Memory { records, attributes }, Store::File { scratch, records_at, attributes_at }) =
-            (&run.store, &self.bins.store)
+        let (
+            Store::Memory { records, attributes },
+            Store::File { scratch, records_at, attributes_at },
+        ) = (&run.store, &self.bins.store)
         else {
             unreachable!("a run is in memory, and the store is a file");
         };
@@ -329,7 +347,6 @@ impl SortedStore {
     }
 
     /// All bins, to be read one by one.
-    #[must_use]
     pub fn finish(self) -> Bins {
         self.bins
     }
@@ -353,7 +370,8 @@ pub(super) struct RunBuffers<'a> {
 }
 
 impl RunBuffers<'_> {
-    /// Adds particles: of each its number among the attributes, its run, and its record in its bin of the run.
+    /// Adds particles: of each its number among the attributes, its run, and its record in its bin
+    /// of the run.
     pub(super) fn push_all(
         &mut self,
         particles: impl Iterator<Item = (usize, usize, Record)>,
@@ -411,7 +429,8 @@ pub enum BinnedParticles {
 }
 
 impl BinnedParticles {
-    /// Shows all bins to `take`, run by run; it returns how many bytes it has kept in memory so far.
+    /// Shows all bins to `take`, run by run; it returns how many bytes it has kept in memory so
+    /// far.
     ///
     /// # Errors
     /// Where `take` fails, or a scratch file cannot be read or written.
@@ -422,7 +441,8 @@ impl BinnedParticles {
         }
     }
 
-    /// Shows all bins to `take`, and returns them: what was in a scratch file, in one of its own in `folder`.
+    /// Shows all bins to `take`, and returns them: what was in a scratch file, in one of its own in
+    /// `folder`.
     ///
     /// # Errors
     /// Those of [`visit`](Self::visit), and where a scratch file cannot be written.
@@ -457,15 +477,17 @@ mod tests {
     /// The particles of each bin, sorted.
     type Sorted = Vec<(MortonKey, Vec<Record>)>;
 
-    /// All bins as a visitor sees them that keeps so many bytes of each run; and the bytes of pieces in memory, and in the scratch file,
-    /// when all were binned and when each run was sorted.
+    /// All bins as a visitor sees them that keeps so many bytes of each run; and the bytes of
+    /// pieces in memory, and in the scratch file, when all were binned and when each run was
+    /// sorted.
     fn visited(memory_bytes: u64, kept: u64) -> (Sorted, Vec<[u64; 2]>) {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 320.0;
         let particles: Vec<[f64; 3]> =
             (0..PARTICLES).map(|i| std::array::from_fn(|a| coordinate(i, a))).collect();
         let room = CountingRoom::BINS;
-        let plan = BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, room).unwrap();
+        let plan =
+            BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, room).unwrap();
         let runs = plan.runs(&particles[..], &[], 5000 * 8);
         assert!(runs.len() > 6, "{} runs tell nothing", runs.len());
         let folder = tempfile::tempdir().unwrap();
@@ -497,7 +519,10 @@ mod tests {
         let (bins, in_memory) = visited(u64::MAX, 0);
         assert!(bins == expected && in_memory.iter().all(|&[_, file]| file == 0));
         assert!(in_memory[0][0] >= all, "{in_memory:?}");
-        assert!(in_memory.is_sorted_by(|a, b| a[0] > b[0]), "runs give back what they took: {in_memory:?}");
+        assert!(
+            in_memory.is_sorted_by(|a, b| a[0] > b[0]),
+            "runs give back what they took: {in_memory:?}"
+        );
         let (bins, in_both) = visited(all / 2, 0);
         assert!(bins == expected);
         let [memory, file] = in_both[0];

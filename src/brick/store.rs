@@ -1,4 +1,5 @@
-//! Where the samples of a field are: in memory, or somewhere else with the pages last used in memory.
+//! Where the samples of a field are: in memory, or somewhere else with the pages last used in
+//! memory.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -10,7 +11,8 @@ use quick_cache::{OptionsBuilder, Weighter};
 
 use super::{Elsewhere, PageSamples, PageShape};
 
-/// Bytes of a cached page besides its samples: its entry in the cache, and the heads of its allocations.
+/// Bytes of a cached page besides its samples: its entry in the cache, and the heads of its
+/// allocations.
 const CACHED_PAGE: u64 = 136;
 
 /// Samples that are not in memory, page by page.
@@ -48,7 +50,8 @@ pub(super) enum Store {
         source: Box<dyn PageSource>,
         cache: Cache<u32, Arc<PageSamples>, Bytes>,
     },
-    /// Pages outside of the host's memory; those wanted on the host are kept in it too, [`TOGETHER`] at a time.
+    /// Pages outside of the host's memory; those wanted on the host are kept in it too,
+    /// [`TOGETHER`] at a time.
     Elsewhere {
         pages: Box<dyn Elsewhere>,
         otherwise: Box<dyn PageSource>,
@@ -57,7 +60,8 @@ pub(super) enum Store {
 }
 
 impl Store {
-    /// Pages of `mean_bytes` on average at the most, as many of them in memory as fit into `cache_bytes`.
+    /// Pages of `mean_bytes` on average at the most, as many of them in memory as fit into
+    /// `cache_bytes`.
     pub(super) fn paged(source: Box<dyn PageSource>, cache_bytes: u64, mean_bytes: u64) -> Self {
         let items = cache_bytes / (mean_bytes + CACHED_PAGE);
         let options = OptionsBuilder::new()
@@ -71,7 +75,8 @@ impl Store {
 
     /// Pages that are elsewhere; where that fails they are made by `otherwise`.
     pub(super) fn elsewhere(pages: Box<dyn Elsewhere>, otherwise: Box<dyn PageSource>) -> Self {
-        let here = std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
+        let here =
+            std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
         Self::Elsewhere { pages, otherwise, here }
     }
 
@@ -91,7 +96,10 @@ impl Store {
             Self::Paged { source, cache } => {
                 let read = || {
                     let samples = source.samples(page as usize);
-                    Ok::<_, std::convert::Infallible>(Arc::new(PageSamples::new(samples.into(), shape)))
+                    Ok::<_, std::convert::Infallible>(Arc::new(PageSamples::new(
+                        samples.into(),
+                        shape,
+                    )))
                 };
                 let Ok(samples) = cache.get_or_insert_with(&page, read);
                 Cached::Shared(samples)
@@ -114,13 +122,16 @@ impl Store {
     /// # Panics
     /// If all are in memory, or in a cache.
     fn fetched(&self, page: usize, shape: PageShape) -> &PageSamples {
-        let Self::Elsewhere { pages, otherwise, here } = self else { unreachable!("pages are elsewhere") };
+        let Self::Elsewhere { pages, otherwise, here } = self else {
+            unreachable!("pages are elsewhere")
+        };
         let (group, first) = (&here[page / TOGETHER], page / TOGETHER * TOGETHER);
         let fetched = group.get().unwrap_or_else(|| {
             let range = first..pages.count().min(first + TOGETHER);
             let made = |page| PageSamples::new(otherwise.samples(page).into(), shape);
             let samples = pages.samples(range.clone()).unwrap_or_else(|| range.map(made).collect());
-            // Two threads may fetch the same: one that held the other up while it waits for others might wait for itself.
+            // Two threads may fetch the same: one that held the other up while it waits for others
+            // might wait for itself.
             group.get_or_init(|| samples)
         });
         &fetched[page - first]

@@ -7,8 +7,8 @@ const ROW: usize = BIN as usize;
 const ROWS: usize = ROW * ROW;
 const CELLS: usize = ROW * ROWS;
 
-/// Sums for the cells of one bin, x fastest: integers, which doubles hold exactly up to 2^53, so that the order of
-/// addition does not matter.
+/// Sums for the cells of one bin, x fastest: integers, which doubles hold exactly up to 2^53, so
+/// that the order of addition does not matter.
 #[derive(Debug)]
 pub struct CellSums {
     /// Per cell: the particles' number N, then the sum S of their offsets along x, y and z.

@@ -33,8 +33,9 @@ use crate::system::cancel::Cancelled;
 
 /// Anything that can go wrong between a particle file and a mesh file.
 ///
-/// Printed, it says all: the file, the place, and what the system said. `source()` leads to the kinds of errors that it is made of, such as
-/// [`std::io::Error`], which print parts of the same sentence: there is nothing to be joined.
+/// Printed, it says all: the file, the place, and what the system said. `source()` leads to the
+/// kinds of errors that it is made of, such as [`std::io::Error`], which print parts of the same
+/// sentence: there is nothing to be joined.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -155,7 +156,9 @@ fn file(path: Option<&Path>) -> String {
 }
 
 fn suggestion(suggested: Option<f64>) -> String {
-    suggested.map_or(String::new(), |d| format!("; their nearest neighbours suggest {}", significant(d, 3)))
+    suggested.map_or(String::new(), |d| {
+        format!("; their nearest neighbours suggest {}", significant(d, 3))
+    })
 }
 
 fn to_simplify(threads: Option<usize>) -> String {
@@ -165,7 +168,9 @@ fn to_simplify(threads: Option<usize>) -> String {
 fn two_purposes(path: &Path, other: &Path) -> String {
     let path = path.display();
     match other.display() {
-        other if other.to_string() == path.to_string() => format!("{path}: is given for two purposes"),
+        other if other.to_string() == path.to_string() => {
+            format!("{path}: is given for two purposes")
+        }
         other => format!("{path}: is given for two purposes: it is the same file as {other}"),
     }
 }
@@ -197,7 +202,8 @@ impl From<Cancelled> for Error {
 }
 
 impl Error {
-    /// The message, with settings called as `name` says: an option's name for a program, a keyword's for a binding.
+    /// The message, with settings called as `name` says: an option's name for a program, a
+    /// keyword's for a binding.
     #[must_use]
     pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
@@ -214,8 +220,9 @@ impl Error {
     /// Names the file that particles are of, where the error does not say it.
     #[must_use]
     pub fn of_file(mut self, file: &Path) -> Self {
-        if let Self::Frame { path, .. } | Self::NoSpacing { path, .. } | Self::NoAttribute { path, .. } =
-            &mut self
+        if let Self::Frame { path, .. }
+        | Self::NoSpacing { path, .. }
+        | Self::NoAttribute { path, .. } = &mut self
         {
             path.get_or_insert_with(|| file.to_owned());
         }
@@ -237,10 +244,14 @@ impl Error {
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
             #[cfg(feature = "pictures")]
-            Self::Picture { fault: PictureError::Io(_) | PictureError::Reference(_), .. } => Cause::Input,
+            Self::Picture { fault: PictureError::Io(_) | PictureError::Reference(_), .. } => {
+                Cause::Input
+            }
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
-            Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
+            Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => {
+                Cause::Request
+            }
             Self::WholeMesh(WholeMeshError::Scratch(_)) => Cause::Output,
             Self::WholeMesh(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
@@ -255,9 +266,9 @@ impl Error {
                     | FrameError::NoSpace { .. },
                 ..
             } => Cause::Request,
-            Self::Frame { fault: FrameError::NoRoom { .. } | FrameError::Scratch { .. }, .. } => {
-                Cause::Output
-            }
+            Self::Frame {
+                fault: FrameError::NoRoom { .. } | FrameError::Scratch { .. }, ..
+            } => Cause::Output,
             Self::Frame {
                 fault:
                     FrameError::NoParticles(_)

@@ -89,7 +89,8 @@ pub enum PartsError {
 /// Numbers that are listed, at the most.
 const LISTED: usize = 16;
 
-/// Numbers as people read them: those that follow one another as a range, and no more than the first few.
+/// Numbers as people read them: those that follow one another as a range, and no more than the
+/// first few.
 fn shortened(numbers: &[u32]) -> String {
     let ranges = numbers.chunk_by(|a, b| a + 1 == *b).map(|range| match range {
         [first, .., last] => format!("{first} to {last}"),

@@ -47,14 +47,18 @@ pub struct Unfit {
 
 impl Unfit {
     /// The sentence, with the setting called as `name` says.
-    #[must_use]
     pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));
         match (&self.with, self.setting.name()) {
-            (Conflict::Setting(other), _) => format!("{setting} and {} exclude each other", name(*other)),
+            (Conflict::Setting(other), _) => {
+                format!("{setting} and {} exclude each other", name(*other))
+            }
             (Conflict::Packed(path), "format") => {
-                format!("{}: {setting} is for particles, and this is a packed frame", path.display())
+                format!(
+                    "{}: {setting} is for particles, and this is a packed frame",
+                    path.display()
+                )
             }
             (Conflict::Indicator(kind), "mu0") => {
                 format!("{setting} has no meaning for {} {}", named("indicator"), kind.name())
@@ -75,7 +79,9 @@ impl Unfit {
                 named("indicator"),
                 named("sigma")
             ),
-            (Conflict::Method(_), _) => format!("{setting} has no meaning for this {}", named("method")),
+            (Conflict::Method(_), _) => {
+                format!("{setting} has no meaning for this {}", named("method"))
+            }
             (Conflict::Packed(path), _) => {
                 format!("{}: {setting} needs the particles themselves", path.display())
             }
@@ -83,7 +89,9 @@ impl Unfit {
                 format!("{setting} is for surfaces: give it when the packed frame is reconstructed")
             }
             (Conflict::Sampled, _) => {
-                format!("{setting} needs the particles themselves, and the frame is sampled already")
+                format!(
+                    "{setting} needs the particles themselves, and the frame is sampled already"
+                )
             }
             (Conflict::OnDevice, _) => {
                 format!("{setting} has no meaning for a surface that stays on a device")

@@ -58,7 +58,9 @@ pub enum SimulationError {
     #[error("{0}")]
     Names(String),
     /// The files are of several simulations, and what is asked for goes with one.
-    #[error("{from}: several simulations: {families}; name one of them, or a folder for the meshes of each")]
+    #[error(
+        "{from}: several simulations: {families}; name one of them, or a folder for the meshes of each"
+    )]
     Several {
         /// Where they were found.
         from: String,

@@ -1,7 +1,7 @@
 //! From samples to the field, once: the paper's filters, or distances from clouds.
 //!
-//! A request says which [`Filters`] there are, and so how far they reach and what they take. A [`Recipe`] also has
-//! what only a calibration tells: where the surface is.
+//! A request says which [`Filters`] there are, and so how far they reach and what they take. A
+//! [`Recipe`] also has what only a calibration tells: where the surface is.
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
@@ -39,7 +39,6 @@ pub struct PaperFilters {
 
 impl PaperFilters {
     /// For the DIF of an indicator and a Gaussian of `sigma`.
-    #[must_use]
     pub fn new(kind: IndicatorKind, sigma: Sigma, detail: Detail) -> Self {
         let recovery = (detail == Detail::Recovered).then(|| Recovery::new(sigma));
         Self { smoothing: Smoothing::new(kind, sigma), recovery }
@@ -51,7 +50,6 @@ impl PaperFilters {
     }
 
     /// How far from a cell the DIF decides its field: the halos of all stages together.
-    #[must_use]
     pub fn halo(&self) -> i32 {
         self.stages().map(Filter::halo).sum()
     }
@@ -61,17 +59,16 @@ impl PaperFilters {
     }
 
     /// Fields of a block that are there at once, at the most.
-    #[must_use]
     pub fn fields(&self) -> FieldCount {
-        let most =
-            |of: fn(FieldCount) -> u64| self.stages().map(|stage| of(stage.fields())).max().unwrap_or(0);
+        let most = |of: fn(FieldCount) -> u64| {
+            self.stages().map(|stage| of(stage.fields())).max().unwrap_or(0)
+        };
         FieldCount { host: most(|fields| fields.host), device: most(|fields| fields.device) }
     }
 }
 
 impl Filters {
     /// How far from a full cell there can be a surface.
-    #[must_use]
     pub fn reach(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.reach(),
@@ -80,7 +77,6 @@ impl Filters {
     }
 
     /// How far from a cell particles decide its field, in cells.
-    #[must_use]
     pub fn halo(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.halo(),
@@ -89,7 +85,6 @@ impl Filters {
     }
 
     /// The cells whose samples decide the field on some cells, and which of those count as inside.
-    #[must_use]
     pub fn seen(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Paper(paper) => cells.grown(paper.halo(), paper.halo()),
@@ -98,7 +93,6 @@ impl Filters {
     }
 
     /// The weights of all stages.
-    #[must_use]
     pub fn weights(&self) -> Vec<&Weights> {
         match self {
             Self::Paper(paper) => paper.stages().flat_map(Filter::weights).collect(),
@@ -107,7 +101,6 @@ impl Filters {
     }
 
     /// The part of some cells in which dual cells can be mixed, as far as the filters say.
-    #[must_use]
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Distances(distances) if !cells.is_empty() => distances.not_inside(cells),
@@ -116,7 +109,6 @@ impl Filters {
     }
 
     /// Bytes of a block in the memory of a thread while its field is made, at the most.
-    #[must_use]
     pub fn block_bytes(&self) -> u64 {
         match self {
             Self::Paper(paper) => {
@@ -129,7 +121,6 @@ impl Filters {
     }
 
     /// Whether every drop and every sheet can have a surface.
-    #[must_use]
     pub fn keeps_details(&self) -> bool {
         match self {
             Self::Paper(paper) => paper.recovery.is_some(),
@@ -149,21 +140,16 @@ pub struct Recipe {
 
 impl Recipe {
     /// The paper's, for an isovalue.
-    #[must_use]
     pub fn of_paper(filters: PaperFilters, iso: Isovalue) -> Self {
         Self { filters: Filters::Paper(filters), iso }
     }
 
     /// By distances, which are 0 on the surface.
-    #[must_use]
     pub fn of_distances(distances: Distances) -> Self {
         Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::NO_DISTANCE }
     }
 
     /// From the samples to the field, wherever fields are kept.
-    ///
-    /// # Errors
-    /// Those of `fields`.
     pub fn apply<F: Fields>(&self, fields: &mut F) -> Result<F::Field, F::Error> {
         match &self.filters {
             Filters::Paper(paper) => paper.apply(fields, self.iso),
@@ -190,7 +176,8 @@ impl PaperFilters {
     }
 }
 
-/// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one near by.
+/// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one
+/// near by.
 #[derive(Debug, Clone)]
 pub struct WideFields<T> {
     /// Distances.
@@ -200,10 +187,10 @@ pub struct WideFields<T> {
 }
 
 /// All that distances need of wide cells: it is made once for whatever cells lie between these.
-///
-/// # Errors
-/// Those of `fields`.
-pub fn bulk<F: Fields>(distances: &Distances, fields: &mut F) -> Result<WideFields<F::Field>, F::Error> {
+pub fn bulk<F: Fields>(
+    distances: &Distances,
+    fields: &mut F,
+) -> Result<WideFields<F::Field>, F::Error> {
     let Distances { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let mut share = |width: &Width| fields.blur(clouds.clone(), &width.weights);
@@ -218,9 +205,6 @@ pub fn bulk<F: Fields>(distances: &Distances, fields: &mut F) -> Result<WideFiel
 }
 
 /// The field, of what is known of wide cells, and of drops in cells where any can be seen.
-///
-/// # Errors
-/// Those of `fields`.
 pub fn joined<F: Fields>(
     distances: &Distances,
     fields: &mut F,
@@ -252,8 +236,8 @@ pub trait Fields {
     /// The error of a filter that fails.
     type Error;
 
-    /// The samples of the cells that the field is asked for on, and of as many around as `halo` says: cells 2^`level` times as wide,
-    /// between whose middles those cells lie.
+    /// The samples of the cells that the field is asked for on, and of as many around as `halo`
+    /// says: cells 2^`level` times as wide, between whose middles those cells lie.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// One separable filter (section 4.2); at a wall it sees the edge cells repeated.
@@ -268,13 +252,21 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 
     /// Returns the greater of two fields, cell by cell.
-    fn greater(&mut self, field: Self::Field, other: Self::Field) -> Result<Self::Field, Self::Error>;
+    fn greater(
+        &mut self,
+        field: Self::Field,
+        other: Self::Field,
+    ) -> Result<Self::Field, Self::Error>;
 
     /// Two surfaces of the bulk, by the samples under each of its widths.
-    fn depths(&mut self, bulk: &Bulk, shares: [Self::Field; 3]) -> Result<Depths<Self::Field>, Self::Error>;
+    fn depths(
+        &mut self,
+        bulk: &Bulk,
+        shares: [Self::Field; 3],
+    ) -> Result<Depths<Self::Field>, Self::Error>;
 
-    /// The one that is drawn, of both and of what they are apart by on average: none where nothing is near, and at its greatest
-    /// inside.
+    /// The one that is drawn, of both and of what they are apart by on average: none where nothing
+    /// is near, and at its greatest inside.
     fn mixed(
         &mut self,
         bulk: &Bulk,
@@ -291,17 +283,24 @@ pub trait Fields {
         least: u16,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
+    /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells
+    /// repeated.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Looks at what is known of cells 2^`level` times as wide, and may stop where no surface can come of it.
-    fn look(&mut self, wide: &WideFields<Self::Field>, level: u32, gate: &Gate) -> Result<(), Self::Error>;
+    /// Looks at what is known of cells 2^`level` times as wide, and may stop where no surface can
+    /// come of it.
+    fn look(
+        &mut self,
+        wide: &WideFields<Self::Field>,
+        level: u32,
+        gate: &Gate,
+    ) -> Result<(), Self::Error>;
 
     /// A field of cells 2^`level` times as wide at the middles of those that it is asked for on.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether particles stand out in any cell, as far as cells 2^`level` times as wide tell. From then on samples and fields are those of
-    /// the cells where they can.
+    /// Whether particles stand out in any cell, as far as cells 2^`level` times as wide tell. From
+    /// then on samples and fields are those of the cells where they can.
     fn narrowed(&mut self, near: &Self::Field, level: u32, gate: &Gate) -> bool;
 
     /// Shares of clouds in what is around them.
@@ -323,7 +322,6 @@ pub trait Fields {
 }
 
 /// The cells of which a field takes samples, and whose walls they repeat at a level.
-#[must_use]
 pub fn walls_at(level: u32, walls: Option<CellBox>) -> Option<CellBox> {
     walls.map(|walls| (0..level).fold(walls, |walls, _| crate::brick::halved_box(walls)))
 }

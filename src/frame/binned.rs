@@ -28,7 +28,8 @@ pub(super) fn sorted(
     let runs = bin_plan.runs(particles, carried, shares.particles);
     // No run is being sorted yet, so that share is free for buffers.
     let buffers = shares.particles as usize;
-    let spilled = bin_plan.spill(particles, carried, runs, &resources.scratch, buffers, shares.coded);
+    let spilled =
+        bin_plan.spill(particles, carried, runs, &resources.scratch, buffers, shares.coded);
     Ok(BinnedParticles::Spilled(spilled.map_err(resources.scratch_error())??))
 }
 
@@ -59,7 +60,8 @@ impl Binned for HostBins<'_> {
         let kept = match binned {
             BinnedParticles::InMemory(bins) => {
                 let bins = Arc::new(bins);
-                let taken = occupied.add(&bins).and_then(|()| sink.take_whole(stages, &bins, rule, &meter));
+                let taken =
+                    occupied.add(&bins).and_then(|()| sink.take_whole(stages, &bins, rule, &meter));
                 taken.map(|()| keep.then_some(bins))
             }
             spilled if keep => {

@@ -54,7 +54,9 @@ impl Found {
 
     /// Adds those of another bin; of places with as many particles the first one is kept.
     pub fn add(&mut self, other: &Self) {
-        let rank = |of: &Self| (of.most, std::cmp::Reverse(of.bin.to_array()), std::cmp::Reverse(of.record));
+        let rank = |of: &Self| {
+            (of.most, std::cmp::Reverse(of.bin.to_array()), std::cmp::Reverse(of.record))
+        };
         let particles = self.particles + other.particles;
         if rank(other) > rank(self) {
             *self = *other;
@@ -64,7 +66,11 @@ impl Found {
 
     /// Reports them, if there are any; `bins` lists the number of particles in each bin.
     #[must_use]
-    pub fn report(&self, grid: &Grid, bins: impl Iterator<Item = (IVec3, u64)>) -> Option<Coincident> {
+    pub fn report(
+        &self,
+        grid: &Grid,
+        bins: impl Iterator<Item = (IVec3, u64)>,
+    ) -> Option<Coincident> {
         let (cell, offset) = unpack(self.record);
         let cell = self.bin * BIN + IVec3::from(cell.map(|c| c as i32));
         let offset = DVec3::from(offset.map(f64::from)) / f64::from(FRACTIONS);

@@ -12,7 +12,8 @@ use crate::system::control::Stage;
 
 use super::{FrameError, Method, Occupied, Sampling, Surfacing};
 
-/// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
+/// Particles that are counted by bin: what they will take is known, and nothing is stored for them
+/// yet.
 pub struct Counted<'a, P: ?Sized> {
     pub(super) particles: WithImages<'a, P>,
     pub(super) sampling: &'a Sampling,
@@ -27,25 +28,42 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// Counts the particles, and refuses what cannot be done with them.
     ///
     /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
+    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can
+    /// hold.
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
         Self::planned(particles, sampling, None)
     }
 
     /// Takes a plan of all particles that was made before, by the same sampling.
-    fn planned(particles: &'a P, sampling: &'a Sampling, plan: Option<BinPlan>) -> Result<Self, FrameError> {
+    fn planned(
+        particles: &'a P,
+        sampling: &'a Sampling,
+        plan: Option<BinPlan>,
+    ) -> Result<Self, FrameError> {
         let Sampling { grid, domain, invalid, .. } = sampling;
-        let (particles, plan) = Self::with_images(particles, sampling, *invalid, |particles, room| {
-            plan.map_or_else(|| BinPlan::count(particles, grid, domain.as_ref(), *invalid, room), Ok)
-        })?;
+        let (particles, plan) =
+            Self::with_images(particles, sampling, *invalid, |particles, room| {
+                plan.map_or_else(
+                    || BinPlan::count(particles, grid, domain.as_ref(), *invalid, room),
+                    Ok,
+                )
+            })?;
         let census = particles.census(plan.census());
         if census.binned == 0 {
             return Err(FrameError::NoParticles(census));
         }
-        Ok(Self { particles, sampling, plan, census, surfacing: Surfacing::PLAIN, stretch: Stretch::ALL })
+        Ok(Self {
+            particles,
+            sampling,
+            plan,
+            census,
+            surfacing: Surfacing::PLAIN,
+            stretch: Stretch::ALL,
+        })
     }
 
-    /// The particles with the images that they have in a periodic box, and their bins, as `count` finds them.
+    /// The particles with the images that they have in a periodic box, and their bins, as `count`
+    /// finds them.
     fn with_images(
         given: &'a P,
         sampling: &'a Sampling,
@@ -70,11 +88,9 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         Ok((particles, plan))
     }
 
-    /// Counts the particles in some bins alone, of which there may be none, and in a periodic box their images; the others have been
-    /// counted before, and refused or skipped if they are invalid.
-    ///
-    /// # Errors
-    /// [`FrameError::OverBudget`].
+    /// Counts the particles in some bins alone, of which there may be none, and in a periodic box
+    /// their images; the others have been counted before, and refused or skipped if they are
+    /// invalid.
     pub fn of_wanted(
         particles: &'a P,
         sampling: &'a Sampling,
@@ -85,16 +101,22 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let count = |particles: &WithImages<'a, P>, room| {
             BinPlan::count_wanted(particles, grid, domain.as_ref(), wanted, room)
         };
-        let (particles, plan) = Self::with_images(particles, sampling, InvalidParticles::Skip, count)?;
+        let (particles, plan) =
+            Self::with_images(particles, sampling, InvalidParticles::Skip, count)?;
         let census = plan.census();
-        Ok(Self { particles, sampling, plan, census, surfacing: *surfacing, stretch: wanted.stretch })
+        Ok(Self {
+            particles,
+            sampling,
+            plan,
+            census,
+            surfacing: *surfacing,
+            stretch: wanted.stretch,
+        })
     }
 
-    /// Refuses what such a surface cannot be drawn through, then counts the particles for it, unless a `plan` of them all was made
-    /// before, by a sampling that differs in nothing that a plan depends on.
-    ///
-    /// # Errors
-    /// Those of [`Sampling::refuse_unfit`] and of [`of`](Self::of).
+    /// Refuses what such a surface cannot be drawn through, then counts the particles for it,
+    /// unless a `plan` of them all was made before, by a sampling that differs in nothing that a
+    /// plan depends on.
     pub fn for_surface(
         particles: &'a P,
         sampling: &'a Sampling,
@@ -106,7 +128,6 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     }
 
     /// Returns how many particles went into bins, and how many were left out and why.
-    #[must_use]
     pub fn census(&self) -> Census {
         self.census
     }
@@ -117,14 +138,14 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     }
 
     /// Estimates the memory and disk space that the frame will take.
-    #[must_use]
     pub fn estimate(&self) -> Estimate {
         let bins = self.bins();
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
             Method::Indicator { .. } => estimate,
-            // Kernels are kept until the surface is done, and so are the particles at the most. Images have them as well.
+            // Kernels are kept until the surface is done, and so are the particles at the most.
+            // Images have them as well.
             Method::Kernels(kernels) => {
                 let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
                 Estimate { particles: estimate.particles + bytes, carried: true, ..estimate }
@@ -134,8 +155,8 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
 }
 
 impl Sampling {
-    /// Estimates the memory and disk space that a frame with such bins takes, of which the blocks in a stretch are meshed, but for kernels
-    /// and for places.
+    /// Estimates the memory and disk space that a frame with such bins takes, of which the blocks
+    /// in a stretch are meshed, but for kernels and for places.
     pub fn estimate(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -159,19 +180,29 @@ impl Sampling {
         Estimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
-    /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many bins that hold particles, are listed
-    /// and nothing else of the frame is there.
-    #[must_use]
-    pub fn merging_share(&self, surfacing: &Surfacing, components: &[usize], blocks: u64, bins: u64) -> u64 {
+    /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many
+    /// bins that hold particles, are listed and nothing else of the frame is there.
+    pub fn merging_share(
+        &self,
+        surfacing: &Surfacing,
+        components: &[usize],
+        blocks: u64,
+        bins: u64,
+    ) -> u64 {
         let drawing = surfacing.drawing(self.method, self.spacing, &self.grid, components.to_vec());
-        let estimate = Estimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
+        let estimate =
+            Estimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
         let index = blocks * Spool::BLOCK_BYTES + bins * Occupied::BIN_BYTES;
         Estimate { index, ..estimate }.surface_share(self.resources.budget)
     }
 }
 
 /// The error for particles that touch more bins than there is room for.
-fn over_budget(particles: &(impl Particles + ?Sized), sampling: &Sampling, room: CountingRoom) -> FrameError {
+fn over_budget(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    room: CountingRoom,
+) -> FrameError {
     FrameError::OverBudget(OverBudget {
         cell_size: sampling.grid.cell_size(),
         budget: sampling.resources.budget.0,
@@ -180,7 +211,11 @@ fn over_budget(particles: &(impl Particles + ?Sized), sampling: &Sampling, room:
 }
 
 /// The smallest doubling of the cell size with which the tables of bins fit.
-fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling, room: CountingRoom) -> f64 {
+fn fitting_cell_size(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    room: CountingRoom,
+) -> f64 {
     let mut cell = sampling.grid.cell_size();
     loop {
         cell *= 2.0;

@@ -74,7 +74,8 @@ pub enum FrameError {
     /// The field of a kernel method is positive nowhere.
     #[error("the surface is empty: no cell's centre is inside of it")]
     NoKernelSurface,
-    /// Scratch files for what exceeds the memory budget would not fit on the disk; nothing was written.
+    /// Scratch files for what exceeds the memory budget would not fit on the disk; nothing was
+    /// written.
     #[error(
         "scratch files take at least {} in {}, where {} are free",
         ByteSize(*needed), folder.display(), ByteSize(*free)
@@ -91,10 +92,14 @@ pub enum FrameError {
     #[error("the surface is empty: all of its {} components are below {}", .0.total(), .0.limits())]
     NothingLeft(TooSmall),
     /// A mesh on a device has vertices that 32 bits cannot number.
-    #[error("the surface has more vertices or triangles than 32 bits can number; use a larger cell size")]
+    #[error(
+        "the surface has more vertices or triangles than 32 bits can number; use a larger cell size"
+    )]
     TooManyVertices,
     /// A caller's buffers cannot hold a surface.
-    #[error("the surface has {vertices} vertices and {triangles} triangles, more than its buffers hold")]
+    #[error(
+        "the surface has {vertices} vertices and {triangles} triangles, more than its buffers hold"
+    )]
     NoSpace {
         /// Three f32 each.
         vertices: u32,

@@ -1,4 +1,5 @@
-//! Estimates of the memory and disk space that a frame will take, and plans for a budget that is smaller.
+//! Estimates of the memory and disk space that a frame will take, and plans for a budget that is
+//! smaller.
 //!
 //! They are made once its particles are counted by bin and before anything is stored for them.
 //! Every stage says what it takes; here it is added up.
@@ -17,7 +18,8 @@ use crate::surface::stitch::writing_bytes;
 
 use super::expected::{self, Expected};
 
-/// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
+/// Bytes that the program takes before there is any data, and that each thread takes beside what it
+/// works in.
 const PROGRAM: u64 = 8 << 20;
 const THREAD: u64 = 3 << 18;
 /// Blocks that each thread meshes before their surfaces go to the others, at the least.
@@ -47,7 +49,8 @@ pub struct Estimate {
     pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
-    /// The wider cells of the DIF, which are made once it has been sampled; they are part of `field`.
+    /// The wider cells of the DIF, which are made once it has been sampled; they are part of
+    /// `field`.
     pub wide: u64,
     /// The surface before it is written, as it is expected.
     pub surface: u64,
@@ -133,7 +136,8 @@ impl Drawing {
     /// Bytes that threads work in while a surface is meshed and written.
     fn meshing_bytes(&self, surface: &Expected) -> u64 {
         let threads = rayon::current_num_threads() as u64;
-        let vertices_of = |blocks: u64| surface.vertices_of(blocks, block_vertices(self.keeps_details));
+        let vertices_of =
+            |blocks: u64| surface.vertices_of(blocks, block_vertices(self.keeps_details));
         let cells = |halo: i32| ((BLOCK + 3 + 2 * halo) as u64).pow(3);
         let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
         let carrying = cells(self.carried_halo) * carried.max().unwrap_or(0);
@@ -144,9 +148,12 @@ impl Drawing {
     }
 }
 
-/// Bytes of the pages of cells 2, 4, ... times as wide, at the most, by how many samples can be other than 0 in each bin.
+/// Bytes of the pages of cells 2, 4, ... times as wide, at the most, by how many samples can be
+/// other than 0 in each bin.
 fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
-    let page = |nonzero: usize| PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64;
+    let page = |nonzero: usize| {
+        PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64
+    };
     // Of each level the page that is being added up: bins of one follow one another.
     let mut open: Vec<(IVec3, usize)> = vec![(IVec3::MAX, 0); levels as usize];
     let mut bytes = 0;
@@ -164,9 +171,9 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
 }
 
 impl Estimate {
-    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if there is one, and an input that takes so
-    /// many bytes. Only the bins that are `meshed` get a surface.
-    #[must_use]
+    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if
+    /// there is one, and an input that takes so many bytes. Only the bins that are `meshed` get a
+    /// surface.
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
@@ -175,7 +182,8 @@ impl Estimate {
         meshed: impl Fn(IVec3) -> bool,
     ) -> Self {
         let mut estimate = Self { input, ..Self::without_particles(drawing) };
-        let nonzero = |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
+        let nonzero =
+            |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
         let page = |count: usize, shape: PageShape| {
             let bricks = count.min(shape.side.bricks_a_bin());
             PageSamples::most_bytes(nonzero(count, shape), bricks, shape) as u64
@@ -186,25 +194,25 @@ impl Estimate {
         }
         for (_, count) in bins.clone() {
             estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
-            estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
+            estimate.spilled +=
+                count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
             estimate.add_bin(shape.map_or(0, |shape| page(count, shape)));
         }
         estimate.and_surface(&drawing.surface(bins, meshed), drawing)
     }
 
     /// For pages of which the DIF is in a file.
-    #[must_use]
     pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing) -> Self {
         let mut estimate = Self::without_particles(drawing);
         let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
         let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
-        estimate.add_wide(wide_bytes(pages.iter().map(full_cells).map(nonzero), drawing.wide_levels));
+        estimate
+            .add_wide(wide_bytes(pages.iter().map(full_cells).map(nonzero), drawing.wide_levels));
         pages.iter().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
         estimate.and_surface(&drawing.surface(pages.iter().map(full_cells), |_| true), drawing)
     }
 
     /// An estimate before there are any particles.
-    #[must_use]
     pub fn without_particles(drawing: &Drawing) -> Self {
         Self {
             program: PROGRAM + THREAD * rayon::current_num_threads() as u64,
@@ -215,7 +223,6 @@ impl Estimate {
     }
 
     /// Adds what the backend takes all the time.
-    #[must_use]
     pub fn and_backend(self, bytes: u64) -> Self {
         Self { program: self.program + bytes, ..self }
     }
@@ -239,9 +246,9 @@ impl Estimate {
     }
 
     /// The peak with everything in memory.
-    #[must_use]
     pub fn in_core(&self) -> u64 {
-        let sampling = self.sampling + self.input + self.particles + self.places.max(self.field - self.wide);
+        let sampling =
+            self.sampling + self.input + self.particles + self.places.max(self.field - self.wide);
         let meshing = self.meshing + self.field + self.surface + self.beside_the_surface();
         self.program + self.index + sampling.max(meshing)
     }
@@ -252,7 +259,6 @@ impl Estimate {
     }
 
     /// Disk that scratch files take under a plan, at the most.
-    #[must_use]
     pub fn scratch(&self, plan: Plan) -> u64 {
         let Plan::OutOfCore(shares) = plan else { return 0 };
         let beyond = |bytes: u64, share: u64| if bytes > share { bytes } else { 0 };
@@ -262,52 +268,60 @@ impl Estimate {
     }
 
     /// Disk that scratch files take under a plan, at the least.
-    #[must_use]
     pub fn least_scratch(&self, plan: Plan) -> u64 {
         match plan {
             Plan::InCore => 0,
-            Plan::OutOfCore(shares) => self.spilled.saturating_sub(shares.coded) + self.beside_the_surface(),
+            Plan::OutOfCore(shares) => {
+                self.spilled.saturating_sub(shares.coded) + self.beside_the_surface()
+            }
         }
     }
 
     /// How to keep to `budget`.
-    #[must_use]
     pub fn plan(&self, budget: MemoryBudget) -> Plan {
         if self.in_core() <= budget.0 {
             return Plan::InCore;
         }
         let threads = self.sampling.max(self.meshing);
-        let left =
-            budget.0.saturating_sub(self.program + threads + self.input + self.index).max(budget.0 / 8);
+        let left = budget
+            .0
+            .saturating_sub(self.program + threads + self.input + self.index)
+            .max(budget.0 / 8);
         // A DIF that is in memory whole leaves less for the surface, which is used once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        // Beside the surface, and before that beside coded particles, there are stacks, and what the allocator keeps.
+        // Beside the surface, and before that beside coded particles, there are stacks, and what
+        // the allocator keeps.
         let surface = ((left - field) / 2).min(left / 4);
         Plan::OutOfCore(Shares { particles: left / 8, coded: left / 4 * 3, field, surface })
     }
 
-    /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a scratch file. The
-    /// estimate of a surface is no promise: a low isovalue or a wide filter can make it larger.
-    #[must_use]
+    /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a
+    /// scratch file. The estimate of a surface is no promise: a low isovalue or a wide filter can
+    /// make it larger.
     pub fn surface_share(&self, budget: MemoryBudget) -> u64 {
         match self.plan(budget) {
             Plan::OutOfCore(shares) => shares.surface,
             Plan::InCore => {
-                let others =
-                    self.program + self.meshing + self.index + self.field + self.beside_the_surface();
+                let others = self.program
+                    + self.meshing
+                    + self.index
+                    + self.field
+                    + self.beside_the_surface();
                 budget.0.saturating_sub(others)
             }
         }
     }
 
     /// The peak under a plan.
-    #[must_use]
     pub fn peak(&self, plan: Plan) -> u64 {
         match plan {
             Plan::InCore => self.in_core(),
             Plan::OutOfCore(Shares { particles, coded, field, surface }) => {
-                let sampling = self.sampling + self.input + particles + coded.min(self.particles).max(field);
-                self.program + self.index + sampling.max(self.meshing + field + surface.min(self.surface))
+                let sampling =
+                    self.sampling + self.input + particles + coded.min(self.particles).max(field);
+                self.program
+                    + self.index
+                    + sampling.max(self.meshing + field + surface.min(self.surface))
             }
         }
     }

@@ -1,19 +1,24 @@
-//! How many vertices a surface will have, and how many the blocks that have some, expected by how full of fluid the bins are.
+//! How many vertices a surface will have, and how many the blocks that have some, expected by how
+//! full of fluid the bins are.
 //!
-//! Dual marching cubes has a vertex on each edge of the grid that crosses the surface: as many as there are changes between outside and
-//! inside along all lines of the grid. Bins show of a line how its fluid begins and ends, whatever lies between, so a bin's face has as many
-//! as it has cells, times the change from one bin to the other. A layer that is thinner than a bin begins and ends within it; of the share
-//! that it fills the root is taken, which makes more of it. Drops far smaller than a bin are counted by particles.
+//! Dual marching cubes has a vertex on each edge of the grid that crosses the surface: as many as
+//! there are changes between outside and inside along all lines of the grid. Bins show of a line
+//! how its fluid begins and ends, whatever lies between, so a bin's face has as many as it has
+//! cells, times the change from one bin to the other. A layer that is thinner than a bin begins and
+//! ends within it; of the share that it fills the root is taken, which makes more of it. Drops far
+//! smaller than a bin are counted by particles.
 //!
-//! Constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells of 1 to 1/4 spacings. Of those with 10^5
-//! particles and more none has 8 % more vertices than are expected, and none 15 % less; thin layers of a few thousand can have more.
+//! Constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells of 1
+//! to 1/4 spacings. Of those with 10^5 particles and more none has 8 % more vertices than are
+//! expected, and none 15 % less; thin layers of a few thousand can have more.
 
 use glam::IVec3;
 use hashbrown::HashMap;
 
 use crate::grid::{BIN, MortonKey, block_of_bin};
 
-/// Vertices at a face between a full bin and an empty one: a wrinkled surface has more than a plane.
+/// Vertices at a face between a full bin and an empty one: a wrinkled surface has more than a
+/// plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
 /// Cubed spacings around a particle that are empty where it has a surface of its own.
@@ -31,9 +36,11 @@ impl Expected {
     /// The most there can be, for frames of which nothing is known.
     pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
 
-    /// How many vertices are in so many blocks together, at the most, if no block has more than `most`.
+    /// How many vertices are in so many blocks together, at the most, if no block has more than
+    /// `most`.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
-        // One block can be full of spray where the others are like most, and few frames have twice what is expected.
+        // One block can be full of spray where the others are like most, and few frames have twice
+        // what is expected.
         let like_most = self.in_its_block.saturating_mul(2 * blocks).saturating_add(most);
         (blocks * most).min(like_most).min(self.vertices.saturating_mul(2))
     }
@@ -42,13 +49,14 @@ impl Expected {
 /// The share of a bin that is full, for bins that hold particles.
 type Shares = HashMap<IVec3, f32>;
 
-/// Vertices around a particle alone, whose spacing is so many cells wide: a ball of 0.55 spacings has 6 to 7 to the squared spacing.
+/// Vertices around a particle alone, whose spacing is so many cells wide: a ball of 0.55 spacings
+/// has 6 to 7 to the squared spacing.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
 
-/// The surface in those `bins`, in Morton order, that are `meshed`, by the particles that each holds and those that a `full` one does.
-/// A particle by itself has so many vertices `alone`.
+/// The surface in those `bins`, in Morton order, that are `meshed`, by the particles that each
+/// holds and those that a `full` one does. A particle by itself has so many vertices `alone`.
 pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
     full: f64,
@@ -98,7 +106,8 @@ mod tests {
     use super::*;
     use crate::grid::CellBox;
 
-    /// The surface of bins that hold so many particles where 4096 are a full one, in cells of one spacing.
+    /// The surface of bins that hold so many particles where 4096 are a full one, in cells of one
+    /// spacing.
     fn surface_of(bins: &[(IVec3, usize)]) -> Expected {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)
@@ -110,8 +119,10 @@ mod tests {
 
     #[test]
     fn a_full_cube_has_the_vertices_of_its_faces_and_none_within() {
-        let cube: Vec<_> =
-            (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) }).cubes(1).map(|bin| (bin, 4096)).collect();
+        let cube: Vec<_> = (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) })
+            .cubes(1)
+            .map(|bin| (bin, 4096))
+            .collect();
         assert_eq!(vertices_of(&cube), (6.0 * 9.0 * FACE) as u64);
     }
 
@@ -146,14 +157,16 @@ mod tests {
     #[test]
     fn a_vertex_lies_in_a_block_of_as_many_as_most_vertices_do() {
         // A drop by itself changes little where eight bins of one block are full.
-        let full = (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));
+        let full =
+            (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));
         let bins: Vec<_> = full.chain([(IVec3::splat(9), 1)]).collect();
         let expected = surface_of(&bins);
         let block = 24.0 * FACE;
         assert!((expected.in_its_block as f64 / block - 1.0).abs() < 0.01, "{expected:?}");
         assert!(expected.vertices as f64 > block + 10.0, "{expected:?}");
         // Two such blocks have the same mean, and twice the vertices.
-        let beside: Vec<_> = bins.iter().map(|&(bin, count)| (bin + IVec3::new(40, 0, 0), count)).collect();
+        let beside: Vec<_> =
+            bins.iter().map(|&(bin, count)| (bin + IVec3::new(40, 0, 0), count)).collect();
         let both = surface_of(&[bins, beside].concat());
         assert_eq!(both.in_its_block, expected.in_its_block);
     }

@@ -54,7 +54,8 @@ impl SampledKernels {
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),
             nothing: FrameError::NoKernelSurface,
-            // One pass over the blocks: sums of kernels and of attributes leave each other what they do not use of a core.
+            // One pass over the blocks: sums of kernels and of attributes leave each other what
+            // they do not use of a core.
             contour: Box::new(move |regions, meter, finish, push| {
                 let block = |&region: &CellBox| {
                     if !meter.goes_on() {
@@ -66,7 +67,8 @@ impl SampledKernels {
                     Ok(block)
                 };
                 regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-                    let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+                    let blocks: Vec<_> =
+                        regions.par_iter().map(block).collect::<io::Result<_>>()?;
                     push(blocks.into_iter().flatten().collect())
                 })
             }),

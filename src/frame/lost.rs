@@ -1,7 +1,9 @@
-//! Particles that are in no surface: sparse spray that cells are too coarse for, or that smoothing takes.
+//! Particles that are in no surface: sparse spray that cells are too coarse for, or that smoothing
+//! takes.
 //!
-//! A tile that the surface does not pass through lies inside of it or outside as a whole. Along a row of tiles that changes
-//! only in those that it passes through, so that one walk along x tells which hold particles and lie outside.
+//! A tile that the surface does not pass through lies inside of it or outside as a whole. Along a
+//! row of tiles that changes only in those that it passes through, so that one walk along x tells
+//! which hold particles and lie outside.
 
 use std::io;
 
@@ -18,7 +20,8 @@ use crate::surface::stitch::Stitched;
 
 use super::coincident::{Coincident, Found};
 
-/// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of tiles, too.
+/// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of
+/// tiles, too.
 const SIDE: i32 = BIN / TILE;
 const _: () = assert!(SIDE == TILE);
 
@@ -55,13 +58,13 @@ impl Occupied {
     /// Bytes of memory that a bin takes while it is found how many particles are lost.
     pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
 
-    /// Begins with none; particles outside of `own` cells, if those are given, are images that do not count.
+    /// Begins with none; particles outside of `own` cells, if those are given, are images that do
+    /// not count.
     pub(super) fn among(own: Option<CellBox>) -> Self {
         Self { own, ..Self::default() }
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bins.is_empty()
     }
@@ -82,38 +85,50 @@ impl Occupied {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
             let coord = bins.keys()[bin].coord();
-            let cells =
-                contents.packed().iter().map(|&record| IVec3::from(unpack(record).0.map(|at| at as i32)));
-            let (mut tiles, mut full) = (0, Fullness { particles: bins.count(bin) as u64, cells: 0 });
+            let cells = contents
+                .packed()
+                .iter()
+                .map(|&record| IVec3::from(unpack(record).0.map(|at| at as i32)));
+            let (mut tiles, mut full) =
+                (0, Fullness { particles: bins.count(bin) as u64, cells: 0 });
             match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
                 None => cells.clone().for_each(|cell| tiles |= bit_of(cell / TILE)),
                 Some(own) => {
                     let own = cells.clone().filter(|&cell| own.contains(coord * BIN + cell));
-                    full.particles = own.inspect(|&cell| tiles |= bit_of(cell / TILE)).count() as u64;
+                    full.particles =
+                        own.inspect(|&cell| tiles |= bit_of(cell / TILE)).count() as u64;
                 }
             }
             if let Some(own) = self.own {
                 let of_cell = |cell: IVec3| (cell.x + BIN * (cell.y + BIN * cell.z)) as usize;
                 let mut held = [0_u64; BIN.pow(3) as usize / 64];
-                cells.filter(|&cell| own.contains(coord * BIN + cell)).map(of_cell).for_each(|cell| {
-                    held[cell / 64] |= 1 << (cell % 64);
-                });
+                cells.filter(|&cell| own.contains(coord * BIN + cell)).map(of_cell).for_each(
+                    |cell| {
+                        held[cell / 64] |= 1 << (cell % 64);
+                    },
+                );
                 full.cells = held.iter().map(|held| u64::from(held.count_ones())).sum();
             }
             let coincident = match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
                 None => Found::among(coord, contents.packed()),
                 Some(own) => {
                     let is_own = |&&record: &&u64| {
-                        own.contains(coord * BIN + IVec3::from(unpack(record).0.map(|at| at as i32)))
+                        own.contains(
+                            coord * BIN + IVec3::from(unpack(record).0.map(|at| at as i32)),
+                        )
                     };
-                    let records: Vec<u64> = contents.packed().iter().filter(is_own).copied().collect();
+                    let records: Vec<u64> =
+                        contents.packed().iter().filter(is_own).copied().collect();
                     Found::among(coord, &records)
                 }
             };
             Ok((coord, full, tiles, coincident))
         };
-        let added: Vec<_> = (0..bins.keys().len()).into_par_iter().map(of_bin).collect::<io::Result<_>>()?;
-        for (coord, full, tiles, coincident) in added.into_iter().filter(|(_, _, tiles, _)| *tiles != 0) {
+        let added: Vec<_> =
+            (0..bins.keys().len()).into_par_iter().map(of_bin).collect::<io::Result<_>>()?;
+        for (coord, full, tiles, coincident) in
+            added.into_iter().filter(|(_, _, tiles, _)| *tiles != 0)
+        {
             self.coincident.add(&coincident);
             self.full.particles += full.particles;
             self.full.cells += full.cells;
@@ -124,32 +139,36 @@ impl Occupied {
 
     /// How full cells are: all that hold particles, which are so many unless some are images.
     pub(super) fn fullness(&self, all_cells: u64) -> Fullness {
-        Fullness { cells: if self.own.is_some() { self.full.cells } else { all_cells }, ..self.full }
+        Fullness {
+            cells: if self.own.is_some() { self.full.cells } else { all_cells },
+            ..self.full
+        }
     }
 
     /// The particles that are in the same place as another one, on a grid.
-    #[must_use]
     pub fn coincident(&self, grid: &Grid) -> Option<Coincident> {
-        self.coincident.report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
+        self.coincident
+            .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
     }
 
-    /// How many times as many particles there are, at the least, as particles so many cells apart leave room for in the tiles that they
-    /// are in.
-    #[must_use]
+    /// How many times as many particles there are, at the least, as particles so many cells apart
+    /// leave room for in the tiles that they are in.
     pub fn crowding(&self, spacing_cells: f64) -> f64 {
         self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
     }
 
     /// Particles of a tile that holds any, on average.
     fn mean(&self) -> f64 {
-        let sum =
-            |of: fn(&(IVec3, u32, TileMask)) -> u32| self.bins.iter().map(|bin| f64::from(of(bin))).sum();
+        let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| {
+            self.bins.iter().map(|bin| f64::from(of(bin))).sum()
+        };
         let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));
         particles / tiles.max(1.0)
     }
 
-    /// How many particles at least are in no surface. Those are counted whose tile no surface passes through, nor any that touches
-    /// it from below; of a bin that has others, too, one a tile.
+    /// How many particles at least are in no surface. Those are counted whose tile no surface
+    /// passes through, nor any that touches it from below; of a bin that has others, too, one a
+    /// tile.
     pub fn lost(&self, surface: &Stitched) -> io::Result<u64> {
         let bins = Row::sorted(self, surface)?;
         let passed = |place: IVec3| {
@@ -183,7 +202,8 @@ impl Occupied {
     }
 }
 
-/// A bin in a row of bins along x: its particles, and which of its tiles hold some or meet the surface.
+/// A bin in a row of bins along x: its particles, and which of its tiles hold some or meet the
+/// surface.
 #[derive(Debug, Default, Clone, Copy)]
 struct Row {
     bin: IVec3,
@@ -202,7 +222,8 @@ impl Row {
 
     /// All bins that hold particles, or that a surface passes through, row by row.
     fn sorted(occupied: &Occupied, surface: &Stitched) -> io::Result<Vec<Self>> {
-        let holding = |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
+        let holding =
+            |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
         let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
         for piece in 0..surface.pieces() {
             let first = surface.block(piece) * (BLOCK / TILE);
@@ -212,7 +233,9 @@ impl Row {
                 let behind = tile.corners[1] >> (TILE - 1) & 1;
                 let bin = place.div_euclid(IVec3::splat(SIDE));
                 // Tiles are in Morton order: those of a bin come one after another.
-                if all.len() == occupied.bins.len() || all.last().is_some_and(|last| last.bin != bin) {
+                if all.len() == occupied.bins.len()
+                    || all.last().is_some_and(|last| last.bin != bin)
+                {
                     all.push(Self { bin, ..Self::default() });
                 }
                 let Some(last) = all.last_mut() else { continue };

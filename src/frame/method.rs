@@ -22,7 +22,6 @@ pub enum Method {
 
 impl Method {
     /// The kind of the indicator; `None` for kernels.
-    #[must_use]
     pub fn indicator(self) -> Option<IndicatorKind> {
         match self {
             Self::Indicator { kind, .. } => Some(kind),
@@ -31,13 +30,11 @@ impl Method {
     }
 
     /// The method with the `mu0` of a calibration, which all frames of a simulation share.
-    #[must_use]
     pub fn calibrated(self, by: Option<&Calibration>) -> Self {
         by.map_or(self, |known| self.with_mean(known.mean()))
     }
 
     /// The method with another `mu0`; kernels have none.
-    #[must_use]
     pub fn with_mean(self, mean: Option<MeanCount>) -> Self {
         match self {
             Self::Indicator { kind, .. } => Self::Indicator { kind, mean },
@@ -46,7 +43,6 @@ impl Method {
     }
 
     /// The bricks that suit the samples.
-    #[must_use]
     pub fn brick_side(self) -> BrickSide {
         self.indicator().map_or_else(BrickSide::default, IndicatorKind::brick_side)
     }

@@ -1,7 +1,8 @@
 //! One frame, within its memory budget: particles to a field, the field to a surface.
 //!
-//! [`Frame`] is the one engine, whatever makes the field and wherever stages run: it counts, bins, samples, calibrates and meshes.
-//! [`resident`] takes the same steps for particles and meshes that stay on a device.
+//! [`Frame`] is the one engine, whatever makes the field and wherever stages run: it counts, bins,
+//! samples, calibrates and meshes. [`resident`] takes the same steps for particles and meshes that
+//! stay on a device.
 //!
 //! Speed and memory are in `speed.md`, a page of the docs.
 
@@ -83,8 +84,8 @@ impl Frame {
     /// Samples the field of `particles`, which are read once or twice.
     ///
     /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget or the disk can
-    /// hold, a field that cannot be made of them, and scratch files that fail.
+    /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget or the
+    /// disk can hold, a field that cannot be made of them, and scratch files that fail.
     pub fn sample(
         particles: &(impl Particles + ?Sized),
         sampling: &Sampling,
@@ -98,7 +99,8 @@ impl Frame {
     /// Samples the field of particles that have been counted, under a budget of its own.
     ///
     /// # Errors
-    /// [`FrameError`] for more than the disk can hold, a field that cannot be made of them, and scratch files that fail.
+    /// [`FrameError`] for more than the disk can hold, a field that cannot be made of them, and
+    /// scratch files that fail.
     pub fn sample_counted<P: Particles + ?Sized>(
         counted: Counted<'_, P>,
         budget: MemoryBudget,
@@ -106,13 +108,19 @@ impl Frame {
     ) -> Result<Self, FrameError> {
         let (estimate, census) = (counted.estimate(), counted.census());
         let Counted { mut particles, sampling, plan: bin_plan, .. } = counted;
-        let Sampling { grid, domain, periodic, method, side, carried, spacing, resources, .. } = sampling;
+        let Sampling { grid, domain, periodic, method, side, carried, spacing, resources, .. } =
+            sampling;
         let resources = Resources { budget, ..resources.clone() };
         let control = &sampling.resources.control;
         let in_scratch = resources.scratch_error();
         let plan = estimate.plan(budget);
-        let facts =
-            FrameFacts { grid: *grid, domain: *domain, periodic: *periodic, census, spacing: *spacing };
+        let facts = FrameFacts {
+            grid: *grid,
+            domain: *domain,
+            periodic: *periodic,
+            census,
+            spacing: *spacing,
+        };
         if let Method::Kernels(_) = method {
             kernel_spacing(*spacing, grid)?;
         }
@@ -131,11 +139,18 @@ impl Frame {
                     timings.done("bin");
                     let stages = resources.backend.executor().start(budget);
                     let shape = kind.shape(*side);
-                    let sink =
-                        FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
+                    let sink = FieldSink::new(plan, &estimate, shape, &resources.scratch)
+                        .map_err(&in_scratch)?;
                     let (stages_of, resources) = (&*stages, &resources);
-                    let binned =
-                        HostBins { binned, stages: stages_of, sink, occupied, resources, keep, meter };
+                    let binned = HostBins {
+                        binned,
+                        stages: stages_of,
+                        sink,
+                        occupied,
+                        resources,
+                        keep,
+                        meter,
+                    };
                     let made = indicate(binned, &facts, kind, mean, *side)?;
                     let (indicator, (sink, occupied, bins)) = made;
                     let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
@@ -143,8 +158,8 @@ impl Frame {
                     (Field::Dif { sampled, stages }, occupied, bins)
                 }
                 Method::Kernels(kernels) => {
-                    let bins =
-                        binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
+                    let bins = binned
+                        .visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
                     let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
                     timings.done("bin");
                     let sampled = SampledKernels::sample(&bins, facts, kernels, plan, &resources)?;
@@ -213,10 +228,14 @@ impl Frame {
         self.stages().map_or(Work::default(), Stages::on_device)
     }
 
-    /// The attributes that some particles have no finite value of, and how many these are: the others alone tell their vertices.
+    /// The attributes that some particles have no finite value of, and how many these are: the
+    /// others alone tell their vertices.
     pub fn lacking_attributes(&self) -> impl Iterator<Item = (&str, usize)> {
-        let carried = self.carried.iter().flat_map(|(bins, infos)| infos.iter().zip(bins.without()));
-        carried.filter(|&(_, &without)| without > 0).map(|(info, &without)| (info.name.as_str(), without))
+        let carried =
+            self.carried.iter().flat_map(|(bins, infos)| infos.iter().zip(bins.without()));
+        carried
+            .filter(|&(_, &without)| without > 0)
+            .map(|(info, &without)| (info.name.as_str(), without))
     }
 
     /// The facts of the frame, whatever makes its field.
@@ -246,11 +265,12 @@ impl Frame {
         }
     }
 
-    /// Makes ready for a surface by a calibration that is known, of another frame; measures it on this one where it is `None`.
-    /// Kernels have nothing to measure.
+    /// Makes ready for a surface by a calibration that is known, of another frame; measures it on
+    /// this one where it is `None`. Kernels have nothing to measure.
     ///
     /// # Errors
-    /// [`FrameError::TooFine`], where it is measured, and [`FrameError::OtherIndicator`], where the known one is of another.
+    /// [`FrameError::TooFine`], where it is measured, and [`FrameError::OtherIndicator`], where the
+    /// known one is of another.
     pub fn calibrate(
         &self,
         surfacing: &Surfacing,
@@ -274,7 +294,10 @@ impl Frame {
                 let recipe = surfacing.recipe(sampled, &calibration);
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(kind, *spacing, grid);
-                (Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh), measured)
+                (
+                    Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh),
+                    measured,
+                )
             }
             Field::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
         };
@@ -293,7 +316,9 @@ impl Frame {
 
     /// Refuses filters that see farther beyond a periodic face than there are images.
     fn refuse_farther(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
-        let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else { return Ok(()) };
+        let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else {
+            return Ok(());
+        };
         let needed = surfacing.reach(self.method(), *spacing, grid);
         let there = periodic.reach();
         if needed > there { Err(FrameError::FewImages { needed, there }) } else { Ok(()) }
@@ -303,12 +328,16 @@ impl Frame {
     ///
     /// # Errors
     /// [`FrameError::TooFine`], and the errors of [`CalibratedFrame::surface`].
-    pub fn surface(&self, surfacing: &Surfacing, timings: &mut Timings) -> Result<Stitched, FrameError> {
+    pub fn surface(
+        &self,
+        surfacing: &Surfacing,
+        timings: &mut Timings,
+    ) -> Result<Stitched, FrameError> {
         self.calibrate(surfacing, None, timings)?.surface(timings)
     }
 
-    /// Compares a surface of the frame with its particles; `None` where it holds what one expects, or where their spacing is not
-    /// known.
+    /// Compares a surface of the frame with its particles; `None` where it holds what one expects,
+    /// or where their spacing is not known.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
@@ -319,20 +348,23 @@ impl Frame {
             .map_err(self.resources.scratch_error())
     }
 
-    /// How many times as many particles there are, at the least, as their spacing leaves room for in the tiles that they are in. `None`
-    /// where it is not known, and 0 of a frame that was sampled before.
+    /// How many times as many particles there are, at the least, as their spacing leaves room for
+    /// in the tiles that they are in. `None` where it is not known, and 0 of a frame that was
+    /// sampled before.
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
         Some(self.occupied.crowding(self.facts().spacing_cells()?))
     }
 
-    /// The particles that are in the same place as another one, if there are any. None of a frame that was sampled before.
+    /// The particles that are in the same place as another one, if there are any. None of a frame
+    /// that was sampled before.
     #[must_use]
     pub fn coincident(&self) -> Option<Coincident> {
         self.occupied.coincident(&self.facts().grid)
     }
 
-    /// The spacing that a frame's samples show, if it was sampled before, and was not looked at when it was.
+    /// The spacing that a frame's samples show, if it was sampled before, and was not looked at
+    /// when it was.
     #[must_use]
     pub fn spacing_by_samples(&self) -> Option<f64> {
         match &self.field {
@@ -347,7 +379,8 @@ impl Frame {
         &self.occupied
     }
 
-    /// For each carried attribute, how many particles in a stretch of blocks have no finite value of it.
+    /// For each carried attribute, how many particles in a stretch of blocks have no finite value
+    /// of it.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] where particles are in a scratch file that cannot be read.
@@ -363,7 +396,8 @@ impl Frame {
                 continue;
             }
             let contents = bins.contents(bin).map_err(self.resources.scratch_error())?;
-            for ((lacking, values), info) in lacking.iter_mut().zip(&contents.attributes).zip(infos) {
+            for ((lacking, values), info) in lacking.iter_mut().zip(&contents.attributes).zip(infos)
+            {
                 let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
                 *lacking += values.chunks(info.components).filter(is_lacking).count() as u64;
             }
@@ -371,7 +405,8 @@ impl Frame {
         Ok(lacking)
     }
 
-    /// How many particles at least are in no surface, so far from any that tiles tell. None of a frame that was sampled before.
+    /// How many particles at least are in no surface, so far from any that tiles tell. None of a
+    /// frame that was sampled before.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
@@ -379,10 +414,12 @@ impl Frame {
         self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
-    /// The surface with what a reduction leaves of it; `control` hears of the progress and can cancel.
+    /// The surface with what a reduction leaves of it; `control` hears of the progress and can
+    /// cancel.
     ///
     /// # Errors
-    /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].
+    /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and
+    /// [`FrameError::Cancelled`].
     pub fn simplify(
         &self,
         surface: Stitched,
@@ -398,7 +435,8 @@ impl Frame {
 /// A surface with what a reduction leaves of it, of whose triangles so many bytes may be in memory.
 ///
 /// # Errors
-/// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].
+/// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and
+/// [`FrameError::Cancelled`].
 pub fn simplified(
     surface: Stitched,
     reduction: &Reduction,

@@ -35,17 +35,16 @@ pub struct Sampling {
     pub side: BrickSide,
     /// The numbers of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
-    /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know it.
+    /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know
+    /// it.
     pub spacing: Option<f64>,
     /// Memory, folders and backend that the frame may use.
     pub resources: Resources,
 }
 
 impl Sampling {
-    /// Refuses what no field can be made with, or no surface be drawn, as far as it is known before there is a field.
-    ///
-    /// # Errors
-    /// [`FrameError::TooFine`], [`FrameError::NoSpacing`] and [`FrameError::Kernels`].
+    /// Refuses what no field can be made with, or no surface be drawn, as far as it is known before
+    /// there is a field.
     pub fn refuse_unfit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         match self.method {
             Method::Indicator { kind, mean } => {
@@ -55,8 +54,8 @@ impl Sampling {
         }
     }
 
-    /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for here.
-    #[must_use]
+    /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for
+    /// here.
     pub fn sight(&self, kind: IndicatorKind, surfacing: &Surfacing) -> Sight {
         let block = CellBox::cube(IVec3::ZERO, BLOCK);
         let filters = surfacing.filters(kind, self.spacing, &self.grid);
@@ -64,8 +63,11 @@ impl Sampling {
         let ghost_layer = kind.shape(self.side).ghost_layer;
         let of_field = filters.seen(surfacing.normals.cells(block)).grown(ghost_layer, ghost_layer);
         let halo = surfacing.attribute_smoothing(kind, self.spacing, &self.grid).halo();
-        let of_attributes =
-            if self.carried.is_empty() { CellBox::EMPTY } else { dual_cells(block).grown(halo, halo) };
+        let of_attributes = if self.carried.is_empty() {
+            CellBox::EMPTY
+        } else {
+            dual_cells(block).grown(halo, halo)
+        };
         Sight::new(of_field.union(&of_attributes))
     }
 }
@@ -78,7 +80,8 @@ const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 pub struct Surfacing {
     /// How calm the water is; of clouds alone.
     pub smooth: Smooth,
-    /// The Gaussian's width; that of the frame's spacing where it is `None`. Of the paper's indicators, as the next two.
+    /// The Gaussian's width; that of the frame's spacing where it is `None`. Of the paper's
+    /// indicators, as the next two.
     pub sigma: Option<Sigma>,
     /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
@@ -101,7 +104,8 @@ impl Surfacing {
         periodic_mesh: PeriodicMesh::Cut,
     };
 
-    /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there is a DIF.
+    /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there
+    /// is a DIF.
     ///
     /// # Errors
     /// [`TooFine`].
@@ -124,7 +128,8 @@ impl Surfacing {
         self.sigma.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
     }
 
-    /// Clouds of particles whose spacing is not known are taken to be those of particles a cell apart.
+    /// Clouds of particles whose spacing is not known are taken to be those of particles a cell
+    /// apart.
     fn filters(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Filters {
         match kind {
             IndicatorKind::Cloud => {
@@ -175,8 +180,8 @@ impl Surfacing {
     /// How far beyond a periodic face particles tell of the surface before it, in cells.
     #[must_use]
     pub fn reach(&self, method: Method, spacing: Option<f64>, grid: &Grid) -> i32 {
-        /// Cells beyond the face whose field is needed: a dual cell that goes across it, and normals there; and one for where in its
-        /// cell the face is.
+        /// Cells beyond the face whose field is needed: a dual cell that goes across it, and
+        /// normals there; and one for where in its cell the face is.
         const BEYOND: i32 = 3;
         let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
         let [field, attributes] = match method {
@@ -191,13 +196,21 @@ impl Surfacing {
         field.max(attributes) + BEYOND
     }
 
-    /// Returns the smoothing of attributes: the field's, or for clouds one of a width between drops and bulk.
+    /// Returns the smoothing of attributes: the field's, or for clouds one of a width between drops
+    /// and bulk.
     #[must_use]
-    pub fn attribute_smoothing(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Smoothing {
+    pub fn attribute_smoothing(
+        &self,
+        kind: IndicatorKind,
+        spacing: Option<f64>,
+        grid: &Grid,
+    ) -> Smoothing {
         let cells = |spacing: f64| ATTRIBUTES_SMOOTHED * spacing / grid.cell_size();
         let sigma = match kind {
             IndicatorKind::Cloud => Sigma::at_least_a_cell(spacing.map(cells)),
-            IndicatorKind::Symmetry | IndicatorKind::Counting => self.width(spacing, grid.cell_size()),
+            IndicatorKind::Symmetry | IndicatorKind::Counting => {
+                self.width(spacing, grid.cell_size())
+            }
         };
         Smoothing::new(kind, sigma)
     }
@@ -211,13 +224,15 @@ impl Surfacing {
         calibrate(frame, &filters, self.iso)
     }
 
-    /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame keeps the mu0 that its DIF
-    /// was made by.
+    /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame
+    /// keeps the mu0 that its DIF was made by.
     #[must_use]
     pub fn recipe(&self, frame: &SampledDif, calibration: &Calibration) -> Recipe {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
         match (filters, *calibration) {
-            (Filters::Paper(paper), Calibration::Indicator { iso, .. }) => Recipe::of_paper(paper, iso),
+            (Filters::Paper(paper), Calibration::Indicator { iso, .. }) => {
+                Recipe::of_paper(paper, iso)
+            }
             (Filters::Distances(distances), Calibration::Clouds { plateau }) => {
                 let wide = frame.wide_cells();
                 let samples = f64::from(plateau) / f64::from(1 << BULK_GAIN);

@@ -1,10 +1,11 @@
-//! One frame on a device from end to end, for programs whose particles are there already: a buffer of positions
-//! in, buffers of vertices and indices out.
+//! One frame on a device from end to end, for programs whose particles are there already: a buffer
+//! of positions in, buffers of vertices and indices out.
 //!
-//! The device can be a caller's own ([`Device::adopt`]), and so can the buffer ([`Device::foreign_buffer`]): those two
-//! calls state what the caller must hold to, everything here is safe. The host sees where the DIF is not 0, to find the blocks that
-//! the surface can pass through, and of the frame that it calibrates on a part of it; neither the particles nor the mesh. The mesh is
-//! that of the other backends, with positions rounded to f32.
+//! The device can be a caller's own ([`Device::adopt`]), and so can the buffer
+//! ([`Device::foreign_buffer`]): those two calls state what the caller must hold to, everything
+//! here is safe. The host sees where the DIF is not 0, to find the blocks that the surface can pass
+//! through, and of the frame that it calibrates on a part of it; neither the particles nor the
+//! mesh. The mesh is that of the other backends, with positions rounded to f32.
 //!
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
 //! [`Device::foreign_buffer`]: crate::vulkan::Device::foreign_buffer
@@ -42,23 +43,27 @@ pub struct DeviceRequest {
     pub spacing: Option<f64>,
     /// How the surface is drawn; normals are not made.
     pub surfacing: Surfacing,
-    /// The calibration of another frame of the simulation; measured on this one where it is `None`, which takes longer.
+    /// The calibration of another frame of the simulation; measured on this one where it is `None`,
+    /// which takes longer.
     pub calibration: Option<Calibration>,
 }
 
-/// Semaphores that a call waits for and signals, and buffers that the surface goes to. By default none.
+/// Semaphores that a call waits for and signals, and buffers that the surface goes to. By default
+/// none.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
-    /// Moments from which on the positions are there. Passed whatever the call returns: one that is made again has nothing to wait for.
+    /// Moments from which on the positions are there. Passed whatever the call returns: one that is
+    /// made again has nothing to wait for.
     pub wait: &'a [Moment],
-    /// Moments that are signalled when the surface is there: the call does not wait for that. Not signalled after an error.
+    /// Moments that are signalled when the surface is there: the call does not wait for that. Not
+    /// signalled after an error.
     pub signal: &'a [Moment],
     /// Buffers for positions and indices, of the device that the pipeline is of.
     pub into: Option<[&'a View; 2]>,
 }
 
-/// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live as long as this, which when it is
-/// dropped waits until they are written.
+/// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live
+/// as long as this, which when it is dropped waits until they are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
     /// The vertices' positions, three f32 each.
@@ -69,7 +74,8 @@ pub struct ResidentSurface {
     pub indices: View,
     /// The number of triangles.
     pub triangles: u32,
-    /// The isovalue, at which the surface is drawn: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
+    /// The isovalue, at which the surface is drawn: given, measured, or [`Isovalue::NO_DISTANCE`]
+    /// for clouds.
     pub iso: Isovalue,
     /// The calibration that it was drawn by, for the other frames of a simulation.
     pub calibration: Calibration,
@@ -124,8 +130,12 @@ impl Pipeline {
         self.vulkan.release();
     }
 
-    /// Does something, and again without what is kept for the next frame where there is no memory for it beside that.
-    fn with_room<T, E: Into<FrameError>>(&self, act: impl Fn() -> Result<T, E>) -> Result<T, FrameError> {
+    /// Does something, and again without what is kept for the next frame where there is no memory
+    /// for it beside that.
+    fn with_room<T, E: Into<FrameError>>(
+        &self,
+        act: impl Fn() -> Result<T, E>,
+    ) -> Result<T, FrameError> {
         match act().map_err(E::into) {
             Err(FrameError::Vulkan(VulkanError::OutOfMemory { .. })) => {
                 self.release();
@@ -135,7 +145,8 @@ impl Pipeline {
         }
     }
 
-    /// The surface of the particles at `positions`, which may be in several buffers and are not changed.
+    /// The surface of the particles at `positions`, which may be in several buffers and are not
+    /// changed.
     ///
     /// Returns when the device is done. Nothing else may write the positions during the call.
     ///
@@ -147,23 +158,26 @@ impl Pipeline {
         settings: &DeviceRequest,
     ) -> Result<ResidentSurface, FrameError> {
         // SAFETY: there is no semaphore.
-        let mut surface = unsafe { self.surface_between(positions, settings, &Exchange::default()) }?;
+        let mut surface =
+            unsafe { self.surface_between(positions, settings, &Exchange::default()) }?;
         surface.wait()?;
         Ok(surface)
     }
 
-    /// Draws the surface in the course of what else the device does: on the device it waits for the positions, and tells when the
-    /// surface is there. The host waits meanwhile for what it has to know to go on, but not for the last triangles, some four
-    /// million at the most.
+    /// Draws the surface in the course of what else the device does: on the device it waits for the
+    /// positions, and tells when the surface is there. The host waits meanwhile for what it has to
+    /// know to go on, but not for the last triangles, some four million at the most.
     ///
     /// # Errors
-    /// [`FrameError`]; [`FrameError::NoSpace`] where the caller's buffers are too small, and says what is needed.
+    /// [`FrameError`]; [`FrameError::NoSpace`] where the caller's buffers are too small, and says
+    /// what is needed.
     ///
     /// # Panics
     /// If the caller's buffers are of another device.
     ///
     /// # Safety
-    /// The semaphores are the device's, and alive until the device has passed them. What is waited for is submitted already.
+    /// The semaphores are the device's, and alive until the device has passed them. What is waited
+    /// for is submitted already.
     pub unsafe fn surface_between(
         &self,
         positions: &[DevicePositions],
@@ -177,7 +191,8 @@ impl Pipeline {
             // SAFETY: the caller vouches for the semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
-        let &DeviceRequest { grid, domain, invalid, spacing, surfacing, calibration, .. } = settings;
+        let &DeviceRequest { grid, domain, invalid, spacing, surfacing, calibration, .. } =
+            settings;
         let (kind, mean) = (settings.indicator, settings.mean);
         let device = self.vulkan.device();
         let binned = || {
@@ -210,7 +225,8 @@ impl Pipeline {
         }
         let recipe = surfacing.recipe(&sampled, &calibration);
         let periodic_mesh = surfacing.periodic_mesh;
-        let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None, periodic_mesh };
+        let surfaces =
+            Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None, periodic_mesh };
         let parts = frame.contour(&surfaces)?;
         frame.check()?;
         if parts.blocks.is_empty() {
@@ -243,7 +259,9 @@ impl Pipeline {
             tiles: parts.tiles,
             ends: parts.ends,
             table: self.table.clone(),
-            begins: self.with_room(|| device.buffer(Place::Device, 8 * u64::from(layout.tiles())))?.whole(),
+            begins: self
+                .with_room(|| device.buffer(Place::Device, 8 * u64::from(layout.tiles())))?
+                .whole(),
             positions: positions.clone(),
             indices: indices.clone(),
         };
@@ -276,7 +294,8 @@ impl Binned for ResidentBins<'_> {
 
     fn make_pages(self, rule: &PageRule) -> Result<(Fullness, DifField), FrameError> {
         let field = self.frame.indicate(&self.bins, rule)?;
-        let full = Fullness { particles: self.bins.census.binned as u64, cells: field.full_cells() };
+        let full =
+            Fullness { particles: self.bins.census.binned as u64, cells: field.full_cells() };
         Ok((full, field))
     }
 }

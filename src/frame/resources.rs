@@ -25,7 +25,6 @@ pub struct Resources {
 
 impl Resources {
     /// Creates resources whose backend is the processor.
-    #[must_use]
     pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
         Self { budget, scratch, backend: Backend::cpu(), control: Control::default() }
     }

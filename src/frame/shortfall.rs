@@ -1,4 +1,5 @@
-//! Surfaces that hold far less than their particles: lost to an isovalue that is not theirs, or to smoothing.
+//! Surfaces that hold far less than their particles: lost to an isovalue that is not theirs, or to
+//! smoothing.
 
 use std::fmt;
 use std::io;
@@ -7,7 +8,8 @@ use crate::grid::CellBox;
 use crate::grid::units::shown;
 use crate::surface::stitch::Stitched;
 
-/// The share of its particles' volume that is expected of a surface. Smoothing takes something off each drop and sheet.
+/// The share of its particles' volume that is expected of a surface. Smoothing takes something off
+/// each drop and sheet.
 const EXPECTED: f64 = 0.5;
 
 /// A surface that holds less of its particles' volume than one expects.
@@ -22,8 +24,8 @@ pub struct Shortfall {
 }
 
 impl Shortfall {
-    /// Compares a surface, as far as it is around some cells, with so many particles, so far apart; `None` where it holds what one
-    /// expects.
+    /// Compares a surface, as far as it is around some cells, with so many particles, so far apart;
+    /// `None` where it holds what one expects.
     ///
     /// # Errors
     /// Where the surface is in a scratch file that cannot be read.

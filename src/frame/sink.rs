@@ -35,7 +35,12 @@ pub(super) enum FieldSink {
 
 impl FieldSink {
     /// In memory, unless a plan says otherwise.
-    pub(super) fn new(plan: Plan, estimate: &Estimate, shape: PageShape, folder: &Path) -> io::Result<Self> {
+    pub(super) fn new(
+        plan: Plan,
+        estimate: &Estimate,
+        shape: PageShape,
+        folder: &Path,
+    ) -> io::Result<Self> {
         match plan {
             Plan::OutOfCore(shares) if estimate.field > shares.field => {
                 let file = tempfile::tempfile_in(folder)?;

@@ -31,7 +31,8 @@ pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + '
 /// Takes finished meshes, in order.
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 /// Meshes some regions of a field where it has a surface, finishes every mesh, and hands them on.
-type Contour<'a> = dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
+type Contour<'a> =
+    dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
 /// A field of which a surface is known, whatever makes it.
 pub(super) struct Drawn<'a> {
@@ -94,13 +95,11 @@ pub struct CalibratedFrame<'a> {
 
 impl<'a> CalibratedFrame<'a> {
     /// The measurements on the frame: none where they were known, or where kernels make the field.
-    #[must_use]
     pub fn measured(&self) -> Option<Calibrated> {
         self.measured
     }
 
     /// Has another caller told of progress than the one that had the frame sampled, and heard.
-    #[must_use]
     pub fn heard_by(self, control: &'a Control) -> Self {
         Self { control, ..self }
     }
@@ -108,8 +107,9 @@ impl<'a> CalibratedFrame<'a> {
     /// The frame's surface.
     ///
     /// # Errors
-    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], [`FrameError::NoDistanceSurface`],
-    /// [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].
+    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`],
+    /// [`FrameError::NoDistanceSurface`], [`FrameError::Scratch`] where scratch files fail, and
+    /// [`FrameError::Cancelled`].
     pub fn surface(self, timings: &mut Timings) -> Result<Stitched, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
@@ -120,7 +120,8 @@ impl<'a> CalibratedFrame<'a> {
         Ok(Stitched::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
     }
 
-    /// The meshes of the blocks that the surface passes through, not stitched yet; there may be none.
+    /// The meshes of the blocks that the surface passes through, not stitched yet; there may be
+    /// none.
     ///
     /// # Errors
     /// [`FrameError::Scratch`] where scratch files fail.
@@ -133,13 +134,13 @@ impl<'a> CalibratedFrame<'a> {
         Ok(spool)
     }
 
-    /// The blocks that the surface can pass through, in Morton order, and in how many cells of each.
+    /// The blocks that the surface can pass through, in Morton order, and in how many cells of
+    /// each.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
         self.drawn.regions.iter().map(|cells| (block_of(cells), cells.volume()))
     }
 
     /// Leaves only the blocks in a stretch to be meshed.
-    #[must_use]
     pub fn within(mut self, stretch: Stretch) -> Self {
         self.drawn.regions.retain(|cells| {
             let key = block_of(cells);
@@ -148,8 +149,9 @@ impl<'a> CalibratedFrame<'a> {
         self
     }
 
-    /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many
-    /// blocks are meshed at once as fit into what is left of that; there is always room for some a thread.
+    /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it
+    /// exceeds its share of memory. As many blocks are meshed at once as fit into what is left of
+    /// that; there is always room for some a thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
@@ -181,7 +183,8 @@ impl<'a> CalibratedFrame<'a> {
         let (smoothing, crossings) = (&self.drawn.attribute_smoothing, self.drawn.crossings);
         for attribute in infos.iter().map(|info| info.components).enumerate() {
             let walls = self.facts.walls();
-            mesh.attributes.push(vertex_values(bins, attribute, smoothing, mesh, crossings, walls)?);
+            mesh.attributes
+                .push(vertex_values(bins, attribute, smoothing, mesh, crossings, walls)?);
         }
         Ok(())
     }

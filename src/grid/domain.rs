@@ -5,13 +5,15 @@ use thiserror::Error;
 
 use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid};
 
-/// Cells from the origin to where the cells of an axis without walls end: beyond all that the grid has.
+/// Cells from the origin to where the cells of an axis without walls end: beyond all that the grid
+/// has.
 const OPEN: i32 = 1 << 24;
 
 /// A box with walls that the fluid cannot leave.
 ///
-/// Its cells are those whose centre lies inside. Walls need not fall on cell faces: the outermost layer
-/// of cells reaches to the wall, from half a cell up to one and a half. An axis without walls goes from -inf to inf.
+/// Its cells are those whose centre lies inside. Walls need not fall on cell faces: the outermost
+/// layer of cells reaches to the wall, from half a cell up to one and a half. An axis without walls
+/// goes from -inf to inf.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Domain {
     lo: DVec3,
@@ -32,12 +34,15 @@ pub enum DomainError {
         axis: char,
     },
     /// Beyond the grid.
-    #[error("the domain reaches more than {CELL_LIMIT} cells from the origin; use a larger cell size")]
+    #[error(
+        "the domain reaches more than {CELL_LIMIT} cells from the origin; use a larger cell size"
+    )]
     TooFar,
 }
 
 impl Domain {
-    /// The box from `lo` to `hi` in world coordinates, on `grid`; an axis from -inf to inf has no walls.
+    /// The box from `lo` to `hi` in world coordinates, on `grid`; an axis from -inf to inf has no
+    /// walls.
     ///
     /// # Errors
     /// [`DomainError`] where the box is empty, thinner than a cell or beyond the grid.
@@ -85,8 +90,8 @@ impl Domain {
         (0..3).all(|a| world[a] >= self.lo[a] && world[a] <= self.hi[a])
     }
 
-    /// The first and the last step of its cells, along each axis: particles between the outermost cells and a wall
-    /// are put on the nearest of them.
+    /// The first and the last step of its cells, along each axis: particles between the outermost
+    /// cells and a wall are put on the nearest of them.
     #[must_use]
     pub fn step_range(&self) -> [[i64; 3]; 2] {
         let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
@@ -124,11 +129,15 @@ mod tests {
     #[test]
     fn an_axis_has_two_walls_or_none() {
         let grid = Grid::new(DVec3::ZERO, 0.1).unwrap();
-        let of_y = |lo: f64, hi: f64| Domain::new(&grid, DVec3::new(0.0, lo, 0.0), DVec3::new(1.0, hi, 1.0));
+        let of_y = |lo: f64, hi: f64| {
+            Domain::new(&grid, DVec3::new(0.0, lo, 0.0), DVec3::new(1.0, hi, 1.0))
+        };
         let open = of_y(f64::NEG_INFINITY, f64::INFINITY).unwrap();
         assert!(open.contains([0.5, 1e300, 0.5]) && !open.contains([1.5, 0.5, 0.5]));
         assert!(open.cells().contains(IVec3::new(5, CELL_LIMIT, 5)));
-        for (lo, hi) in [(f64::NEG_INFINITY, 1.0), (0.0, f64::INFINITY), (f64::INFINITY, f64::NEG_INFINITY)] {
+        for (lo, hi) in
+            [(f64::NEG_INFINITY, 1.0), (0.0, f64::INFINITY), (f64::INFINITY, f64::NEG_INFINITY)]
+        {
             assert_eq!(of_y(lo, hi), Err(DomainError::Corners), "{lo} to {hi}");
         }
     }

@@ -1,8 +1,9 @@
-//! Where things are: the world-anchored cell grid, boxes of cells, Morton keys, the walls of a tank and periodic boxes.
+//! Where things are: the world-anchored cell grid, boxes of cells, Morton keys, the walls of a tank
+//! and periodic boxes.
 //!
-//! A cell index is floor((x - origin) / h) per axis, computed in f64; cells are half-open. Everything
-//! finer than a cell is a fixed-point offset with [`FRACTION_BITS`] bits, so that sums over particles
-//! are integers and their order cannot matter.
+//! A cell index is floor((x - origin) / h) per axis, computed in f64; cells are half-open.
+//! Everything finer than a cell is a fixed-point offset with [`FRACTION_BITS`] bits, so that sums
+//! over particles are integers and their order cannot matter.
 
 mod domain;
 mod periodic;
@@ -31,8 +32,8 @@ pub const BLOCK: i32 = 32;
 /// Tiles of a block.
 pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
-/// Cells from the origin to the end of the addressable grid, along each half axis: what a Morton key of
-/// 21 bits an axis can name in tiles, less a margin for whatever the widest filter reaches.
+/// Cells from the origin to the end of the addressable grid, along each half axis: what a Morton
+/// key of 21 bits an axis can name in tiles, less a margin for whatever the widest filter reaches.
 pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
 
 /// [`CELL_LIMIT`] in fixed-point steps.
@@ -58,7 +59,8 @@ impl Grid {
     /// A grid of cells with edge `cell` whose cell (0, 0, 0) has its lowest corner at `origin`.
     ///
     /// # Errors
-    /// [`UnitError::Length`] unless the edge is positive and finite, [`UnitError::NotFinite`] unless the origin is.
+    /// [`UnitError::Length`] unless the edge is positive and finite, [`UnitError::NotFinite`]
+    /// unless the origin is.
     pub fn new(origin: DVec3, cell: f64) -> Result<Self, UnitError> {
         positive_length("cell-size", cell)?;
         match origin.to_array().iter().find(|x| !x.is_finite()) {
@@ -96,8 +98,8 @@ impl Grid {
         self.origin + self.cell * cells
     }
 
-    /// A position in steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down: the cell, and behind it
-    /// [`FRACTION_BITS`] of the offset in it.
+    /// A position in steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down: the cell,
+    /// and behind it [`FRACTION_BITS`] of the offset in it.
     ///
     /// # Errors
     /// [`Unplaced`] where the grid does not reach.
@@ -127,64 +129,57 @@ impl CellBox {
     pub const EMPTY: Self = Self { lo: IVec3::MAX, hi: IVec3::MIN };
 
     /// A cube of `edge` cells whose coordinates count in such cubes.
-    #[must_use]
     pub fn cube(coord: IVec3, edge: i32) -> Self {
         Self { lo: coord * edge, hi: (coord + 1) * edge }
     }
 
     /// Whether there is no cell in it.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.lo.cmpge(self.hi).any()
     }
 
     /// Edge lengths in cells.
-    #[must_use]
     pub fn size(&self) -> IVec3 {
         self.hi - self.lo
     }
 
     /// Number of cells.
-    #[must_use]
     pub fn volume(&self) -> usize {
         if self.is_empty() { 0 } else { self.size().as_usizevec3().element_product() }
     }
 
     /// Whether `cell` is in it.
-    #[must_use]
     pub fn contains(&self, cell: IVec3) -> bool {
         cell.cmpge(self.lo).all() && cell.cmplt(self.hi).all()
     }
 
     /// Whether all of `other` is in it.
-    #[must_use]
     pub fn covers(&self, other: &Self) -> bool {
         other.lo.cmpge(self.lo).all() && other.hi.cmple(self.hi).all()
     }
 
     /// Larger by `below` cells at every lower face and `above` at every upper one.
-    #[must_use]
     pub fn grown(&self, below: i32, above: i32) -> Self {
         Self { lo: self.lo - below, hi: self.hi + above }
     }
 
     /// Returns the box of cells that both contain.
-    #[must_use]
     pub fn intersection(&self, other: &Self) -> Self {
         Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
     }
 
     /// The smallest box around both.
-    #[must_use]
     pub fn union(&self, other: &Self) -> Self {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 
     /// The smallest box of whole tiles around it.
-    #[must_use]
     pub fn tiled(&self) -> Self {
         let tile = IVec3::splat(TILE);
-        Self { lo: self.lo.div_euclid(tile) * TILE, hi: (self.hi + (TILE - 1)).div_euclid(tile) * TILE }
+        Self {
+            lo: self.lo.div_euclid(tile) * TILE,
+            hi: (self.hi + (TILE - 1)).div_euclid(tile) * TILE,
+        }
     }
 
     /// The coordinates of the cubes of `edge` cells that it touches, x fastest.
@@ -192,13 +187,14 @@ impl CellBox {
         let edge = IVec3::splat(edge);
         let lo = self.lo.div_euclid(edge);
         let hi = if self.is_empty() { lo } else { (self.hi - 1).div_euclid(edge) + 1 };
-        (lo.z..hi.z)
-            .flat_map(move |z| (lo.y..hi.y).flat_map(move |y| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z))))
+        (lo.z..hi.z).flat_map(move |z| {
+            (lo.y..hi.y).flat_map(move |y| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
+        })
     }
 }
 
-/// The parts of blocks that some boxes touch, a box around each, in the Morton order of their blocks.
-#[must_use]
+/// The parts of blocks that some boxes touch, a box around each, in the Morton order of their
+/// blocks.
 pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
     for cells in boxes {
@@ -212,9 +208,11 @@ pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
     parts.into_iter().map(|(_, cells)| cells).collect()
 }
 
-/// A cube's place on the Morton curve: 21 bits an axis, biased so that negative coordinates come first.
+/// A cube's place on the Morton curve: 21 bits an axis, biased so that negative coordinates come
+/// first.
 ///
-/// Order of keys is order on the curve, whatever the cubes' edge; a cube's children are consecutive.
+/// Order of keys is order on the curve, whatever the cubes' edge; a cube's children are
+/// consecutive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MortonKey(pub u64);
 
@@ -227,7 +225,6 @@ impl MortonKey {
     ///
     /// # Panics
     /// Beyond 2^20 cubes from the origin; [`CELL_LIMIT`] keeps cells well within.
-    #[must_use]
     pub fn of(coord: IVec3) -> Self {
         let biased = (coord + Self::BIAS).as_uvec3();
         assert!(biased.max_element() < 1 << Self::AXIS_BITS, "{coord} is beyond the Morton range");
@@ -235,7 +232,6 @@ impl MortonKey {
     }
 
     /// The inverse of [`of`](Self::of).
-    #[must_use]
     pub fn coord(self) -> IVec3 {
         let axis = |shift: u32| gather(self.0 >> shift) as i32;
         IVec3::new(axis(0), axis(1), axis(2)) - Self::BIAS
@@ -243,20 +239,17 @@ impl MortonKey {
 }
 
 /// The block that a bin lies in, counted in blocks.
-#[must_use]
 pub fn block_of_bin(bin: IVec3) -> IVec3 {
     bin.div_euclid(IVec3::splat(BLOCK / BIN))
 }
 
 /// The Morton index of a cube among the siblings in a parent of at most 2^10 cubes an axis.
-#[must_use]
 pub fn local_morton(local: IVec3) -> usize {
     let local = local.as_uvec3();
     (spread(local.x) | spread(local.y) << 1 | spread(local.z) << 2) as usize
 }
 
 /// The inverse of [`local_morton`].
-#[must_use]
 pub fn local_from_morton(index: usize) -> IVec3 {
     let axis = |shift: u32| gather(index as u64 >> shift) as i32;
     IVec3::new(axis(0), axis(1), axis(2))
@@ -298,9 +291,12 @@ mod tests {
 
     #[test]
     fn morton_keys_round_trip_and_sort_negative_coordinates_first() {
-        for coord in
-            [IVec3::ZERO, IVec3::new(-1, 5, 77), IVec3::splat(-(1 << 20)), IVec3::splat((1 << 20) - 1)]
-        {
+        for coord in [
+            IVec3::ZERO,
+            IVec3::new(-1, 5, 77),
+            IVec3::splat(-(1 << 20)),
+            IVec3::splat((1 << 20) - 1),
+        ] {
             assert_eq!(MortonKey::of(coord).coord(), coord);
         }
         assert!(MortonKey::of(IVec3::NEG_ONE) < MortonKey::of(IVec3::ZERO));

@@ -1,8 +1,9 @@
 //! Periodic boxes: beyond a face the fluid goes on as it does behind the opposite one.
 //!
-//! Nothing is wrapped. A particle near a face also stands, as its image, beyond the opposite one, a whole number of steps away,
-//! so that whatever looks beyond a face finds there what an infinitely repeated fluid would have. A box need not hold a whole
-//! number of cells: its edges may differ, and cells are cubes.
+//! Nothing is wrapped. A particle near a face also stands, as its image, beyond the opposite one, a
+//! whole number of steps away, so that whatever looks beyond a face finds there what an infinitely
+//! repeated fluid would have. A box need not hold a whole number of cells: its edges may differ,
+//! and cells are cubes.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -92,12 +93,16 @@ pub enum PeriodicError {
 }
 
 impl Periodic {
-    /// The box between the faces of each axis, in world coordinates, on `grid`: `None` for an open axis. Images stand up to
-    /// `reach` cells beyond the faces.
+    /// The box between the faces of each axis, in world coordinates, on `grid`: `None` for an open
+    /// axis. Images stand up to `reach` cells beyond the faces.
     ///
     /// # Errors
     /// [`PeriodicError`], but for [`PeriodicError::Walled`] and [`PeriodicError::NoBox`].
-    pub fn new(grid: &Grid, faces: [Option<[f64; 2]>; 3], reach: i32) -> Result<Self, PeriodicError> {
+    pub fn new(
+        grid: &Grid,
+        faces: [Option<[f64; 2]>; 3],
+        reach: i32,
+    ) -> Result<Self, PeriodicError> {
         Self::check(faces)?;
         let [lo, hi] = [0, 1].map(|side: usize| {
             let open = [f64::NEG_INFINITY, f64::INFINITY][side];
@@ -115,7 +120,8 @@ impl Periodic {
             return Err(PeriodicError::TooFar);
         };
         let steps = |width: f64| (width / grid.cell_size() * f64::from(FRACTIONS)).round() as i64;
-        let period = (hi - lo).to_array().map(|width| if width.is_finite() { steps(width) } else { 0 });
+        let period =
+            (hi - lo).to_array().map(|width| if width.is_finite() { steps(width) } else { 0 });
         Ok(Self { faces, reach, period, reach_length })
     }
 
@@ -134,7 +140,10 @@ impl Periodic {
     ///
     /// # Errors
     /// [`PeriodicError::Walled`].
-    pub fn refuse_walls(faces: [Option<[f64; 2]>; 3], walls: [DVec3; 2]) -> Result<(), PeriodicError> {
+    pub fn refuse_walls(
+        faces: [Option<[f64; 2]>; 3],
+        walls: [DVec3; 2],
+    ) -> Result<(), PeriodicError> {
         let is_walled = |a: usize| walls.iter().any(|corner| corner[a].is_finite());
         match (0..3).find(|&axis| faces[axis].is_some() && is_walled(axis)) {
             Some(axis) => Err(PeriodicError::Walled { axis: AXES[axis] }),
@@ -179,8 +188,9 @@ impl Periodic {
         }
     }
 
-    /// Where a particle is between the faces. What lies on the upper face lies on the lower one, and so does what is beyond a face
-    /// by no more than the rounding of its coordinate to f32. `Err` with the axis along which it is outside.
+    /// Where a particle is between the faces. What lies on the upper face lies on the lower one,
+    /// and so does what is beyond a face by no more than the rounding of its coordinate to f32.
+    /// `Err` with the axis along which it is outside.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;
@@ -197,12 +207,15 @@ impl Periodic {
         Ok(inside)
     }
 
-    /// Boxes of bins that hold the particles of a box of bins, as they were given, and all images that they can have.
+    /// Boxes of bins that hold the particles of a box of bins, as they were given, and all images
+    /// that they can have.
     pub fn with_images(&self, bins: CellBox) -> impl Iterator<Item = CellBox> + use<> {
         let (period, edge) = (self.period, i64::from(BIN) * i64::from(FRACTIONS));
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
-        let sides = sides(2).flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
-        // What is given on a face is on the lower one, whatever its coordinate is rounded to: along a periodic axis it may be a bin aside.
+        let sides = sides(2)
+            .flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
+        // What is given on a face is on the lower one, whatever its coordinate is rounded to: along
+        // a periodic axis it may be a bin aside.
         let aside = IVec3::from(period.map(|period| i32::from(period != 0)));
         let cells = self.cells().grown(self.reach + 1, self.reach + 1);
         let reached = CellBox {
@@ -210,10 +223,13 @@ impl Periodic {
             hi: cells.hi.div_euclid(IVec3::splat(BIN)) + 1,
         };
         sides.map(move |sides| {
-            let moved = |corner: IVec3| [0, 1, 2].map(|a| i64::from(corner[a]) * edge + sides[a] * period[a]);
+            let moved = |corner: IVec3| {
+                [0, 1, 2].map(|a| i64::from(corner[a]) * edge + sides[a] * period[a])
+            };
             let lo = moved(bins.lo).map(|step| step.div_euclid(edge) as i32);
             let hi = moved(bins.hi).map(|step| (step + edge - 1).div_euclid(edge) as i32);
-            CellBox { lo: IVec3::from(lo) - aside, hi: IVec3::from(hi) + aside }.intersection(&reached)
+            CellBox { lo: IVec3::from(lo) - aside, hi: IVec3::from(hi) + aside }
+                .intersection(&reached)
         })
     }
 
@@ -221,11 +237,14 @@ impl Periodic {
     #[must_use]
     pub fn is_near_face(&self, world: [f64; 3]) -> bool {
         let [lo, hi] = self.faces.walls();
-        let is_far = |a: usize| world[a] >= lo[a] + self.reach_length && world[a] < hi[a] - self.reach_length;
+        let is_far = |a: usize| {
+            world[a] >= lo[a] + self.reach_length && world[a] < hi[a] - self.reach_length
+        };
         !(0..3).all(is_far)
     }
 
-    /// Where the images of a particle between the faces stand, by its place and its steps on `grid`: none, one, three or seven.
+    /// Where the images of a particle between the faces stand, by its place and its steps on
+    /// `grid`: none, one, three or seven.
     pub fn images(
         &self,
         grid: &Grid,
@@ -245,8 +264,10 @@ impl Periodic {
             let cells = ((steps[axis] + shift) as f64 + 0.5) / f64::from(FRACTIONS);
             Some(grid.origin()[axis] + grid.cell_size() * cells)
         });
-        let moved =
-            image.iter().zip(0..).fold(0_u32, |moved, (x, axis)| moved | u32::from(x.is_some()) << axis);
+        let moved = image
+            .iter()
+            .zip(0..)
+            .fold(0_u32, |moved, (x, axis)| moved | u32::from(x.is_some()) << axis);
         (1..8_u32).filter(move |some| some & !moved == 0).map(move |some| {
             let along = |axis: usize| if some >> axis & 1 == 1 { image[axis] } else { None };
             [0, 1, 2].map(|axis| along(axis).unwrap_or(world[axis]))
@@ -266,7 +287,8 @@ mod tests {
     fn images_are_whole_numbers_of_steps_away_and_all_corners_have_seven() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.037).unwrap();
         let cube = Periodic::new(&grid, [Some([0.0, 1.1]); 3], 2).unwrap();
-        let images = |of: [f64; 3]| cube.images(&grid, of, grid.place(of).unwrap()).collect::<Vec<_>>();
+        let images =
+            |of: [f64; 3]| cube.images(&grid, of, grid.place(of).unwrap()).collect::<Vec<_>>();
         assert_eq!(images([0.5, 0.5, 0.5]).len(), 0);
         assert_eq!(images([0.05, 0.5, 0.5]).len(), 1);
         assert_eq!(images([0.05, 1.05, 0.5]).len(), 3);
@@ -285,7 +307,11 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 0.037).unwrap();
         let periodic = unit_box(&grid);
         assert_eq!(periodic.inside([1.1, 5.0, 1.0]), Ok([0.0, 5.0, -2.0]));
-        assert_eq!(periodic.inside([f64::from(1.1_f32), 5.0, 0.0]), Ok([0.0, 5.0, 0.0]), "above 1.1");
+        assert_eq!(
+            periodic.inside([f64::from(1.1_f32), 5.0, 0.0]),
+            Ok([0.0, 5.0, 0.0]),
+            "above 1.1"
+        );
         assert_eq!(periodic.inside([1.100_001, 5.0, 0.0]), Err('x'));
         assert_eq!(periodic.inside([-1e-9, 5.0, 0.0]), Err('x'));
         assert_eq!(periodic.inside([0.5, 1e300, -2.001]), Err('z'), "y is open");
@@ -311,11 +337,17 @@ mod tests {
                     _ => lo + share(k) * (hi - lo),
                 };
                 let given = [along(x, 7), 30.0 * share(13), along(z, 17)];
-                let around: Vec<CellBox> = periodic.with_images(CellBox::cube(bin(given), 1)).collect();
+                let around: Vec<CellBox> =
+                    periodic.with_images(CellBox::cube(bin(given), 1)).collect();
                 assert_eq!(around.len(), 9, "y is open");
                 let inside = periodic.inside(given).unwrap();
-                for at in periodic.images(&grid, inside, grid.place(inside).unwrap()).chain([inside]) {
-                    assert!(around.iter().any(|bins| bins.contains(bin(at))), "{at:?} of {given:?}");
+                for at in
+                    periodic.images(&grid, inside, grid.place(inside).unwrap()).chain([inside])
+                {
+                    assert!(
+                        around.iter().any(|bins| bins.contains(bin(at))),
+                        "{at:?} of {given:?}"
+                    );
                     images += 1;
                 }
             }
@@ -334,7 +366,8 @@ mod tests {
         assert!(new(Some([0.0, 1.0]), 5).is_ok());
         assert!(matches!(new(Some([0.0, 1.0]), 6), Err(PeriodicError::Narrow { axis: 'x', .. })));
         assert_eq!(new(Some([0.0, 1e9]), 6), Err(PeriodicError::TooFar));
-        let walls = [DVec3::splat(f64::NEG_INFINITY).with_x(0.0), DVec3::splat(f64::INFINITY).with_x(1.0)];
+        let walls =
+            [DVec3::splat(f64::NEG_INFINITY).with_x(0.0), DVec3::splat(f64::INFINITY).with_x(1.0)];
         let refused = Periodic::refuse_walls([Some([0.0, 1.0]), None, None], walls);
         assert_eq!(refused, Err(PeriodicError::Walled { axis: 'x' }));
         assert_eq!(Periodic::refuse_walls([None, Some([0.0, 1.0]), None], walls), Ok(()));

@@ -18,20 +18,18 @@ impl Stretch {
     pub const ALL: Self = Self { first: MortonKey(0), end: MortonKey(u64::MAX) };
 
     /// Whether it holds a block, given in blocks.
-    #[must_use]
     pub fn holds(&self, block: IVec3) -> bool {
         let key = MortonKey::of(block);
         self.first <= key && key < self.end
     }
 
     /// Whether it holds any of the blocks in a box, given in blocks.
-    #[must_use]
     pub fn touches(&self, blocks: &CellBox) -> bool {
         self.touches_within(blocks, MortonKey(0), 3 * MortonKey::AXIS_BITS)
     }
 
-    /// Whether it holds any of the blocks in a box that are in a cube, by the key of the cube's first block and the number of bits by
-    /// which the keys in it differ.
+    /// Whether it holds any of the blocks in a box that are in a cube, by the key of the cube's
+    /// first block and the number of bits by which the keys in it differ.
     fn touches_within(&self, blocks: &CellBox, first: MortonKey, bits: u32) -> bool {
         let last = MortonKey(first.0 + ((1 << bits) - 1));
         let cube = CellBox { lo: first.coord(), hi: first.coord() + (1 << (bits / 3)) };
@@ -47,25 +45,23 @@ impl Stretch {
     }
 
     /// Whether it holds the block that a bin lies in.
-    #[must_use]
     pub fn holds_bin(&self, bin: IVec3) -> bool {
         self.holds(block_of_bin(bin))
     }
 }
 
-/// The cells that decide what is made in a block, counted from its lowest corner: they are the same for all blocks.
+/// The cells that decide what is made in a block, counted from its lowest corner: they are the same
+/// for all blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sight(CellBox);
 
 impl Sight {
     /// By the cells that decide what is made in block (0, 0, 0).
-    #[must_use]
     pub fn new(of_first_block: CellBox) -> Self {
         Self(of_first_block)
     }
 
     /// The cells that decide what is made in a block.
-    #[must_use]
     pub fn cells(&self, block: IVec3) -> CellBox {
         let corner = block * BLOCK;
         CellBox { lo: self.0.lo + corner, hi: self.0.hi + corner }
@@ -81,7 +77,8 @@ impl Sight {
         let (lowest, highest) = (bins.lo * BIN, bins.hi * BIN - 1);
         // A shift divides as `div_euclid` does, and is done for each of many bins.
         let block_of = |cell: IVec3| cell >> BLOCK.ilog2() as i32;
-        // From the first that ends above the lowest cells to the last that begins below the highest.
+        // From the first that ends above the lowest cells to the last that begins below the
+        // highest.
         CellBox { lo: block_of(lowest - self.0.hi) + 1, hi: block_of(highest - self.0.lo) + 1 }
     }
 }
@@ -97,7 +94,6 @@ pub struct WantedBins {
 
 impl WantedBins {
     /// Whether a bin is one of them.
-    #[must_use]
     pub fn hold(&self, bin: IVec3) -> bool {
         let Stretch { first, end } = self.stretch;
         let blocks = self.sight.blocks_of(CellBox::cube(bin, 1));
@@ -110,7 +106,6 @@ impl WantedBins {
     }
 
     /// Whether any bin in a box of bins is one of them.
-    #[must_use]
     pub fn touch(&self, bins: CellBox) -> bool {
         !bins.is_empty() && self.stretch.touches(&self.sight.blocks_of(bins))
     }
@@ -135,9 +130,14 @@ mod tests {
             for bin in (CellBox { lo: IVec3::splat(-6), hi: IVec3::splat(8) }).cubes(1) {
                 let cells = CellBox::cube(bin, BIN);
                 let touches = |&block: &IVec3| !sight.cells(block).intersection(&cells).is_empty();
-                assert_eq!(wanted.hold(bin), blocks.iter().any(touches), "{bin} by {below}, {above}");
+                assert_eq!(
+                    wanted.hold(bin),
+                    blocks.iter().any(touches),
+                    "{bin} by {below}, {above}"
+                );
                 seen += i32::from(wanted.hold(bin));
-                let by_bin: Vec<IVec3> = sight.blocks(bin).filter(|block| all.contains(*block)).collect();
+                let by_bin: Vec<IVec3> =
+                    sight.blocks(bin).filter(|block| all.contains(*block)).collect();
                 let by_block: Vec<IVec3> = all.cubes(1).filter(touches).collect();
                 assert_eq!(by_bin, by_block);
             }
@@ -155,7 +155,9 @@ mod tests {
         });
         let boxes: Vec<CellBox> = boxes.collect();
         let (mut touched, mut passed) = (0, 0);
-        for [first, end] in [[-1, 1], [0, 0], [0, 1], [-2, -1], [1, 2]].map(|ends| ends.map(IVec3::splat)) {
+        for [first, end] in
+            [[-1, 1], [0, 0], [0, 1], [-2, -1], [1, 2]].map(|ends| ends.map(IVec3::splat))
+        {
             let [first, end] = [first, end].map(MortonKey::of);
             for end in [end, MortonKey(first.0 + 3), Stretch::ALL.end] {
                 let wanted = WantedBins { stretch: Stretch { first, end }, sight };

@@ -7,7 +7,8 @@ use thiserror::Error;
 /// The value that stands for an indicator of exactly 1 in every integer field.
 pub const FULL: u16 = u16::MAX;
 
-/// A number outside of the range that its meaning allows. Each says the name by which it is asked for.
+/// A number outside of the range that its meaning allows. Each says the name by which it is asked
+/// for.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum UnitError {
     /// An isovalue must cut the field.
@@ -48,7 +49,6 @@ pub enum UnitError {
 
 impl UnitError {
     /// The name by which the number is asked for, with which the message begins.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
             Self::Isovalue(_) => "iso",
@@ -71,14 +71,12 @@ pub fn positive_length(name: &'static str, value: f64) -> Result<f64, UnitError>
 }
 
 /// A number as people read it, such as a length: in six significant digits.
-#[must_use]
 pub fn shown(number: f64) -> String {
     significant(number, 6)
 }
 
-/// A number in so many significant digits without zeros at the end: in decimals where these are few, else by its power of ten. What
-/// stands before the point is whole.
-#[must_use]
+/// A number in so many significant digits without zeros at the end: in decimals where these are
+/// few, else by its power of ten. What stands before the point is whole.
 pub fn significant(number: f64, digits: usize) -> String {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let Some((mantissa, power)) = rounded.split_once('e') else { return rounded };
@@ -97,8 +95,8 @@ pub fn significant(number: f64, digits: usize) -> String {
 
 /// The isovalue `c`, held as an integer plus one half on the scale of the field.
 ///
-/// A sample is inside the fluid when it is greater than [`threshold`](Self::threshold). No sample can
-/// be equal to `threshold + 1/2`, so no vertex ever falls on a sample.
+/// A sample is inside the fluid when it is greater than [`threshold`](Self::threshold). No sample
+/// can be equal to `threshold + 1/2`, so no vertex ever falls on a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Isovalue(u16);
 
@@ -114,9 +112,10 @@ impl Isovalue {
         Ok(Self(((c * f64::from(FULL)) as u16).min(FULL - 1)))
     }
 
-    /// The share of its interior plateau at which a smoothed field crosses the true surface, in hundredths: what leaves no
-    /// bias on surfaces of known bodies, on average over both indicators, cells of 0.5 to 1.5 spacings, and where the
-    /// particles' lattice lies on the grid (`tools/evaluate isovalue`).
+    /// The share of its interior plateau at which a smoothed field crosses the true surface, in
+    /// hundredths: what leaves no bias on surfaces of known bodies, on average over both
+    /// indicators, cells of 0.5 to 1.5 spacings, and where the particles' lattice lies on the grid
+    /// (`tools/evaluate isovalue`).
     pub const PLATEAU_PERCENT: u16 = 47;
 
     /// The isovalue for a plateau.
@@ -154,12 +153,16 @@ impl Sigma {
     /// # Errors
     /// [`UnitError::Sigma`] unless 0 < `cells` <= [`Self::MAX`].
     pub fn new(cells: f64) -> Result<Self, UnitError> {
-        if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Sigma(cells)) }
+        if cells > 0.0 && cells <= Self::MAX {
+            Ok(Self(cells))
+        } else {
+            Err(UnitError::Sigma(cells))
+        }
     }
 
-    /// Makes a standard deviation of so many cells, but one at the least.
-    /// Where the width is a matter of the particles' spacing, what is left of the lattice that they stand on, and of how it lies
-    /// on the grid, is smoothed away in however small cells.
+    /// Makes a standard deviation of so many cells, but one at the least. Where the width is a
+    /// matter of the particles' spacing, what is left of the lattice that they stand on, and of how
+    /// it lies on the grid, is smoothed away in however small cells.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
@@ -220,18 +223,21 @@ impl Tolerance {
     /// # Errors
     /// [`UnitError::Tolerance`] unless 0 < `cells` <= [`Self::MAX`].
     pub fn new(cells: f64) -> Result<Self, UnitError> {
-        if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Tolerance(cells)) }
+        if cells > 0.0 && cells <= Self::MAX {
+            Ok(Self(cells))
+        } else {
+            Err(UnitError::Tolerance(cells))
+        }
     }
 
     /// The tolerance in cells.
-    #[must_use]
     pub fn cells(self) -> f64 {
         self.0
     }
 }
 
-/// `mu0`: the mean number of particles in the full cells of the frame that it is measured on (eq. 4; in the paper frame 0). Not an
-/// integer.
+/// `mu0`: the mean number of particles in the full cells of the frame that it is measured on (eq.
+/// 4; in the paper frame 0). Not an integer.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct MeanCount(f64);
 
@@ -244,13 +250,18 @@ impl MeanCount {
     /// # Errors
     /// [`UnitError::MeanCount`] unless 0 < `mean` <= [`Self::MAX`].
     pub fn new(mean: f64) -> Result<Self, UnitError> {
-        if mean > 0.0 && mean <= Self::MAX { Ok(Self(mean)) } else { Err(UnitError::MeanCount(mean)) }
+        if mean > 0.0 && mean <= Self::MAX {
+            Ok(Self(mean))
+        } else {
+            Err(UnitError::MeanCount(mean))
+        }
     }
 
     /// Eq. 4: `particles` / `full_cells`.
     ///
     /// # Errors
-    /// [`UnitError::MeanCount`] where there is no full cell, or more than [`Self::MAX`] particles in each.
+    /// [`UnitError::MeanCount`] where there is no full cell, or more than [`Self::MAX`] particles
+    /// in each.
     pub fn measured(particles: u64, full_cells: u64) -> Result<Self, UnitError> {
         Self::new(particles as f64 / full_cells as f64)
     }

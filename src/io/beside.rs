@@ -1,6 +1,8 @@
-//! A folder of files that a file beside it names: it gets its name before the file does, so that nobody finds a name of what is missing.
+//! A folder of files that a file beside it names: it gets its name before the file does, so that
+//! nobody finds a name of what is missing.
 //!
-//! Until then it is called like the file's temporary, and goes with that where the work is abandoned.
+//! Until then it is called like the file's temporary, and goes with that where the work is
+//! abandoned.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
@@ -28,10 +30,12 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Begins a folder beside the file at `place`, called like it but for the extension, for files that end in `extension`.
+    /// Begins a folder beside the file at `place`, called like it but for the extension, for files
+    /// that end in `extension`.
     ///
     /// # Errors
-    /// Those of the system, [`io::ErrorKind::AlreadyExists`] and [`io::ErrorKind::InvalidInput`] as [`check`](Self::check).
+    /// Those of the system, [`io::ErrorKind::AlreadyExists`] and [`io::ErrorKind::InvalidInput`] as
+    /// [`check`](Self::check).
     pub fn begin(place: &Path, temporary: &Path, extension: &'static str) -> io::Result<Self> {
         let (place, stem) = named(place)?;
         let [temporary, replaced] = BELONGINGS.map(|ending| belonging(temporary, ending));
@@ -39,12 +43,12 @@ impl Folder {
         Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
     }
 
-    /// Makes sure that the folder beside the file at `place` is free, or holds nothing but files that another one has put there, if
-    /// they may be replaced.
+    /// Makes sure that the folder beside the file at `place` is free, or holds nothing but files
+    /// that another one has put there, if they may be replaced.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] for a folder that may not be replaced, and [`io::ErrorKind::InvalidInput`] for one that holds
-    /// other files, or a name that is no text.
+    /// [`io::ErrorKind::AlreadyExists`] for a folder that may not be replaced, and
+    /// [`io::ErrorKind::InvalidInput`] for one that holds other files, or a name that is no text.
     pub fn check(place: &Path, extension: &str, replaceable: bool) -> io::Result<()> {
         let (folder, stem) = named(place)?;
         let entries = match fs::read_dir(&folder) {
@@ -66,7 +70,6 @@ impl Folder {
     }
 
     /// Name of file number `number`, relative to the folder's own.
-    #[must_use]
     pub fn name(&self, number: u64) -> String {
         let Self { stem, extension, .. } = self;
         format!("{stem}/{stem}_{number}.{extension}")
@@ -90,26 +93,28 @@ impl Folder {
     }
 
     /// Adds what the files hold to the sum of the file that names them.
-    #[must_use]
     pub fn sum_behind(&self, crc: u32, bytes: u64) -> u32 {
         let mut all = Hasher::new_with_initial_len(crc, bytes);
         all.combine(&self.sum);
         all.finalize()
     }
 
-    /// Gives the folder its name. One that has it goes if it is `replaceable`, after the file at `named`, which names what is in that. Whoever
-    /// does so at the same time waits for the end of [`turn`], or where there are no locks goes on, and the last one's folder stays.
+    /// Gives the folder its name. One that has it goes if it is `replaceable`, after the file at
+    /// `named`, which names what is in that. Whoever does so at the same time waits for the end of
+    /// [`turn`], or where there are no locks goes on, and the last one's folder stays.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be replaced, and the system's own.
+    /// [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be
+    /// replaced, and the system's own.
     pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
         if !replaceable && named.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());
         }
         let mut left = TRIES;
         while let Err(fault) = fs::rename(&self.temporary, &self.place) {
-            let taken = matches!(fault.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists)
-                || self.place.is_dir();
+            let taken =
+                matches!(fault.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists)
+                    || self.place.is_dir();
             left -= 1;
             if !taken || left == 0 {
                 return Err(fault);
@@ -137,10 +142,12 @@ fn unless_gone(done: io::Result<()>) -> io::Result<()> {
 const PATIENCE: Duration = Duration::from_secs(2);
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// A lock on the folder in which the file at `place` and the folder beside it get their names, so that both are of one job. Nothing where
-/// the system has no such lock, or somebody else holds on to it.
+/// A lock on the folder in which the file at `place` and the folder beside it get their names, so
+/// that both are of one job. Nothing where the system has no such lock, or somebody else holds on
+/// to it.
 pub fn turn(place: &Path) -> Option<File> {
-    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder =
+        place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = File::open(folder).ok()?;
     let begun = Instant::now();
     loop {
@@ -163,15 +170,20 @@ impl Drop for Folder {
 /// The folder beside a file, and its name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-    let no_text = || io::Error::new(ErrorKind::InvalidInput, "its name is no text that other files can hold");
+    let no_text =
+        || io::Error::new(ErrorKind::InvalidInput, "its name is no text that other files can hold");
     let stem = stem.ok_or_else(no_text)?;
     Ok((place.with_file_name(&stem), stem))
 }
 
 fn is_piece(name: &str, stem: &str, extension: &str) -> bool {
     let number = name.strip_prefix(stem).and_then(|rest| rest.strip_prefix('_'));
-    let number = number.and_then(|rest| rest.strip_suffix(extension)).and_then(|rest| rest.strip_suffix('.'));
-    number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+    let number = number
+        .and_then(|rest| rest.strip_suffix(extension))
+        .and_then(|rest| rest.strip_suffix('.'));
+    number.is_some_and(|number| {
+        !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())
+    })
 }
 
 #[cfg(test)]
@@ -195,7 +207,9 @@ mod tests {
             }
         };
         thread::scope(|scope| {
-            ["a", "b", "c"].map(|name| scope.spawn(move || job(name))).map(|job| job.join().unwrap())
+            ["a", "b", "c"]
+                .map(|name| scope.spawn(move || job(name)))
+                .map(|job| job.join().unwrap())
         });
         assert!(["a", "b", "c"].contains(&&*fs::read_to_string(piece).unwrap()));
         assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "nothing else is left");

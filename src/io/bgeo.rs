@@ -1,7 +1,8 @@
 //! Houdini's classic .bgeo ("BgeoV", version 5), as partio and SPlisHSPlasH write it.
 //!
-//! Everything is big endian. A header names the attributes, then come the points, one record each: x, y, z, w
-//! and the attributes, four bytes a number. What follows the points is of no use here and is not read.
+//! Everything is big endian. A header names the attributes, then come the points, one record each:
+//! x, y, z, w and the attributes, four bytes a number. What follows the points is of no use here
+//! and is not read.
 
 use crate::particles::AttributeInfo;
 
@@ -15,11 +16,12 @@ const NUMBER: u64 = 4;
 
 /// Reads the header and the attributes' names; the points stay where they are.
 ///
-/// A vector or a list of numbers becomes one attribute; indexed strings are passed over. The weight w is not divided by: it is 1 for every point that is not part of a curve.
+/// A vector or a list of numbers becomes one attribute; indexed strings are passed over. The weight
+/// w is not divided by: it is 1 for every point that is not part of a curve.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for Houdini's newer files and plain strings; [`ReadFault::Malformed`] and
-/// [`ReadFault::Truncated`] for a header that does not fit the file.
+/// [`ReadFault::Unsupported`] for Houdini's newer files and plain strings; [`ReadFault::Malformed`]
+/// and [`ReadFault::Truncated`] for a header that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
     refuse_newer_formats(&view.read(0..view.len().min(5))?)?;
@@ -29,7 +31,9 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     }
     let version = cursor.u32("the version")?;
     if version != 5 {
-        return Err(ReadFault::Unsupported(format!("version {version} of .bgeo; only version 5 is known")));
+        return Err(ReadFault::Unsupported(format!(
+            "version {version} of .bgeo; only version 5 is known"
+        )));
     }
     let points = cursor.count("points")?;
     cursor.skip("the header", 3, NUMBER)?;
@@ -65,7 +69,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         })
         .collect();
     let position = [0, 1, 2].map(|axis| position.component(axis));
-    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
+    let particles: ColumnStore =
+        ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
     Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
 }
 
@@ -102,11 +107,17 @@ impl Definition {
             1 => Some(Scalar::I32),
             4 => None,
             2 => {
-                let what =
-                    format!("the attribute {name} holds plain strings; delete it, or make it an indexed one");
+                let what = format!(
+                    "the attribute {name} holds plain strings; delete it, or make it an indexed one"
+                );
                 return Err(ReadFault::Unsupported(what));
             }
-            other => return Err(malformed(at, format!("the attribute {name} has the unknown type {other}"))),
+            other => {
+                return Err(malformed(
+                    at,
+                    format!("the attribute {name} has the unknown type {other}"),
+                ));
+            }
         };
         if scalar.is_some() {
             cursor.skip("an attribute's default values", components.into(), NUMBER)?;

@@ -1,9 +1,10 @@
-//! DualSPHysics' .bi4 (JBinaryData): the fluid among the particles of one part, which may be in several files.
+//! DualSPHysics' .bi4 (JBinaryData): the fluid among the particles of one part, which may be in
+//! several files.
 //!
-//! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays and items
-//! below it; each is preceded by the size of its definition. The root's values describe the case, its child
-//! `PART_xxxx` holds one array a quantity. Fixed, moving and floating particles lie in the same arrays: the
-//! fluid are those whose number comes after theirs.
+//! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays
+//! and items below it; each is preceded by the size of its definition. The root's values describe
+//! the case, its child `PART_xxxx` holds one array a quantity. Fixed, moving and floating particles
+//! lie in the same arrays: the fluid are those whose number comes after theirs.
 
 use std::path::{Path, PathBuf};
 
@@ -21,11 +22,12 @@ const HEAD: usize = 64;
 /// Identifiers that are read at once.
 const IDS: usize = 1 << 15;
 
-/// Reads the part in `path`, whose bytes are the first of its pieces' if it is in several: `Part_p00_0000.bi4` stands
-/// beside `Part_p01_0000.bi4` and so on.
+/// Reads the part in `path`, whose bytes are the first of its pieces' if it is in several:
+/// `Part_p00_0000.bi4` stands beside `Part_p01_0000.bi4` and so on.
 ///
 /// # Errors
-/// As [`read_particles`], each with the piece that it concerns; a missing piece is [`ReadFault::Io`].
+/// As [`read_particles`], each with the piece that it concerns; a missing piece is
+/// [`ReadFault::Io`].
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -38,11 +40,13 @@ pub fn open_particles(
         return read_particles(bytes).map_err(fail);
     }
     let name = PieceName::of(path).ok_or_else(|| {
-        let what = format!("one of {count} pieces of a part; their names are like Part_p00_0000.bi4");
+        let what =
+            format!("one of {count} pieces of a part; their names are like Part_p00_0000.bi4");
         fail(ReadFault::Unsupported(what))
     })?;
     let opened = wanted.pieces.of(count as usize) as u64;
-    let share = Unpacking { in_memory: unpacking.in_memory / opened.saturating_add(1), ..unpacking };
+    let share =
+        Unpacking { in_memory: unpacking.in_memory / opened.saturating_add(1), ..unpacking };
     let (mut stores, mut first) = (Vec::new(), None);
     for number in 0..count {
         if !wanted.pieces.hold(number as usize) {
@@ -61,13 +65,16 @@ pub fn open_particles(
         stores.push(piece.store(bytes).into());
     }
     let (spacing, time) = first.unwrap_or_default();
-    let particles =
-        Pieces::join(stores).map_err(|(piece, fault)| ReadError::new(name.path(piece as u64), fault))?;
-    Ok(ParticleFile { spacing, time, ..ParticleFile::new(particles, "DualSPHysics .bi4 in pieces") })
+    let particles = Pieces::join(stores)
+        .map_err(|(piece, fault)| ReadError::new(name.path(piece as u64), fault))?;
+    Ok(ParticleFile {
+        spacing,
+        time,
+        ..ParticleFile::new(particles, "DualSPHysics .bi4 in pieces")
+    })
 }
 
 /// Whether a file's name says that it is a piece of a part, and not the first.
-#[must_use]
 pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
@@ -75,8 +82,9 @@ pub fn is_later_piece(path: &Path) -> bool {
 /// The other pieces of the part that `path` is the first piece of, as far as they are there.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
-    first
-        .map_or(Vec::new(), |name| (1..).map(|number| name.path(number)).take_while(|p| p.exists()).collect())
+    first.map_or(Vec::new(), |name| {
+        (1..).map(|number| name.path(number)).take_while(|p| p.exists()).collect()
+    })
 }
 
 fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
@@ -125,7 +133,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let piece = Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
-        let what = format!("one of {pieces} pieces of a part; all are read together, from their files");
+        let what =
+            format!("one of {pieces} pieces of a part; all are read together, from their files");
         return Err(ReadFault::Unsupported(what));
     }
     Ok(ParticleFile { spacing, time, ..ParticleFile::new(piece.store(bytes), "DualSPHysics .bi4") })
@@ -183,7 +192,8 @@ impl Piece {
         }
         let fluid = Fluid::pick(bytes, ids, case.boundary()?, endian)?;
         let (count, offset, name) = (ids.count, position.offset, position.name.clone());
-        arrays.retain(|array| array.count == count && (array.name != name || array.offset == offset));
+        arrays
+            .retain(|array| array.count == count && (array.name != name || array.offset == offset));
         let position = arrays.iter().position(|array| array.name == name).expect("found above");
         Ok(Self { case, arrays, position, fluid, endian })
     }
@@ -201,9 +211,11 @@ impl Fluid {
             let width = ids.shape.0.size();
             for first in (0..ids.count).step_by(IDS) {
                 let rows = first..ids.count.min(first + IDS);
-                let piece = bytes.read(ids.offset + rows.start * width..ids.offset + rows.end * width)?;
-                let fluid =
-                    rows.zip(piece.chunks_exact(width)).filter(|(_, id)| number(id, endian) >= boundary);
+                let piece =
+                    bytes.read(ids.offset + rows.start * width..ids.offset + rows.end * width)?;
+                let fluid = rows
+                    .zip(piece.chunks_exact(width))
+                    .filter(|(_, id)| number(id, endian) >= boundary);
                 fluid.for_each(|(row, _)| visit(row));
             }
             Ok::<_, ReadFault>(())
@@ -250,14 +262,20 @@ struct Case {
 impl Case {
     /// The lowest number of a fluid particle.
     fn boundary(&self) -> Result<u64, ReadFault> {
-        self.not_fluid.iter().try_fold(0u64, |sum, count| sum.checked_add((*count)?)).ok_or_else(|| {
-            malformed(HEAD, "no counts of fixed, moving and floating particles (CaseNfixed and others)")
-        })
+        self.not_fluid.iter().try_fold(0u64, |sum, count| sum.checked_add((*count)?)).ok_or_else(
+            || {
+                malformed(
+                    HEAD,
+                    "no counts of fixed, moving and floating particles (CaseNfixed and others)",
+                )
+            },
+        )
     }
 
     /// Notes the value called `name` if it is one of ours.
     fn note(&mut self, name: &[u8], kind: Kind, value: &[u8], endian: Endian) {
-        let whole = matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
+        let whole =
+            matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
         match name {
             b"CaseNfixed" => self.not_fluid[0] = whole,
             b"CaseNmoving" => self.not_fluid[1] = whole,
@@ -269,7 +287,8 @@ impl Case {
                 self.spacing = positive_length("Dp", spacing).ok();
             }
             b"TimeStep" if kind.scalar == Some(Scalar::F64) => {
-                self.time = Some(f64::from_bits(number(value, endian))).filter(|time| time.is_finite());
+                self.time =
+                    Some(f64::from_bits(number(value, endian))).filter(|time| time.is_finite());
             }
             _ => {}
         }
@@ -315,7 +334,11 @@ impl Kind {
             _ => return Err(malformed(at, format!("the unknown type {code}"))),
         };
         let components = if code >= 20 { 3 } else { 1 };
-        Ok(Self { scalar: Some(scalar), components, size: Some((components * scalar.size()) as u64) })
+        Ok(Self {
+            scalar: Some(scalar),
+            components,
+            size: Some((components * scalar.size()) as u64),
+        })
     }
 }
 
@@ -335,10 +358,14 @@ impl Tree {
             Some(b"JPartDataBi4") => {}
             Some(other) => {
                 let what = String::from_utf8_lossy(other);
-                let what = format!("a {what} file holds no particles; those are in Part_0000.bi4 and so on");
+                let what = format!(
+                    "a {what} file holds no particles; those are in Part_0000.bi4 and so on"
+                );
                 return Err(ReadFault::Unsupported(what));
             }
-            None => return Err(malformed(0, "not a .bi4 file: it does not begin with \"#FileJBD\"")),
+            None => {
+                return Err(malformed(0, "not a .bi4 file: it does not begin with \"#FileJBD\""));
+            }
         }
         let (endian, wide) = match head[60] {
             0 => (Endian::Little, false),
@@ -349,7 +376,8 @@ impl Tree {
         };
         let mut cursor = Cursor::new(bytes, HEAD, endian);
         let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };
-        // An item's children follow it directly, so a count of those to come is all that the tree needs.
+        // An item's children follow it directly, so a count of those to come is all that the tree
+        // needs.
         let mut to_come: u64 = 1;
         while to_come > 0 {
             to_come = to_come - 1 + tree.item(&mut cursor, wide)?;
@@ -406,7 +434,10 @@ impl Array {
         let bytes = size("an array's size")?;
         let entry = kind.size.filter(|_| kind.scalar.is_some());
         if entry.is_some_and(|size| count.checked_mul(size) != Some(bytes)) {
-            return Err(malformed(at, format!("the array {name} of {count} entries has {bytes} bytes")));
+            return Err(malformed(
+                at,
+                format!("the array {name} of {count} entries has {bytes} bytes"),
+            ));
         }
         let offset = cursor.skip(&format!("the array {name}"), bytes, 1)?;
         Ok(kind.scalar.map(|scalar| Self {

@@ -1,5 +1,5 @@
-//! The bytes of an input file: read by position where it lies on disk as it is; read whole, unpacked or decoded where they do not stay
-//! where they are, into memory or a scratch file.
+//! The bytes of an input file: read by position where it lies on disk as it is; read whole,
+//! unpacked or decoded where they do not stay where they are, into memory or a scratch file.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -23,7 +23,8 @@ const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
-/// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than this.
+/// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than
+/// this.
 const GREATEST_RATIO: u64 = 128;
 
 /// With a byte that is read the system may map so many before it, which were given back already.
@@ -51,12 +52,13 @@ pub enum Kept {
 }
 
 impl Bytes {
-    /// All of it, read from the file if that is where it is: into memory, or into a scratch file. What is decoded at length is decoded
-    /// from there, where no other program changes it meanwhile.
+    /// All of it, read from the file if that is where it is: into memory, or into a scratch file.
+    /// What is decoded at length is decoded from there, where no other program changes it
+    /// meanwhile.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that cannot be read as it was when it was opened, and
-    /// [`ReadFault::Scratch`].
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that cannot be read as it was when
+    /// it was opened, and [`ReadFault::Scratch`].
     pub fn read_whole(self, unpacking: Unpacking) -> Result<Kept, ReadFault> {
         let file = match self {
             Self::File(file) => file,
@@ -68,7 +70,11 @@ impl Bytes {
             let read = |(number, piece): (usize, &mut [u8])| {
                 file.read_exact_at((number * WINDOW as usize) as u64, piece)
             };
-            whole.par_chunks_mut(WINDOW as usize).enumerate().try_for_each(read).map(|()| Kept::Owned(whole))
+            whole
+                .par_chunks_mut(WINDOW as usize)
+                .enumerate()
+                .try_for_each(read)
+                .map(|()| Kept::Owned(whole))
         } else {
             let mut copied = Unpacked::new(unpacking);
             let mut piece = vec![0; WINDOW as usize];
@@ -86,7 +92,6 @@ impl Bytes {
     }
 
     /// Looks at them without reading all.
-    #[must_use]
     pub fn view(&self) -> View<'_> {
         match self {
             Self::File(file) => View::File(file),
@@ -107,13 +112,12 @@ impl Kept {
     /// # Errors
     /// Where the system refuses.
     pub fn map(file: &File) -> io::Result<Self> {
-        // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end the
-        // run by a signal, as it can for every mapping reader.
+        // SAFETY: the map is never written through. Another program that shortens the file
+        // meanwhile can end the run by a signal, as it can for every mapping reader.
         unsafe { Mmap::map(file) }.map(Self::Scratch)
     }
 
     /// Bytes of scratch files.
-    #[must_use]
     pub fn scratch_bytes(&self) -> u64 {
         match self {
             Self::Scratch(map) => map.len() as u64,
@@ -122,7 +126,6 @@ impl Kept {
     }
 
     /// Bytes of memory that cannot be given back.
-    #[must_use]
     pub fn resident_bytes(&self) -> u64 {
         match self {
             Self::Scratch(_) => 0,
@@ -136,7 +139,6 @@ impl Kept {
     }
 
     /// The bytes, with the map that gives their memory back.
-    #[must_use]
     pub fn slice(&self) -> Slice<'_> {
         match self {
             Self::Scratch(map) => Slice { bytes: map, map: Some(map) },
@@ -145,7 +147,6 @@ impl Kept {
     }
 
     /// The bytes, as those of an input are looked at.
-    #[must_use]
     pub fn view(&self) -> View<'_> {
         View::Kept(self.slice())
     }
@@ -171,7 +172,6 @@ pub struct Slice<'a> {
 
 impl<'a> Slice<'a> {
     /// The bytes, for as long as they are there.
-    #[must_use]
     pub fn bytes(self) -> &'a [u8] {
         self.bytes
     }
@@ -182,9 +182,11 @@ impl<'a> Slice<'a> {
         if let Some(map) = self.map {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
-            // SAFETY: the map is of a file and never written: pages that are dropped are read again.
-            // That the system may refuse is no matter.
-            let _ = unsafe { map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length) };
+            // SAFETY: the map is of a file and never written: pages that are dropped are read
+            // again. That the system may refuse is no matter.
+            let _ = unsafe {
+                map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length)
+            };
         }
         #[cfg(not(unix))]
         let _ = range;
@@ -303,7 +305,6 @@ pub struct Passing<'a> {
 
 impl<'a> Passing<'a> {
     /// From byte `at` on.
-    #[must_use]
     pub fn new(bytes: View<'a>, at: usize) -> Self {
         Self { bytes, at: at as u64, held_from: at as u64 }
     }
@@ -324,7 +325,9 @@ impl Read for Passing<'_> {
         let buffer = &mut buffer[..read];
         match self.bytes {
             View::File(file) => file.read_exact_at(self.at, buffer)?,
-            View::Kept(slice) if read > 0 => buffer.copy_from_slice(&slice[self.at as usize..][..read]),
+            View::Kept(slice) if read > 0 => {
+                buffer.copy_from_slice(&slice[self.at as usize..][..read])
+            }
             View::Kept(_) => {}
         }
         self.at += read as u64;
@@ -367,7 +370,6 @@ pub struct Unpacking<'a> {
 
 impl Unpacking<'static> {
     /// Sets no limit: all is unpacked into memory.
-    #[must_use]
     pub fn in_memory() -> Self {
         Self { in_memory: u64::MAX, scratch: Path::new(".") }
     }
@@ -385,19 +387,16 @@ pub struct Unpacked<'a> {
 
 impl<'a> Unpacked<'a> {
     /// Nothing.
-    #[must_use]
     pub fn new(unpacking: Unpacking<'a>) -> Self {
         Self { unpacking, memory: Vec::new(), file: None, len: 0 }
     }
 
     /// Bytes so far.
-    #[must_use]
     pub fn len(&self) -> u64 {
         self.len
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
@@ -409,7 +408,8 @@ impl<'a> Unpacked<'a> {
     pub fn push(&mut self, bytes: &[u8]) -> Result<(), ReadFault> {
         self.len += bytes.len() as u64;
         if self.file.is_none() && self.len > self.unpacking.in_memory {
-            let mut file = tempfile::tempfile_in(self.unpacking.scratch).map_err(ReadFault::Scratch)?;
+            let mut file =
+                tempfile::tempfile_in(self.unpacking.scratch).map_err(ReadFault::Scratch)?;
             file.write_all(&std::mem::take(&mut self.memory)).map_err(ReadFault::Scratch)?;
             self.file = Some(file);
         }
@@ -439,7 +439,8 @@ impl<'a> Unpacked<'a> {
     }
 }
 
-/// Opens `path`: to be read by position, or unpacked into memory when it is gzipped, whatever its extension says.
+/// Opens `path`: to be read by position, or unpacked into memory when it is gzipped, whatever its
+/// extension says.
 ///
 /// # Errors
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
@@ -449,15 +450,15 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
 }
 
 /// Opens `path` like [`open_bytes`], and reads all of it.
-///
-/// # Errors
-/// As [`open_bytes`], and [`ReadFault::Changed`].
 pub fn open_whole(path: &Path) -> Result<Kept, ReadError> {
     let unpacking = Unpacking::in_memory();
-    open_bytes_within(path, unpacking)?.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))
+    open_bytes_within(path, unpacking)?
+        .read_whole(unpacking)
+        .map_err(|fault| ReadError::new(path, fault))
 }
 
-/// Opens `path` like [`open_bytes`], unpacking it into memory or a scratch file as `unpacking` says.
+/// Opens `path` like [`open_bytes`], unpacking it into memory or a scratch file as `unpacking`
+/// says.
 ///
 /// # Errors
 /// As [`open_bytes`], and [`ReadFault::Scratch`] where the scratch file cannot be written.
@@ -484,17 +485,20 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     } else {
         Some(collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?)
     };
-    let limit = unpacked_limit(packed.as_ref().map_or(metadata.len(), |packed| packed.len() as u64));
+    let limit =
+        unpacked_limit(packed.as_ref().map_or(metadata.len(), |packed| packed.len() as u64));
     match packed {
         Some(packed) if packed.is_empty() => Err(fail(ReadFault::Empty)),
         Some(packed) if !packed.starts_with(&GZIP) => Ok(Bytes::Kept(packed)),
         Some(packed) => match unpack_at_once(&packed, unpacking.in_memory) {
             Some(unpacked) => Ok(unpacked.into()),
-            None => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking).map(Bytes::Kept).map_err(fail),
+            None => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking)
+                .map(Bytes::Kept)
+                .map_err(fail),
         },
-        None => {
-            unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking).map(Bytes::Kept).map_err(fail)
-        }
+        None => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking)
+            .map(Bytes::Kept)
+            .map_err(fail),
     }
 }
 
@@ -510,8 +514,8 @@ pub(super) fn unpacked_limit(packed: u64) -> u64 {
     packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
 }
 
-/// Unpacks a small file that is a single gzip stream, in half of the time that it takes piece by piece. `None` where it
-/// is something else, or damaged.
+/// Unpacks a small file that is a single gzip stream, in half of the time that it takes piece by
+/// piece. `None` where it is something else, or damaged.
 fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     // A stream ends with its content's length.
     let trailer = packed.last_chunk::<4>()?;
@@ -521,7 +525,8 @@ fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     }
     let mut unpacked = vec![0; len as usize];
     let written = Decompressor::new().gzip_decompress(packed, &mut unpacked).ok()?;
-    // The first stream, at whose end this stops, ends with this length: the file does so too, and nothing before that.
+    // The first stream, at whose end this stops, ends with this length: the file does so too, and
+    // nothing before that.
     let ends = memmem::find(packed, trailer)? + trailer.len();
     (written == unpacked.len() && ends == packed.len()).then_some(unpacked)
 }

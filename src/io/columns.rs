@@ -1,7 +1,7 @@
 //! One shape for every particle format: columns of numbers at a fixed stride in a run of bytes.
 //!
-//! A binary format's reader parses the header and says where the columns lie; a text format's reader
-//! decodes into little-endian columns first. Nothing else differs between formats.
+//! A binary format's reader parses the header and says where the columns lie; a text format's
+//! reader decodes into little-endian columns first. Nothing else differs between formats.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -35,7 +35,6 @@ pub enum Scalar {
 
 impl Scalar {
     /// Whether it is a floating-point number.
-    #[must_use]
     pub fn is_float(self) -> bool {
         matches!(self, Self::F32 | Self::F64)
     }
@@ -49,8 +48,8 @@ pub enum Endian {
     Big,
 }
 
-/// Where a tuple of numbers lies for every particle: particle `i` has its components one after the other
-/// from byte `offset + i * stride`.
+/// Where a tuple of numbers lies for every particle: particle `i` has its components one after the
+/// other from byte `offset + i * stride`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
     /// Offset of particle 0's first component, in bytes from the start of the data.
@@ -65,13 +64,13 @@ pub struct Column {
 
 impl Column {
     /// The column of the `index`-th number after this one in every tuple.
-    #[must_use]
     pub fn component(self, index: usize) -> Self {
         Self { offset: self.offset + index * self.scalar.size(), ..self }
     }
 }
 
-/// The numbers of a particle file, still as stored, in bytes that are kept, borrowed, or read from the file.
+/// The numbers of a particle file, still as stored, in bytes that are kept, borrowed, or read from
+/// the file.
 #[derive(Debug)]
 pub struct ColumnStore<B = Source> {
     bytes: B,
@@ -94,7 +93,6 @@ pub enum Rows {
 
 impl Rows {
     /// The number of rows.
-    #[must_use]
     pub fn count(&self) -> usize {
         match self {
             Self::All(count) => *count,
@@ -107,9 +105,8 @@ impl<B: Windows> ColumnStore<B> {
     /// Joins columns to the bytes that hold them. Of attributes with one name the first is kept.
     ///
     /// # Panics
-    /// If a column reaches past the bytes or its numbers overlap: readers check a header's counts before they
-    /// believe them.
-    #[must_use]
+    /// If a column reaches past the bytes or its numbers overlap: readers check a header's counts
+    /// before they believe them.
     pub fn new(
         bytes: impl Into<B>,
         rows: Rows,
@@ -128,7 +125,11 @@ impl<B: Windows> ColumnStore<B> {
             for column in position.iter().chain(columns.iter().flatten()) {
                 let end = column.offset + last * column.stride + column.scalar.size();
                 assert!(end <= bytes.count(), "a column ends at byte {end} of {}", bytes.count());
-                assert!(column.stride >= column.scalar.size(), "a stride of {} bytes", column.stride);
+                assert!(
+                    column.stride >= column.scalar.size(),
+                    "a stride of {} bytes",
+                    column.stride
+                );
             }
         }
         for (info, columns) in infos.iter().zip(&columns) {
@@ -141,7 +142,8 @@ impl<B: Windows> ColumnStore<B> {
     fn read<T: Nearest>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
         // Those of a single row can be, and their stride be too short for a tuple.
-        let neighbours = columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
+        let neighbours =
+            columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
             [xyz, _, _] if neighbours && xyz.stride >= 3 * xyz.scalar.size() => {
                 self.read_tuples::<T, 3>(xyz, first, out, width)
@@ -215,13 +217,11 @@ impl<B: Windows> ColumnStore<B> {
 
 impl ColumnStore {
     /// Bytes of scratch files that the numbers are in.
-    #[must_use]
     pub fn scratch_bytes(&self) -> u64 {
         self.bytes.scratch_bytes()
     }
 
     /// Bytes of the file that the numbers are read from.
-    #[must_use]
     pub fn file_bytes(&self) -> u64 {
         self.bytes.file_bytes()
     }
@@ -253,8 +253,9 @@ impl<B: Windows> Particles for ColumnStore<B> {
         // Rows that were chosen lie scattered.
         let Rows::All(_) = self.rows else { return };
         let columns = self.position.iter().chain(self.columns.iter().flatten());
-        let mut windows: Vec<Range<usize>> =
-            columns.map(|c| c.offset + range.start * c.stride..c.offset + range.end * c.stride).collect();
+        let mut windows: Vec<Range<usize>> = columns
+            .map(|c| c.offset + range.start * c.stride..c.offset + range.end * c.stride)
+            .collect();
         windows.sort_unstable_by_key(|window| window.start);
         let len = self.bytes.count();
         for group in windows.chunk_by(|a, b| b.start < a.end) {
@@ -281,7 +282,6 @@ macro_rules! stored {
     ($($scalar:ident $type:ident),*) => {
         impl Scalar {
             /// Width in bytes.
-            #[must_use]
             pub fn size(self) -> usize {
                 match self {
                     $(Self::$scalar => size_of::<$type>()),*

@@ -22,7 +22,6 @@ pub struct Cursor<'a> {
 
 impl<'a> Cursor<'a> {
     /// At byte `at` of `bytes`.
-    #[must_use]
     pub fn new(bytes: View<'a>, at: usize, endian: Endian) -> Self {
         let window = match bytes {
             View::File(_) => Cow::Owned(Vec::new()),
@@ -32,7 +31,6 @@ impl<'a> Cursor<'a> {
     }
 
     /// Bytes from the start of the file.
-    #[must_use]
     pub fn at(&self) -> usize {
         self.at
     }
@@ -55,11 +53,13 @@ impl<'a> Cursor<'a> {
     /// The next `count` bytes.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`], and where the file cannot be read [`ReadFault::Changed`] or [`ReadFault::Io`], as in all that follow.
+    /// [`ReadFault::Truncated`], and where the file cannot be read [`ReadFault::Changed`] or
+    /// [`ReadFault::Io`], as in all that follow.
     pub fn take(&mut self, what: &str, count: u64) -> Result<&[u8], ReadFault> {
         let start = self.skip(what, count, 1)?;
         if start < self.window_at || self.window_at + self.window.len() < self.at {
-            self.window = self.bytes.read(start..self.at.max(start + WINDOW).min(self.bytes.len()))?;
+            self.window =
+                self.bytes.read(start..self.at.max(start + WINDOW).min(self.bytes.len()))?;
             self.window_at = start;
         }
         Ok(&self.window[start - self.window_at..][..count as usize])

@@ -10,8 +10,8 @@ use super::CoordinateWidth;
 
 /// Writes what `encode` appends to a buffer for pieces 0 to `pieces`, in order.
 ///
-/// While this thread writes one batch of pieces, the pool encodes the next, so no more is held than two
-/// pieces a thread in each. The bytes depend on `encode` alone, not on the number of threads.
+/// While this thread writes one batch of pieces, the pool encodes the next, so no more is held than
+/// two pieces a thread in each. The bytes depend on `encode` alone, not on the number of threads.
 ///
 /// # Errors
 /// The first error of `encode` or `out`, in the order of the pieces; nothing is written after it.
@@ -23,7 +23,8 @@ pub fn write_pieces(
     in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
-/// Works like [`write_pieces`], for anything that `make` appends to a buffer and `take` wants in order.
+/// Works like [`write_pieces`], for anything that `make` appends to a buffer and `take` wants in
+/// order.
 pub(super) fn in_order<T: Send>(
     pieces: usize,
     make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
@@ -34,7 +35,9 @@ pub(super) fn in_order<T: Send>(
     let (mut ready, mut next) = (buffers(), buffers());
     let mut made = 0;
     for first in (0..pieces).step_by(batch.max(1)) {
-        made = make_while(&mut next, first..pieces, &make, || take_all(&mut ready[..made], &mut take))?;
+        made = make_while(&mut next, first..pieces, &make, || {
+            take_all(&mut ready[..made], &mut take)
+        })?;
         std::mem::swap(&mut ready, &mut next);
     }
     take_all(&mut ready[..made], &mut take)
@@ -43,8 +46,8 @@ pub(super) fn in_order<T: Send>(
 /// The values made of a piece, and whether they are all of it.
 type Made<T> = (Vec<T>, io::Result<()>);
 
-/// Makes as many of `pieces` as there are `buffers`, on the pool, while `meanwhile` runs on this thread.
-/// Returns how many.
+/// Makes as many of `pieces` as there are `buffers`, on the pool, while `meanwhile` runs on this
+/// thread. Returns how many.
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,
@@ -64,7 +67,10 @@ fn make_while<T: Send>(
     Ok(made)
 }
 
-fn take_all<T>(made: &mut [Made<T>], take: &mut impl FnMut(&[T]) -> io::Result<()>) -> io::Result<()> {
+fn take_all<T>(
+    made: &mut [Made<T>],
+    take: &mut impl FnMut(&[T]) -> io::Result<()>,
+) -> io::Result<()> {
     made.iter_mut().try_for_each(|(buffer, result)| {
         std::mem::replace(result, Ok(()))?;
         take(buffer)
@@ -74,7 +80,8 @@ fn take_all<T>(made: &mut [Made<T>], take: &mut impl FnMut(&[T]) -> io::Result<(
 /// Writes what `encode` makes of the vertices, piece after piece.
 ///
 /// # Panics
-/// If a piece's arrays differ in length, or the pieces are not all vertices: no file can be made of that.
+/// If a piece's arrays differ in length, or the pieces are not all vertices: no file can be made of
+/// that.
 pub(super) fn write_vertices(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -89,7 +96,11 @@ pub(super) fn write_vertices(
         assert_eq!(vertices.normals.len(), normals, "one normal a vertex, or none at all");
         assert_eq!(vertices.attributes.len(), attributes.len(), "all attributes in every piece");
         for (info, values) in attributes.iter().zip(&vertices.attributes) {
-            assert_eq!(Some(values.len()), len.checked_mul(info.components), "{info:?} on {len} vertices");
+            assert_eq!(
+                Some(values.len()),
+                len.checked_mul(info.components),
+                "{info:?} on {len} vertices"
+            );
         }
         count.fetch_add(len as u64, Ordering::Relaxed);
         encode(&vertices, out);
@@ -113,7 +124,9 @@ pub(super) fn write_floats(
 /// Adds a position to `out`, little-endian.
 pub(super) fn put_position(out: &mut Vec<u8>, position: [f64; 3], width: CoordinateWidth) {
     match width {
-        CoordinateWidth::F32 => out.extend(position.map(|x| (x as f32).to_le_bytes()).as_flattened()),
+        CoordinateWidth::F32 => {
+            out.extend(position.map(|x| (x as f32).to_le_bytes()).as_flattened())
+        }
         CoordinateWidth::F64 => out.extend(position.map(f64::to_le_bytes).as_flattened()),
     }
 }

@@ -18,20 +18,20 @@ pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 }
 
 /// The file that holds a frame, and those of its other pieces that are there.
-#[must_use]
 pub fn files_of(path: &Path) -> Vec<PathBuf> {
     let (file, _) = file_and_step(path);
     let mut files = vec![file.to_owned()];
     // What is wrong with it is told of when it is read.
     let named = pieces_named(file).unwrap_or_default().into_iter();
-    let snapshot = snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
-        let base = snapshot_piece(file).map_or_else(|| file.to_owned(), |(base, _)| base);
-        let piece = |number: u64| {
-            let extension = base.extension().unwrap_or_default().to_string_lossy();
-            base.with_extension(format!("{number}.{extension}"))
-        };
-        (0..pieces).map(piece).take_while(|piece| piece.exists()).collect()
-    });
+    let snapshot =
+        snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
+            let base = snapshot_piece(file).map_or_else(|| file.to_owned(), |(base, _)| base);
+            let piece = |number: u64| {
+                let extension = base.extension().unwrap_or_default().to_string_lossy();
+                base.with_extension(format!("{number}.{extension}"))
+            };
+            (0..pieces).map(piece).take_while(|piece| piece.exists()).collect()
+        });
     let others = named.chain(snapshot).chain(bi4::later_pieces(file));
     files.extend(others.filter(|other| other != file && other.exists()));
     files
@@ -39,23 +39,21 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
 
 /// The number of files that the snapshot of one of them is in; `None` of anything else.
 #[cfg(feature = "hdf5")]
-#[must_use]
 pub fn snapshot_pieces(path: &Path) -> Option<u64> {
     matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
 }
 
 /// The number of files that a snapshot is in, which this build does not read.
 #[cfg(not(feature = "hdf5"))]
-#[must_use]
 pub fn snapshot_pieces(_: &Path) -> Option<u64> {
     None
 }
 
 /// A file's name without its piece's number, and that number, where the name is like `base.0.hdf5`.
-#[must_use]
 pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
     let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
     let (base, digits) = rest.rsplit_once('.').filter(|_| matches!(extension, "h5" | "hdf5"))?;
-    let number = digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())??;
+    let number =
+        digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())??;
     Some((path.with_file_name(format!("{base}.{extension}")), number))
 }

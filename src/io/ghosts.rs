@@ -1,8 +1,10 @@
-//! Points that are copies or hidden because their cells are: programs that divide cells among pieces flag these, and not the points.
+//! Points that are copies or hidden because their cells are: programs that divide cells among
+//! pieces flag these, and not the points.
 //!
-//! A set of particles has vertices for cells, one a point. Where all cells are such, a point is left out if it has cells and all of them
-//! are flagged. What other cells say of their corners is no matter of particles, and is passed over. Until that is known a bit for every
-//! cell and two for every point are in memory.
+//! A set of particles has vertices for cells, one a point. Where all cells are such, a point is
+//! left out if it has cells and all of them are flagged. What other cells say of their corners is
+//! no matter of particles, and is passed over. Until that is known a bit for every cell and two for
+//! every point are in memory.
 
 use std::ops::Range;
 
@@ -12,7 +14,8 @@ use super::ParticleFile;
 use super::columns::Scalar;
 use super::wanted::GHOSTS;
 
-/// Bits of VTK's flags by which a cell is a copy (1), is there in finer cells (8), or is hidden (32). Others say what is beside it.
+/// Bits of VTK's flags by which a cell is a copy (1), is there in finer cells (8), or is hidden
+/// (32). Others say what is beside it.
 const LEFT_OUT: i64 = 1 | 8 | 32;
 /// Number of a cell that is a vertex.
 pub(super) const VERTEX: i64 = 1;
@@ -106,7 +109,11 @@ impl<'a> VertexPoints<'a> {
         self.count += 1;
         match usize::try_from(point) {
             Ok(point) if point < self.points && cell < self.vertices.count => {
-                if self.vertices.flagged.get(cell) { self.copies.set(point) } else { self.own.set(point) }
+                if self.vertices.flagged.get(cell) {
+                    self.copies.set(point)
+                } else {
+                    self.own.set(point)
+                }
             }
             _ => {
                 self.strayed.get_or_insert((cell, point));

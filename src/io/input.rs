@@ -37,16 +37,22 @@ impl InputFormat {
 /// A gzipped file opens under its plain name as well as with `.gz` appended.
 ///
 /// # Errors
-/// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong with it.
+/// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong
+/// with it.
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     open_wanted(path, Wanted::default(), unpacking)
 }
 
-/// Opens a particle file like [`open_particles`], for the particles that are wanted: those of other types and pieces are not read.
+/// Opens a particle file like [`open_particles`], for the particles that are wanted: those of other
+/// types and pieces are not read.
 ///
 /// # Errors
 /// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
-pub fn open_wanted(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+pub fn open_wanted(
+    path: &Path,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
     read(path, wanted, unpacking).map(ParticleFile::without_ghosts)
 }
 
@@ -92,13 +98,12 @@ pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
 }
 
 /// Whether a file's extension names a format of particles.
-#[must_use]
 pub fn is_known(path: &Path) -> bool {
     InputFormat::of(path).is_some()
 }
 
-/// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format
-/// serves both.
+/// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the
+/// format serves both.
 ///
 /// # Errors
 /// [`ReadError`] where a file that may be either cannot be read.
@@ -113,7 +118,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         Some("pvtp") => return vtp::parallel::has_faces(path),
         #[cfg(feature = "hdf5")]
         Some("hdf" | "vtkhdf") => {
-            return super::h5::has_faces(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault));
+            return super::h5::has_faces(open_bytes(path)?)
+                .map_err(|fault| ReadError::new(path, fault));
         }
         _ => return Ok(false),
     };
@@ -136,7 +142,8 @@ enum Reader {
 }
 
 /// Reads the frame of a number, or the only one.
-type StepReader = fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<ParticleFile, ReadError>;
+type StepReader =
+    fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<ParticleFile, ReadError>;
 
 #[cfg(feature = "hdf5")]
 const HDF5: StepReader = super::h5::open_particles;
@@ -179,14 +186,22 @@ mod tests {
     fn the_extensions_that_messages_know_are_those_that_have_a_reader() {
         let known: BTreeSet<&str> =
             KNOWN.split(&[',', ' '][..]).filter_map(|word| word.strip_prefix('.')).collect();
-        let (_, arms) = include_str!("input_format.rs").split_once("match extension(path)?").unwrap();
+        let (_, arms) =
+            include_str!("input_format.rs").split_once("match extension(path)?").unwrap();
         let (arms, _) = arms.split_once("_ => return None").unwrap();
-        let arms = arms.lines().filter_map(|line| line.split_once("=>")).flat_map(|(arm, _)| arm.split('"'));
-        let is_extension = |word: &&str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric());
+        let arms = arms
+            .lines()
+            .filter_map(|line| line.split_once("=>"))
+            .flat_map(|(arm, _)| arm.split('"'));
+        let is_extension =
+            |word: &&str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric());
         let read: BTreeSet<&str> = arms.filter(is_extension).collect();
         for extension in &read {
             assert!(is_known(Path::new(&format!("a.{extension}.gz"))), "{extension}");
-            assert!(known.contains(extension) || ADVISED.contains(extension), "{extension} is read");
+            assert!(
+                known.contains(extension) || ADVISED.contains(extension),
+                "{extension} is read"
+            );
         }
         let read = read.into_iter().chain(["gz"]).collect();
         assert!(known.is_subset(&read) && known.len() > 12, "{known:?} and {read:?}");

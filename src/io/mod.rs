@@ -1,6 +1,7 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
 //!
-//! All formats are in `formats.md`, and how to add one in `../contributing.md`: both are pages of the docs.
+//! All formats are in `formats.md`, and how to add one in `../contributing.md`: both are pages of
+//! the docs.
 
 mod beside;
 pub mod bgeo;
@@ -59,7 +60,8 @@ pub struct ParticleFile {
     pub spacing: Option<f64>,
     /// The simulation's time in seconds, where the file says it.
     pub time: Option<f64>,
-    /// Edges of the simulation's box, where the file says them: whether it is periodic they do not say.
+    /// Edges of the simulation's box, where the file says them: whether it is periodic they do not
+    /// say.
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres, where the file says it; coordinates are in that unit.
     pub unit_metres: Option<f64>,

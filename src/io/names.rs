@@ -1,11 +1,23 @@
-//! Names of columns and attributes: which columns belong together (`vx`, `vy`, `vz` are one velocity), and how attributes get names that a
-//! file tells apart.
+//! Names of columns and attributes: which columns belong together (`vx`, `vy`, `vz` are one
+//! velocity), and how attributes get names that a file tells apart.
 
 use std::collections::HashMap;
 
-/// Names that a position may have, the likeliest first. The empty name is that of plain `x`, `y`, `z`.
-const POSITION: [&str; 11] =
-    ["", "points", "point", "pos", "position", "positions", "p", "coordinates", "coords", "coord", "x"];
+/// Names that a position may have, the likeliest first. The empty name is that of plain `x`, `y`,
+/// `z`.
+const POSITION: [&str; 11] = [
+    "",
+    "points",
+    "point",
+    "pos",
+    "position",
+    "positions",
+    "p",
+    "coordinates",
+    "coords",
+    "coord",
+    "x",
+];
 
 /// One quantity of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -16,7 +28,8 @@ pub struct Quantity {
     pub columns: Vec<usize>,
 }
 
-/// Names of attributes in a file, no two alike: each as `spelled` says, with underscores behind it where that is `taken`.
+/// Names of attributes in a file, no two alike: each as `spelled` says, with underscores behind it
+/// where that is `taken`.
 pub fn told_apart<'a>(
     names: impl IntoIterator<Item = &'a str>,
     taken: &[&str],
@@ -33,11 +46,12 @@ pub fn told_apart<'a>(
     given
 }
 
-/// Finds the position among the columns called `names`, and then all other quantities in their order.
+/// Finds the position among the columns called `names`, and then all other quantities in their
+/// order.
 ///
-/// Columns are one vector where their names differ only in a last `x`, `y`, `z`, or `0`, `1`, `2` after a
-/// separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`. None where no position is among them.
-#[must_use]
+/// Columns are one vector where their names differ only in a last `x`, `y`, `z`, or `0`, `1`, `2`
+/// after a separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`. None where no position is
+/// among them.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
     let mut vectors = HashMap::<_, [Option<usize>; 3]>::new();
@@ -73,7 +87,8 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem says too whether axes are letters or digits.
+/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem says too whether axes are letters
+/// or digits.
 fn component(name: &str) -> Option<((&str, bool), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;

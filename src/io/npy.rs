@@ -1,7 +1,7 @@
 //! NumPy's .npy: an N x 3 array of f32 or f64, in either byte order and either order of its axes.
 //!
-//! The header is a Python dictionary. It is read by the few rules that NumPy's own writer follows, since a
-//! general parser of literals can be made to run for hours by a kilobyte of brackets.
+//! The header is a Python dictionary. It is read by the few rules that NumPy's own writer follows,
+//! since a general parser of literals can be made to run for hours by a kilobyte of brackets.
 
 use super::bytes::{Bytes, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
@@ -18,12 +18,15 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     header.expect_position()?;
     let [rows, 3] = header.shape[..] else {
         let shape = shown(&header.shape);
-        return Err(ReadFault::Unsupported(format!("an array of shape {shape}; particles are (N, 3)")));
+        return Err(ReadFault::Unsupported(format!(
+            "an array of shape {shape}; particles are (N, 3)"
+        )));
     };
     let mut cursor = Cursor::new(bytes.view(), header.start, Endian::Little);
     cursor.skip("the array", rows, 3 * header.element_bytes())?;
     let position = [0, 1, 2].map(|axis| header.column(header.start, axis));
-    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, Vec::new());
+    let particles: ColumnStore =
+        ColumnStore::new(bytes, Rows::All(rows as usize), position, Vec::new());
     Ok(ParticleFile::new(particles, "NumPy .npy"))
 }
 
@@ -57,9 +60,11 @@ impl Header {
         };
         let at = cursor.at();
         let header = cursor.take("the header", length)?.to_vec();
-        let header = String::from_utf8(header).map_err(|_| malformed(at, "the header is not text"))?;
+        let header =
+            String::from_utf8(header).map_err(|_| malformed(at, "the header is not text"))?;
         let value = |key: &str| {
-            value_of(&header, key).ok_or_else(|| malformed(at, format!("the header has no '{key}'")))
+            value_of(&header, key)
+                .ok_or_else(|| malformed(at, format!("the header has no '{key}'")))
         };
         let descr = descr(value("descr")?).to_owned();
         let fortran = match value("fortran_order")? {
@@ -94,7 +99,11 @@ impl Header {
 
     /// Numbers in every row.
     pub fn components(&self) -> u64 {
-        self.shape.get(1..).unwrap_or_default().iter().fold(1, |product, &size| product.saturating_mul(size))
+        self.shape
+            .get(1..)
+            .unwrap_or_default()
+            .iter()
+            .fold(1, |product, &size| product.saturating_mul(size))
     }
 
     /// Bytes of all elements.
@@ -102,8 +111,8 @@ impl Header {
         self.shape.iter().fold(self.element_bytes(), |product, &size| product.saturating_mul(size))
     }
 
-    /// Number `component` of every row, where the first element lies at byte `at`. Only where the data were found to
-    /// be there.
+    /// Number `component` of every row, where the first element lies at byte `at`. Only where the
+    /// data were found to be there.
     pub fn column(&self, at: usize, component: usize) -> Column {
         let (endian, scalar) = self.element.unwrap_or((Endian::Little, Scalar::U8));
         let size = scalar.size();
@@ -166,7 +175,8 @@ fn shape(shape: &str, at: usize) -> Result<Vec<u64>, ReadFault> {
     let inside = shape.strip_prefix('(').and_then(|rest| rest.split_once(')'));
     let (inside, _) = inside.ok_or_else(|| malformed(at, "'shape' is not a tuple"))?;
     let sizes = inside.split(',').map(|size| size.trim().trim_end_matches('L'));
-    let number =
-        |size: &str| size.parse().map_err(|_| malformed(at, format!("{size} is no size of an array")));
+    let number = |size: &str| {
+        size.parse().map_err(|_| malformed(at, format!("{size} is no size of an array")))
+    };
     sizes.filter(|size| !size.is_empty()).map(number).collect()
 }

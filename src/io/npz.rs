@@ -23,16 +23,16 @@ const LONGEST_HEADER: u64 = 1 << 16;
 /// Wider rows are no value of a particle.
 const MOST_COMPONENTS: u64 = 64;
 
-/// Reads the arrays' headers and finds the position among them: an array (N, 3) called `pos`, `position`, `x` or the
-/// like, three arrays `x`, `y`, `z`, or the only one that is (N, 3).
+/// Reads the arrays' headers and finds the position among them: an array (N, 3) called `pos`,
+/// `position`, `x` or the like, three arrays `x`, `y`, `z`, or the only one that is (N, 3).
 ///
 /// Every other array of N rows of numbers is an attribute; `vx`, `vy` and `vz` are one.
 ///
 /// # Errors
 /// [`ReadFault::Compression`] for an archive that is damaged or unpacks beyond all reason;
-/// [`ReadFault::Unsupported`] where no position is found, and for compression and encryption that are not known;
-/// [`ReadFault::Malformed`] for arrays that do not parse or fit; [`ReadFault::Scratch`] where they are unpacked
-/// into a scratch file that fails.
+/// [`ReadFault::Unsupported`] where no position is found, and for compression and encryption that
+/// are not known; [`ReadFault::Malformed`] for arrays that do not parse or fit;
+/// [`ReadFault::Scratch`] where they are unpacked into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let arrays = unless_changed(&bytes, arrays(&bytes))?;
     let (position, others) = position_among(&arrays)?;
@@ -63,7 +63,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     });
     let attributes = attributes.collect();
     let bytes = unpacked.map_or(bytes, Bytes::Kept);
-    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
+    let particles: ColumnStore =
+        ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
     Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
 
@@ -108,7 +109,9 @@ fn unless_changed<T>(bytes: &Bytes, read: Result<T, ReadFault>) -> Result<T, Rea
 
 fn fault(error: ZipError) -> ReadFault {
     match error {
-        ZipError::UnsupportedArchive(what) => ReadFault::Unsupported(format!("zip archive: {what}")),
+        ZipError::UnsupportedArchive(what) => {
+            ReadFault::Unsupported(format!("zip archive: {what}"))
+        }
         other => ReadFault::Compression(other.to_string()),
     }
 }
@@ -132,7 +135,10 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
         })?;
         let components = header.components();
-        if !header.is_numeric() || header.shape.is_empty() || !(1..=MOST_COMPONENTS).contains(&components) {
+        if !header.is_numeric()
+            || header.shape.is_empty()
+            || !(1..=MOST_COMPONENTS).contains(&components)
+        {
             continue;
         }
         if header.data_bytes().checked_add(header.start as u64) != Some(size) {
@@ -163,28 +169,39 @@ fn position_among(arrays: &[Array]) -> Result<(Found, Vec<Found>), ReadFault> {
         }
         places.extend(columns);
     }
-    let found = |q: Quantity| Found { name: q.name, columns: q.columns.iter().map(|&c| places[c]).collect() };
+    let found = |q: Quantity| Found {
+        name: q.name,
+        columns: q.columns.iter().map(|&c| places[c]).collect(),
+    };
     if let Some((position, rest)) = quantities(&names) {
         return Ok((found(position), rest.into_iter().map(found).chain(others).collect()));
     }
-    let vectors: Vec<_> = (0..arrays.len()).filter(|&array| arrays[array].header.components() == 3).collect();
+    let vectors: Vec<_> =
+        (0..arrays.len()).filter(|&array| arrays[array].header.components() == 3).collect();
     let [array] = vectors[..] else {
         let listed = arrays.iter().map(|a| format!("{} {}", a.name, shown(&a.header.shape)));
         let listed: Vec<_> = listed.take(20).collect();
         let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
-        let what =
-            format!("no array of positions; save it as pos, of shape (N, 3). Arrays of numbers: {listed}");
+        let what = format!(
+            "no array of positions; save it as pos, of shape (N, 3). Arrays of numbers: {listed}"
+        );
         return Err(ReadFault::Unsupported(what));
     };
     let columns = [0, 1, 2].map(|component| Place { array, component }).to_vec();
-    let alone = arrays.iter().enumerate().filter(|(other, a)| *other != array && a.header.components() == 1);
-    let alone =
-        alone.map(|(array, a)| Found { name: a.name.clone(), columns: vec![Place { array, component: 0 }] });
+    let alone = arrays
+        .iter()
+        .enumerate()
+        .filter(|(other, a)| *other != array && a.header.components() == 1);
+    let alone = alone.map(|(array, a)| Found {
+        name: a.name.clone(),
+        columns: vec![Place { array, component: 0 }],
+    });
     let others = alone.chain(others).collect();
     Ok((Found { name: arrays[array].name.clone(), columns }, others))
 }
 
-/// Verifies what is needed. Returns where each array starts, in the file or in what had to be unpacked.
+/// Verifies what is needed. Returns where each array starts, in the file or in what had to be
+/// unpacked.
 fn unpack(
     bytes: &Bytes,
     arrays: &[Array],
@@ -195,20 +212,26 @@ fn unpack(
     let in_place = needed().all(|(_, array)| array.stored_at.is_some());
     let total = needed().fold(0u64, |sum, (_, array)| sum.saturating_add(array.bytes));
     if !in_place && total > unpacked_limit(bytes.view().len() as u64) {
-        return Err(ReadFault::Compression(format!("it unpacks to {total} bytes, more than is reasonable")));
+        return Err(ReadFault::Compression(format!(
+            "it unpacks to {total} bytes, more than is reasonable"
+        )));
     }
     let mut archive = archive(bytes)?;
     let mut unpacked = Unpacked::new(unpacking);
     let mut starts = vec![0; arrays.len()];
     for (index, array) in needed() {
-        let damaged = |what: String| ReadFault::Compression(format!("array {}: {what}", array.name));
+        let damaged =
+            |what: String| ReadFault::Compression(format!("array {}: {what}", array.name));
         let mut file = archive.by_index(array.entry).map_err(fault)?;
         starts[index] = array.stored_at.filter(|_| in_place).unwrap_or(unpacked.len()) as usize;
         let mut chunk = Vec::new();
         let mut read = 0;
         loop {
             chunk.clear();
-            file.by_ref().take(CHUNK).read_to_end(&mut chunk).map_err(|e| damaged(e.to_string()))?;
+            file.by_ref()
+                .take(CHUNK)
+                .read_to_end(&mut chunk)
+                .map_err(|e| damaged(e.to_string()))?;
             if chunk.is_empty() {
                 break;
             }

@@ -1,7 +1,9 @@
-//! Wavefront .obj: text, a line each for a vertex (`v`), a normal (`vn`) and a face (`f`, numbered from 1).
+//! Wavefront .obj: text, a line each for a vertex (`v`), a normal (`vn`) and a face (`f`, numbered
+//! from 1).
 //!
-//! There is no place for attributes, and a normal belongs to a face's corner, not to a vertex: [`read_mesh`]
-//! keeps normals that are numbered as their vertices are, as [`write_mesh`] does, and no others.
+//! There is no place for attributes, and a normal belongs to a face's corner, not to a vertex:
+//! [`read_mesh`] keeps normals that are numbered as their vertices are, as [`write_mesh`] does, and
+//! no others.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -15,18 +17,20 @@ use super::{CoordinateWidth, ReadFault};
 
 /// First words of lines that are ignored, as they say nothing of the surface's shape.
 const IGNORED: [&[u8]; 14] = [
-    b"vt", b"vp", b"p", b"l", b"o", b"g", b"s", b"mg", b"mtllib", b"usemtl", b"usemap", b"maplib", b"lod",
-    b"bevel",
+    b"vt", b"vp", b"p", b"l", b"o", b"g", b"s", b"mg", b"mtllib", b"usemtl", b"usemap", b"maplib",
+    b"lod", b"bevel",
 ];
 
-/// Writes vertices, normals and triangles. A number has as many digits as make it that f32 or f64 again.
-///
-/// # Errors
-/// Those of `mesh` and `out`.
+/// Writes vertices, normals and triangles. A number has as many digits as make it that f32 or f64
+/// again.
 ///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+pub fn write_mesh(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+) -> io::Result<()> {
     if mesh.vertex_count() == 0 {
         // A file of no bytes is rather one that was not written.
         writeln!(out, "# no vertices")?;
@@ -65,13 +69,15 @@ fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
     out.write_fmt(line).expect("memory takes whatever is written to it");
 }
 
-/// Reads vertices, normals that are numbered as their vertices are, and faces, fanned from their first corner.
+/// Reads vertices, normals that are numbered as their vertices are, and faces, fanned from their
+/// first corner.
 ///
 /// Texture coordinates, groups, materials, points and lines are passed over.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, a face of less than three corners or with a corner that is
-/// not among the vertices so far; [`ReadFault::Unsupported`] for more vertices than a mesh can have.
+/// [`ReadFault::Line`] for a line that does not parse, a face of less than three corners or with a
+/// corner that is not among the vertices so far; [`ReadFault::Unsupported`] for more vertices than
+/// a mesh can have.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut reading = Reading { numbered_alike: true, ..Reading::default() };
@@ -125,7 +131,9 @@ impl Reading {
             }
             let corner = self.corner(word).map_err(|what| scan.fault(at, what))?;
             let corner = u32::try_from(corner).map_err(|_| {
-                ReadFault::Unsupported(format!("vertex {corner} is used; a mesh has less than 2^32"))
+                ReadFault::Unsupported(format!(
+                    "vertex {corner} is used; a mesh has less than 2^32"
+                ))
             })?;
             self.corners.push(corner);
         }
@@ -138,18 +146,21 @@ impl Reading {
         }
     }
 
-    /// The vertex of a corner `vertex`, `vertex/texture`, `vertex//normal` or `vertex/texture/normal`.
+    /// The vertex of a corner `vertex`, `vertex/texture`, `vertex//normal` or
+    /// `vertex/texture/normal`.
     fn corner(&mut self, word: &[u8]) -> Result<usize, String> {
         let mut parts = word.split(|&byte| byte == b'/');
         let vertex = resolve(parts.next().unwrap_or_default(), "vertex", self.positions.len())?;
-        let normal = parts.nth(1).map(|part| resolve(part, "normal", self.normals.len())).transpose()?;
+        let normal =
+            parts.nth(1).map(|part| resolve(part, "normal", self.normals.len())).transpose()?;
         self.numbered_alike &= normal == Some(vertex);
         Ok(vertex)
     }
 
     fn into_mesh(self) -> Mesh {
-        let own =
-            self.numbered_alike && !self.normals.is_empty() && self.normals.len() == self.positions.len();
+        let own = self.numbered_alike
+            && !self.normals.is_empty()
+            && self.normals.len() == self.positions.len();
         Mesh {
             positions: self.positions,
             triangles: self.triangles,
@@ -162,9 +173,12 @@ impl Reading {
 /// A number from 1 on, or from the end on if it is negative, as an index into the `count` so far.
 fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
     let shown = || String::from_utf8_lossy(&number[..number.len().min(40)]).into_owned();
-    let parsed: Option<i64> = std::str::from_utf8(number).ok().and_then(|number| number.parse().ok());
+    let parsed: Option<i64> =
+        std::str::from_utf8(number).ok().and_then(|number| number.parse().ok());
     let parsed = parsed.ok_or_else(|| format!("{:?} is no number of a {what}", shown()))?;
     let distance = usize::try_from(parsed.unsigned_abs()).unwrap_or(usize::MAX);
     let index = if parsed < 0 { count.checked_sub(distance) } else { distance.checked_sub(1) };
-    index.filter(|&index| index < count).ok_or_else(|| format!("{what} {parsed} of the {count} so far"))
+    index
+        .filter(|&index| index < count)
+        .ok_or_else(|| format!("{what} {parsed} of the {count} so far"))
 }

@@ -81,7 +81,8 @@ impl MeshFormat {
         }
     }
 
-    /// Sets the layout of a .glb, and the axis that points up of a .usdc; other formats stay as they are.
+    /// Sets the layout of a .glb, and the axis that points up of a .usdc; other formats stay as
+    /// they are.
     #[must_use]
     pub fn with_layout(self, layout: glb::Layout) -> Self {
         match self {
@@ -109,14 +110,17 @@ impl MeshFormat {
         !matches!(self, Self::Obj | Self::Stl)
     }
 
-    /// Attributes that get other names than their own, because the format has no room for these or has them taken: both names of each.
-    /// What it spells otherwise throughout, such as the capitals of .glb, does not count.
+    /// Attributes that get other names than their own, because the format has no room for these or
+    /// has them taken: both names of each. What it spells otherwise throughout, such as the
+    /// capitals of .glb, does not count.
     #[must_use]
     pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
         let names = match self {
             Self::Ply => ply::attribute_names(attributes, has_normals),
             Self::Vtk => vtk::attribute_names(attributes, has_normals),
-            Self::Vtp | Self::Pvtp => vtp::arrays::attribute_names(attributes, has_normals, str::to_owned),
+            Self::Vtp | Self::Pvtp => {
+                vtp::arrays::attribute_names(attributes, has_normals, str::to_owned)
+            }
             Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
             Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
         };
@@ -130,9 +134,9 @@ impl MeshFormat {
         !matches!(self, Self::Stl | Self::Usdc(_))
     }
 
-    /// Whether its writer, given a mesh in pieces, holds much of it in memory: the positions of all vertices, 24 bytes
-    /// each, or everything that is to be compressed. A plain .glb takes 4 bytes a vertex, all others a few pieces a
-    /// thread.
+    /// Whether its writer, given a mesh in pieces, holds much of it in memory: the positions of all
+    /// vertices, 24 bytes each, or everything that is to be compressed. A plain .glb takes 4 bytes
+    /// a vertex, all others a few pieces a thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed = |layout: glb::Layout| layout.compression == glb::Compression::Meshopt;
@@ -167,7 +171,8 @@ impl MeshFormat {
     /// Makes sure that the format can number so many vertices and triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if not, which says what it can, and which formats can number these.
+    /// [`io::ErrorKind::InvalidInput`] if not, which says what it can, and which formats can number
+    /// these.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());
@@ -191,12 +196,18 @@ impl MeshFormat {
     /// Writes all of `mesh` that the format has a place for, by several passes over its pieces.
     ///
     /// # Errors
-    /// Those of `mesh` and `out`, and those of [`check_counts`](Self::check_counts) before anything is written.
+    /// Those of `mesh` and `out`, and those of [`check_counts`](Self::check_counts) before anything
+    /// is written.
     ///
     /// # Panics
-    /// If normals or attributes are not of the vertices' number, the pieces not of the mesh's, or a triangle names
-    /// a missing vertex.
-    pub fn write(self, out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+    /// If normals or attributes are not of the vertices' number, the pieces not of the mesh's, or a
+    /// triangle names a missing vertex.
+    pub fn write(
+        self,
+        out: &mut dyn Write,
+        mesh: &dyn MeshSource,
+        width: CoordinateWidth,
+    ) -> io::Result<()> {
         self.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
         match self {
             Self::Ply => ply::write_mesh(out, mesh, width),
@@ -225,8 +236,9 @@ impl MeshFormat {
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) | Self::Glb(_) => {
-                let what =
-                    format!("{self} meshes are written and not read; convert the particles to .ply as well");
+                let what = format!(
+                    "{self} meshes are written and not read; convert the particles to .ply as well"
+                );
                 Err(ReadFault::Unsupported(what))
             }
         }
@@ -258,7 +270,6 @@ pub enum OpenedMesh {
 
 impl OpenedMesh {
     /// The mesh, piece by piece.
-    #[must_use]
     pub fn source(&self) -> &dyn MeshSource {
         match self {
             Self::Whole(mesh) => mesh,
@@ -270,13 +281,11 @@ impl OpenedMesh {
 /// Bytes in memory for each of a binary file: the file as it is read, and what becomes of it.
 const BYTES_A_BYTE: u64 = 3;
 
-/// Opens the mesh in `path`. Where reading it as a whole would take more than `memory` bytes, a .ply file as this library writes it is
-/// read piece by piece.
-///
-/// # Errors
-/// Those of [`read_mesh`].
+/// Opens the mesh in `path`. Where reading it as a whole would take more than `memory` bytes, a
+/// .ply file as this library writes it is read piece by piece.
 pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
-    let large = std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
+    let large =
+        std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
     if large && MeshFormat::of(path) == Some(MeshFormat::Ply) {
         let bytes = open_bytes(path)?;
         if let Bytes::File(_) = &bytes {
@@ -300,7 +309,10 @@ fn read_hdf(_: Bytes) -> Result<Mesh, ReadFault> {
 }
 
 fn several_files() -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidInput, "a .pvtp names other files, which lie in a folder beside it")
+    io::Error::new(
+        io::ErrorKind::InvalidInput,
+        "a .pvtp names other files, which lie in a folder beside it",
+    )
 }
 
 /// A file that is ready to take a mesh.
@@ -311,13 +323,14 @@ pub struct MeshOutput {
 }
 
 impl MeshOutput {
-    /// Makes sure, before the work, that a mesh can be written to `path`, whose extension names a format. Pipes and
-    /// devices need no extension: they take .ply.
+    /// Makes sure, before the work, that a mesh can be written to `path`, whose extension names a
+    /// format. Pipes and devices need no extension: they take .ply.
     ///
     /// # Errors
     /// [`WriteFault::UnknownExtension`], and what [`WholeFile::prepare`] refuses.
     pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
-        let unknown = || WriteError::new(path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
+        let unknown =
+            || WriteError::new(path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(path);
         if format.is_none() && path.extension().is_some() {
             return Err(unknown());
@@ -333,19 +346,16 @@ impl MeshOutput {
     }
 
     /// Returns the format that the extension names, or .ply for a pipe or device without one.
-    #[must_use]
     pub fn format(&self) -> MeshFormat {
         self.format
     }
 
     /// Returns this output with its format changed by [`MeshFormat::with_layout`].
-    #[must_use]
     pub fn with_layout(self, layout: glb::Layout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }
     }
 
     /// The file that is written before it gets its name: what an interrupt leaves behind.
-    #[must_use]
     pub fn temporary(&self) -> Option<&Path> {
         self.file.temporary()
     }
@@ -353,7 +363,8 @@ impl MeshOutput {
     /// Writes `mesh`. Returns the file's size in bytes.
     ///
     /// # Errors
-    /// What [`WholeFile::write`] refuses, and [`WriteFault::Unsupported`] for more than the format can number.
+    /// What [`WholeFile::write`] refuses, and [`WriteFault::Unsupported`] for more than the format
+    /// can number.
     ///
     /// # Panics
     /// As [`MeshFormat::write`].
@@ -364,11 +375,16 @@ impl MeshOutput {
     /// Writes `mesh` to a file that has no name yet.
     ///
     /// # Errors
-    /// What [`WholeFile::fill`] refuses, and [`WriteFault::Unsupported`] for more than the format can number.
+    /// What [`WholeFile::fill`] refuses, and [`WriteFault::Unsupported`] for more than the format
+    /// can number.
     ///
     /// # Panics
     /// As [`MeshFormat::write`].
-    pub fn fill(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<FilledFile, WriteError> {
+    pub fn fill(
+        self,
+        mesh: &dyn MeshSource,
+        width: CoordinateWidth,
+    ) -> Result<FilledFile, WriteError> {
         let Self { file, format } = self;
         match format {
             MeshFormat::Pvtp => divide(file, mesh, width, MOST_TRIANGLES),
@@ -399,7 +415,8 @@ fn divide(
         let names = (0..divided.pieces()).map(|piece| folder.name(piece)).collect();
         Ok((folder, divided, names))
     };
-    let (folder, divided, names) = pieces().map_err(|fault| WriteError::new(&path, fault_of(fault)))?;
+    let (folder, divided, names) =
+        pieces().map_err(|fault| WriteError::new(&path, fault_of(fault)))?;
     Ok(file.fill(|out| divided.write_list(out, &names))?.after(folder))
 }
 
@@ -441,13 +458,25 @@ mod tests {
         };
         let positions: Vec<_> =
             [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
-        let triangles =
-            vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        let triangles = vec![
+            [0, 2, 4],
+            [2, 1, 4],
+            [1, 3, 4],
+            [3, 0, 4],
+            [2, 0, 5],
+            [1, 2, 5],
+            [3, 1, 5],
+            [0, 3, 5],
+        ];
         let values: Vec<f32> = (0..18).map(|i| i as f32).collect();
         let normals = values.as_chunks::<3>().0.to_vec();
-        let velocity =
-            crate::surface::mesh::VertexAttribute { name: "velocity".into(), components: 3, values };
-        let mesh = Mesh { positions, triangles, normals: Some(normals), attributes: vec![velocity] };
+        let velocity = crate::surface::mesh::VertexAttribute {
+            name: "velocity".into(),
+            components: 3,
+            values,
+        };
+        let mesh =
+            Mesh { positions, triangles, normals: Some(normals), attributes: vec![velocity] };
         let faces = |mesh: &Mesh| -> Vec<_> {
             let vertex = |&v: &u32| {
                 let normal = mesh.normals.as_ref().unwrap()[v as usize];
@@ -481,7 +510,8 @@ mod tests {
             let message = fault.to_string();
             assert!(message.contains("8589934592 vertices and 17179869184 triangles"), "{message}");
             assert!(
-                message.contains(limit) && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf"),
+                message.contains(limit)
+                    && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf"),
                 "{message}"
             );
         }

@@ -1,7 +1,9 @@
-//! The particles of an input that is in one file or in several pieces: one after the other, those that are ghosts left out.
+//! The particles of an input that is in one file or in several pieces: one after the other, those
+//! that are ghosts left out.
 //!
-//! A simulation on many nodes writes a piece for each, and may put copies of its neighbours' particles in it. These ghosts are
-//! flagged; a run of rows without them is a span, and the spans of all pieces in order are the particles.
+//! A simulation on many nodes writes a piece for each, and may put copies of its neighbours'
+//! particles in it. These ghosts are flagged; a run of rows without them is a span, and the spans
+//! of all pieces in order are the particles.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -60,11 +62,12 @@ impl From<ColumnStore> for Pieces {
 }
 
 impl Pieces {
-    /// Joins pieces, whose attributes must be the same but may be in any order and of any type; a piece without particles may lack
-    /// them.
+    /// Joins pieces, whose attributes must be the same but may be in any order and of any type; a
+    /// piece without particles may lack them.
     ///
     /// # Errors
-    /// The number of the piece that has other attributes than those before, and [`ReadFault::Malformed`] that says which.
+    /// The number of the piece that has other attributes than those before, and
+    /// [`ReadFault::Malformed`] that says which.
     pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
         let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
         let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
@@ -72,11 +75,13 @@ impl Pieces {
         for (index, part) in parts.into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
             let order = same_attributes(&all.infos, &part.infos).map_err(|fault| (index, fault))?;
             let (first, piece) = (all.len, all.stores.len());
-            let moved = |span: Span| Span { first: first + span.first, piece: piece + span.piece, ..span };
+            let moved =
+                |span: Span| Span { first: first + span.first, piece: piece + span.piece, ..span };
             all.spans.extend(part.spans.into_iter().map(moved));
             let numbers = part.numbers.iter();
-            all.numbers
-                .extend(numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()));
+            all.numbers.extend(
+                numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()),
+            );
             all.of_input.resize(piece + part.stores.len(), index);
             all.stores.extend(part.stores);
             all.len += part.len;
@@ -86,7 +91,8 @@ impl Pieces {
         Ok(all)
     }
 
-    /// Leaves out the particles whose attribute `flags` of one number is not 0, and that attribute. Returns how many there were.
+    /// Leaves out the particles whose attribute `flags` of one number is not 0, and that attribute.
+    /// Returns how many there were.
     pub(super) fn leave_out(&mut self, flags: usize) -> usize {
         let (mut spans, mut len) = (Vec::new(), 0);
         let mut values = vec![0.0; FLAGS];
@@ -120,12 +126,13 @@ impl Pieces {
     ///
     /// # Panics
     /// If that is 0.
-    #[must_use]
     pub fn chunks(&self, most: usize) -> Vec<PieceChunk> {
         let mut counts = vec![0; self.stores.len()];
         self.each_span(0..self.len, |span, count, _| counts[span.piece] += count);
         let chunks = counts.into_iter().zip(&self.of_input).flat_map(|(all, &piece)| {
-            (0..all).step_by(most).map(move |first| PieceChunk { piece, count: most.min(all - first) })
+            (0..all)
+                .step_by(most)
+                .map(move |first| PieceChunk { piece, count: most.min(all - first) })
         });
         chunks.collect()
     }
@@ -143,13 +150,12 @@ impl Pieces {
     }
 
     /// Bytes of scratch files that the numbers are in.
-    #[must_use]
     pub fn scratch_bytes(&self) -> u64 {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
-    /// Calls `take` for the spans within `range`, each cut to that, with its number of particles and the number of its first one
-    /// within `range`.
+    /// Calls `take` for the spans within `range`, each cut to that, with its number of particles
+    /// and the number of its first one within `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
         assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
         let mut first = range.start;
@@ -165,7 +171,10 @@ impl Pieces {
 }
 
 /// The numbers of `own` attributes in the order of `infos`.
-fn same_attributes(infos: &[AttributeInfo], own: &[AttributeInfo]) -> Result<Vec<usize>, ReadFault> {
+fn same_attributes(
+    infos: &[AttributeInfo],
+    own: &[AttributeInfo],
+) -> Result<Vec<usize>, ReadFault> {
     let differs = |what: &str, info: &AttributeInfo| {
         let AttributeInfo { name, components } = info;
         malformed(0, format!("{what} {name} of {components} numbers, unlike the pieces before"))
@@ -197,12 +206,20 @@ impl Particles for Pieces {
 
     fn resident_bytes(&self) -> u64 {
         let files: u64 = self.stores.iter().map(ColumnStore::file_bytes).sum();
-        let kept = self.stores.iter().filter(|store| store.file_bytes() == 0).map(Particles::resident_bytes);
-        kept.sum::<u64>() + Shelf::resident_bytes(files) + (self.spans.len() * size_of::<Span>()) as u64
+        let kept = self
+            .stores
+            .iter()
+            .filter(|store| store.file_bytes() == 0)
+            .map(Particles::resident_bytes);
+        kept.sum::<u64>()
+            + Shelf::resident_bytes(files)
+            + (self.spans.len() * size_of::<Span>()) as u64
     }
 
     fn release(&self, range: Range<usize>) {
-        self.each_span(range, |span, count, _| self.stores[span.piece].release(span.row..span.row + count));
+        self.each_span(range, |span, count, _| {
+            self.stores[span.piece].release(span.row..span.row + count)
+        });
     }
 
     fn attributes(&self) -> &[AttributeInfo] {

@@ -25,20 +25,17 @@ pub struct Scanner<'a> {
 
 impl<'a> Scanner<'a> {
     /// Starts at byte `at` of `bytes`, or at their end.
-    #[must_use]
     pub fn new(bytes: &'a [u8], at: usize) -> Self {
         let at = at.min(bytes.len());
         Self { bytes, at, store: None, held: at }
     }
 
     /// Starts at byte `at` of `store`, and gives the memory of passed lines and words back.
-    #[must_use]
     pub fn releasing(store: Slice<'a>, at: usize) -> Self {
         Self { store: Some(store), ..Self::new(store.bytes(), at) }
     }
 
     /// Reads a range of `store`, and gives the memory of passed lines and words back.
-    #[must_use]
     pub fn releasing_to(store: Slice<'a>, range: Range<usize>) -> Self {
         Self { store: Some(store), ..Self::new(&store.bytes()[..range.end], range.start) }
     }
@@ -54,13 +51,11 @@ impl<'a> Scanner<'a> {
     }
 
     /// The place in bytes from the start of the file.
-    #[must_use]
     pub fn at(&self) -> usize {
         self.at
     }
 
     /// Returns the bytes that lie ahead.
-    #[must_use]
     pub fn rest(&self) -> &'a [u8] {
         &self.bytes[self.at..]
     }
@@ -123,17 +118,14 @@ impl<'a> Scanner<'a> {
         })
     }
 
-    /// Refuses `count` numbers of `what` that cannot lie ahead, as each but the last takes two bytes.
-    ///
-    /// # Errors
-    /// [`ReadFault::Truncated`].
+    /// Refuses `count` numbers of `what` that cannot lie ahead, as each but the last takes two
+    /// bytes.
     pub fn expect_numbers(&self, count: usize, what: &str) -> Result<(), ReadFault> {
         let needed = count.saturating_mul(2).saturating_sub(1);
         self.clone().skip(needed, what)
     }
 
     /// A fault of the line that byte `at` is in.
-    #[must_use]
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         ReadFault::Line { line: 1 + ends(&self.bytes[..at]), what }
     }
@@ -153,13 +145,11 @@ pub struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     /// Starts at byte `at` of `bytes`, or at their end.
-    #[must_use]
     pub fn new(bytes: View<'a>, at: usize) -> Self {
         Self { bytes, at: at.min(bytes.len()) }
     }
 
     /// The place in bytes from the start of the file.
-    #[must_use]
     pub fn at(&self) -> usize {
         self.at
     }
@@ -167,7 +157,8 @@ impl<'a> Lines<'a> {
     /// The bytes that lie ahead: `count` of them, or as many as there are.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] and [`ReadFault::Io`] where they cannot be read, as in all that follow.
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] where they cannot be read, as in all that
+    /// follow.
     pub fn ahead(&self, count: usize) -> Result<Cow<'a, [u8]>, ReadFault> {
         self.bytes.read(self.at..self.bytes.len().min(self.at.saturating_add(count)))
     }
@@ -204,9 +195,6 @@ impl<'a> Lines<'a> {
     }
 
     /// Passes the rest of this line and its end; false at the end of the file.
-    ///
-    /// # Errors
-    /// As [`ahead`](Self::ahead).
     pub fn skip_line(&mut self) -> Result<bool, ReadFault> {
         let start = self.at;
         self.at += usize::from(self.skip_to(|byte| byte == b'\n')?);
@@ -214,9 +202,6 @@ impl<'a> Lines<'a> {
     }
 
     /// Passes spaces, tabs and line ends.
-    ///
-    /// # Errors
-    /// As [`ahead`](Self::ahead).
     pub fn skip_whitespace(&mut self) -> Result<(), ReadFault> {
         self.skip_to(|byte| !byte.is_ascii_whitespace()).map(|_| ())
     }
@@ -224,7 +209,8 @@ impl<'a> Lines<'a> {
     /// The rest of this line, passing its end (LF or CR LF); nothing at the end of the file.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] if that is no text, or longer than any header's line; and as [`ahead`](Self::ahead).
+    /// [`ReadFault::Malformed`] if that is no text, or longer than any header's line; and as
+    /// [`ahead`](Self::ahead).
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
         for looked_at in [SHORT_LINE, LONGEST_LINE] {
             let ahead = self.ahead(looked_at)?;
@@ -244,10 +230,10 @@ impl<'a> Lines<'a> {
     }
 
     /// A fault of the line that byte `at` is in, or one of reading the file up to there.
-    #[must_use]
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
-        let counted = pieces.map(|piece| Ok(ends(&self.bytes.read(piece)?))).sum::<Result<u64, ReadFault>>();
+        let counted =
+            pieces.map(|piece| Ok(ends(&self.bytes.read(piece)?))).sum::<Result<u64, ReadFault>>();
         counted.map_or_else(|fault| fault, |ends| ReadFault::Line { line: 1 + ends, what })
     }
 }

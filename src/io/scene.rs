@@ -1,7 +1,7 @@
 //! The spacing of the particles, from the scene file that a simulator leaves beside its frames.
 //!
-//! SPlisHSPlasH's scene is JSON and gives the radius, half of the spacing; DualSPHysics' case is XML and gives
-//! the spacing `dp`.
+//! SPlisHSPlasH's scene is JSON and gives the radius, half of the spacing; DualSPHysics' case is
+//! XML and gives the spacing `dp`.
 
 use std::fs::File;
 use std::io::Read;
@@ -18,11 +18,11 @@ const LARGEST: u64 = 16 << 20;
 
 /// The spacing of the particles of `path`, and the file that says so.
 ///
-/// Every .json and .xml in the file's folder is tried in the order of their names, then those of the folder
-/// above. Files that do not parse, or are no scenes, are passed over.
-#[must_use]
+/// Every .json and .xml in the file's folder is tried in the order of their names, then those of
+/// the folder above. Files that do not parse, or are no scenes, are passed over.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder =
+        path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     [folder, &above(folder)].iter().find_map(|folder| spacing_in(folder))
 }
 

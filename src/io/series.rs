@@ -1,5 +1,6 @@
-//! Files that tell other programs of a simulation's frames: rewritten, each whole or not at all, as frames are done, so
-//! that a conversion can be looked at before its end. Of the frames `pool_1.vtp`, `pool_2.vtp` and so on:
+//! Files that tell other programs of a simulation's frames: rewritten, each whole or not at all, as
+//! frames are done, so that a conversion can be looked at before its end. Of the frames
+//! `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
 //! | meshes | files beside them |
 //! |---|---|
@@ -8,8 +9,9 @@
 //! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
 //! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, what the clips hold |
 //!
-//! Times are the inputs' own, in seconds, where every one has a later one than the frame before; else the frames'
-//! numbers over the frames a second, where those are given; else the numbers alone.
+//! Times are the inputs' own, in seconds, where every one has a later one than the frame before;
+//! else the frames' numbers over the frames a second, where those are given; else the numbers
+//! alone.
 
 use std::path::{Path, PathBuf};
 
@@ -79,7 +81,6 @@ struct Moment {
 
 impl Series {
     /// The files that [`write`](Self::write) writes; the first tells all that is known.
-    #[must_use]
     pub fn files(&self) -> Vec<PathBuf> {
         let list = self.appended(".json");
         match self.format {
@@ -122,14 +123,18 @@ impl Series {
 
     fn moments(&self, frames: &[SeriesFrame]) -> Vec<Moment> {
         let finite = |time: &f64| time.is_finite();
-        let times: Option<Vec<f64>> = frames.iter().map(|frame| frame.time.filter(finite)).collect();
+        let times: Option<Vec<f64>> =
+            frames.iter().map(|frame| frame.time.filter(finite)).collect();
         if let Some(times) = times.filter(|times| times.is_sorted_by(|a, b| a < b)) {
             let rate = self.codes_a_second();
-            let code = |code: f64| if (code - code.round()).abs() < WHOLE { code.round() } else { code };
+            let code =
+                |code: f64| if (code - code.round()).abs() < WHOLE { code.round() } else { code };
             return times.iter().map(|&time| Moment { time, code: code(time * rate) }).collect();
         }
         let numbers = frames.iter().map(|frame| frame.frame as f64);
-        numbers.map(|number| Moment { time: number / self.fps.unwrap_or(1.0), code: number }).collect()
+        numbers
+            .map(|number| Moment { time: number / self.fps.unwrap_or(1.0), code: number })
+            .collect()
     }
 
     fn codes_a_second(&self) -> f64 {
@@ -137,7 +142,8 @@ impl Series {
     }
 
     fn text(&self, path: &Path, shown: &[(&SeriesFrame, Moment)]) -> String {
-        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+        let extension =
+            path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
         match extension {
             "json" => self.listing(shown),
             "pvd" => pvd(shown),
@@ -157,7 +163,8 @@ impl Series {
     }
 
     fn stage(&self, shown: &[(&SeriesFrame, Moment)]) -> String {
-        let clips: Vec<_> = shown.iter().map(|(frame, moment)| (moment.code, frame.file.clone())).collect();
+        let clips: Vec<_> =
+            shown.iter().map(|(frame, moment)| (moment.code, frame.file.clone())).collect();
         stage(&clips, &self.manifest(shown), self.codes_a_second(), self.up)
     }
 
@@ -170,7 +177,10 @@ impl Series {
         }
         let path = self.clips();
         Manifest {
-            path: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+            path: path
+                .file_name()
+                .map(|name| name.to_string_lossy().into_owned())
+                .unwrap_or_default(),
             normals: shown.iter().any(|(frame, _)| frame.normals),
             attributes,
         }
@@ -189,8 +199,7 @@ fn pvd(shown: &[(&SeriesFrame, Moment)]) -> String {
 }
 
 fn file_series(shown: &[(&SeriesFrame, Moment)]) -> String {
-    let file =
-        |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| json!({ "name": frame.file, "time": time });
+    let file = |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| json!({ "name": frame.file, "time": time });
     let files: Vec<_> = shown.iter().map(file).collect();
     format!("{:#}\n", json!({ "file-series-version": "1.0", "files": files }))
 }

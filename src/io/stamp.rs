@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use super::frame_files::files_of;
 use super::input::file_and_step;
 
-/// Sizes, times and names of an input's files, and its frame's number: they tell it from others, and from what it was before.
+/// Sizes, times and names of an input's files, and its frame's number: they tell it from others,
+/// and from what it was before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     /// The size of all files.
@@ -24,7 +25,8 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// Stamps the file as it is now, with all frames that it may hold, and with all its pieces that are there.
+    /// Stamps the file as it is now, with all frames that it may hold, and with all its pieces that
+    /// are there.
     ///
     /// # Errors
     /// Where the system has none.
@@ -58,12 +60,12 @@ pub enum Identity {
 
 impl Identity {
     /// Looks at what is there.
-    #[must_use]
     pub fn of(path: &Path) -> Self {
         if let Ok(id) = get_file_id(path) {
             return Self::File(id);
         }
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder =
+            path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder));
         Self::Name(folder.unwrap_or_default().join(path.file_name().unwrap_or_default()))
     }
@@ -104,7 +106,8 @@ mod tests {
         let first = stamp(folder.path(), "a.xyz", b"particles", 7);
         assert_eq!((first.bytes, first.modified), (9, 7_000_000_000));
         assert_eq!(first, stamp(other.path(), "a.xyz", b"particles", 7));
-        let others = [("b.xyz", "particles", 7), ("a.xyz", "particle", 7), ("a.xyz", "particles", 8)];
+        let others =
+            [("b.xyz", "particles", 7), ("a.xyz", "particle", 7), ("a.xyz", "particles", 8)];
         for (name, bytes, seconds) in others {
             assert_ne!(
                 first,
@@ -118,7 +121,8 @@ mod tests {
     fn a_stamp_tells_which_frame_of_a_file_it_is_of() {
         let folder = tempfile::tempdir().unwrap();
         let file = write(folder.path().join("sim.h5part"), b"frames", 7);
-        let of_step = |step: u64| Stamp::of(&PathBuf::from(format!("{}#{step}", file.display()))).unwrap();
+        let of_step =
+            |step: u64| Stamp::of(&PathBuf::from(format!("{}#{step}", file.display()))).unwrap();
         assert_eq!(of_step(3), of_step(3));
         assert_ne!(of_step(3), of_step(10));
     }

@@ -1,11 +1,13 @@
-//! .stl: triangles each for itself, by the coordinates of their corners; written in binary, read also as text.
+//! .stl: triangles each for itself, by the coordinates of their corners; written in binary, read
+//! also as text.
 //!
-//! The format has no vertices that triangles could share, so the reader takes corners for one vertex whose
-//! coordinates are equal to the bit. This is the one place where positions name vertices: a mesh that touches itself
-//! comes back joined there. Coordinates are f32 in binary, and there is no place for anything else.
+//! The format has no vertices that triangles could share, so the reader takes corners for one
+//! vertex whose coordinates are equal to the bit. This is the one place where positions name
+//! vertices: a mesh that touches itself comes back joined there. Coordinates are f32 in binary, and
+//! there is no place for anything else.
 //!
-//! For want of vertices it is also the one format whose writer holds more than a few pieces of a mesh: the positions
-//! of all vertices, 24 bytes each, unless they are in memory already.
+//! For want of vertices it is also the one format whose writer holds more than a few pieces of a
+//! mesh: the positions of all vertices, 24 bytes each, unless they are in memory already.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -23,7 +25,8 @@ use super::scan::Scanner;
 use super::{CoordinateWidth, ReadFault, malformed};
 
 /// Whatever it says, it must not start with "solid", which is how text does.
-const TITLE: &[u8; 80] = b"binary STL, written by meniscus                                                 ";
+const TITLE: &[u8; 80] =
+    b"binary STL, written by meniscus                                                 ";
 
 /// Title and number of triangles.
 const HEADER: usize = TITLE.len() + 4;
@@ -31,7 +34,8 @@ const HEADER: usize = TITLE.len() + 4;
 /// Normal, three corners, and two bytes without a meaning.
 const RECORD: usize = 50;
 
-/// Writes the triangles in binary, with their normals (zero where there is no area). The width is always f32.
+/// Writes the triangles in binary, with their normals (zero where there is no area). The width is
+/// always f32.
 ///
 /// # Errors
 /// Those of `mesh` and `out`; before anything is written
@@ -39,7 +43,11 @@ const RECORD: usize = 50;
 ///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, _width: CoordinateWidth) -> io::Result<()> {
+pub fn write_mesh(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    _width: CoordinateWidth,
+) -> io::Result<()> {
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
     out.write_all(TITLE)?;
@@ -57,7 +65,8 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, _width: Coordinate
     })
 }
 
-/// How many vertices have the place of another in f32: whoever joins equal corners finds that the surface touches itself there.
+/// How many vertices have the place of another in f32: whoever joins equal corners finds that the
+/// surface touches itself there.
 ///
 /// # Errors
 /// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
@@ -88,13 +97,15 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
     Ok(positions)
 }
 
-/// Reads triangles, binary or text, and joins corners of equal coordinates. Normals are passed over.
+/// Reads triangles, binary or text, and joins corners of equal coordinates. Normals are passed
+/// over.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file of another length than its number of
-/// triangles asks for, [`ReadFault::Line`] for text that is no .stl.
+/// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file of another length than
+/// its number of triangles asks for, [`ReadFault::Line`] for text that is no .stl.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    // Some binary files start with "solid" as well, but no text has the length that its bytes 80 to 83 ask for.
+    // Some binary files start with "solid" as well, but no text has the length that its bytes 80 to
+    // 83 ask for.
     match records(bytes) {
         Ok(records) => joined(records.flat_map(corners)),
         Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),
@@ -105,17 +116,22 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
 /// The triangles of a binary file, as they are.
 fn records(bytes: &[u8]) -> Result<impl Iterator<Item = &[u8; RECORD]>, ReadFault> {
     let have = bytes.len() as u64;
-    let truncated = |what: &str, needed: u64| ReadFault::Truncated { what: what.to_owned(), needed, have };
-    let (header, body) =
-        bytes.split_first_chunk::<HEADER>().ok_or_else(|| truncated("the header", HEADER as u64))?;
+    let truncated =
+        |what: &str, needed: u64| ReadFault::Truncated { what: what.to_owned(), needed, have };
+    let (header, body) = bytes
+        .split_first_chunk::<HEADER>()
+        .ok_or_else(|| truncated("the header", HEADER as u64))?;
     let [.., a, b, c, d] = *header;
     let count = u32::from_le_bytes([a, b, c, d]);
     let needed = HEADER as u64 + u64::from(count) * RECORD as u64;
     match needed.cmp(&have) {
-        std::cmp::Ordering::Greater => Err(truncated(&format!("a list of {count} triangles"), needed)),
-        std::cmp::Ordering::Less => {
-            Err(malformed(needed as usize, format!("more bytes after the last of {count} triangles")))
+        std::cmp::Ordering::Greater => {
+            Err(truncated(&format!("a list of {count} triangles"), needed))
         }
+        std::cmp::Ordering::Less => Err(malformed(
+            needed as usize,
+            format!("more bytes after the last of {count} triangles"),
+        )),
         std::cmp::Ordering::Equal => Ok(body.as_chunks().0.iter()),
     }
 }

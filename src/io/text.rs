@@ -1,4 +1,5 @@
-//! Text decoded piece by piece on all threads, so that neither it nor what it says need be in memory whole.
+//! Text decoded piece by piece on all threads, so that neither it nor what it says need be in
+//! memory whole.
 
 use std::ops::{ControlFlow, Range};
 
@@ -16,11 +17,8 @@ const LOOKED_AT: usize = 1 << 12;
 /// Pieces for every thread between two times that memory is given back.
 const PIECES: usize = 4;
 
-/// Cuts a `range` of `source` into pieces that end behind an `end`, and passes what `decode` makes of each on to
-/// `take`, in order, until that breaks. Text that was decoded is released.
-///
-/// # Errors
-/// Those of `take`.
+/// Cuts a `range` of `source` into pieces that end behind an `end`, and passes what `decode` makes
+/// of each on to `take`, in order, until that breaks. Text that was decoded is released.
 pub(super) fn decode_pieces<T: Send>(
     source: Slice,
     range: Range<usize>,
@@ -29,15 +27,17 @@ pub(super) fn decode_pieces<T: Send>(
     take: impl FnMut(T) -> Result<ControlFlow<()>, ReadFault>,
 ) -> Result<(), ReadFault> {
     let text = &source[..range.end];
-    let end_from = |least: usize| text[least..].iter().position(|&b| is_end(b)).map(|end| least + end + 1);
+    let end_from =
+        |least: usize| text[least..].iter().position(|&b| is_end(b)).map(|end| least + end + 1);
     in_pieces(range, end_from, decode, take, |done| source.release(done))
 }
 
-/// Cuts a text that is read by windows like [`decode_pieces`] one that is in memory, and decodes each piece by itself: no more than the
-/// pieces in hand is kept.
+/// Cuts a text that is read by windows like [`decode_pieces`] one that is in memory, and decodes
+/// each piece by itself: no more than the pieces in hand is kept.
 ///
 /// # Errors
-/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] where the text cannot be read as it was.
+/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] where the text cannot be read
+/// as it was.
 pub(super) fn decode_windows<T: Send>(
     source: &Source,
     range: Range<usize>,
@@ -60,7 +60,8 @@ pub(super) fn decode_windows<T: Send>(
     decoded
 }
 
-/// Passes what `decode` makes of pieces on, each of which ends where `end_from` says that one does from a place on.
+/// Passes what `decode` makes of pieces on, each of which ends where `end_from` says that one does
+/// from a place on.
 fn in_pieces<T: Send>(
     range: Range<usize>,
     end_from: impl Fn(usize) -> Option<usize>,
@@ -93,7 +94,11 @@ fn in_pieces<T: Send>(
 ///
 /// # Errors
 /// [`ReadFault::Line`] for what is no number, and those of [`Unpacked::push`].
-pub(super) fn decode_numbers(source: Slice, text: Range<usize>, out: &mut Unpacked) -> Result<(), ReadFault> {
+pub(super) fn decode_numbers(
+    source: Slice,
+    text: Range<usize>,
+    out: &mut Unpacked,
+) -> Result<(), ReadFault> {
     let decode = |words: Range<usize>| {
         let mut scan = Scanner::new(&source[..words.end], words.start);
         let mut numbers = Vec::new();

@@ -1,5 +1,5 @@
-//! Helpers of the readers whose formats hold either particles or a mesh: columns over the vertices, and
-//! triangles from polygons.
+//! Helpers of the readers whose formats hold either particles or a mesh: columns over the vertices,
+//! and triangles from polygons.
 
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::surface::mesh::{Mesh, VertexAttribute};
@@ -45,7 +45,8 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
     let count = store.len();
     let mut positions = vec![[0.0; 3]; count];
     store.positions(0, &mut positions);
-    let attributes = store.attributes().iter().enumerate().filter(|(index, _)| Some(*index) != normals);
+    let attributes =
+        store.attributes().iter().enumerate().filter(|(index, _)| Some(*index) != normals);
     let velocity = velocity_attribute(store.attributes());
     let attributes = attributes.map(|(index, info)| {
         let mut values = vec![0.0; count * info.components];
@@ -82,7 +83,9 @@ pub(super) fn columns(
     scalar: Scalar,
     endian: Endian,
 ) -> Vec<Column> {
-    (0..components).map(|i| Column { offset: offset + i * scalar.size(), stride, scalar, endian }).collect()
+    (0..components)
+        .map(|i| Column { offset: offset + i * scalar.size(), stride, scalar, endian })
+        .collect()
 }
 
 /// Triangles from the polygons of a file.
@@ -95,17 +98,20 @@ impl Triangles {
     /// Starts without triangles, for a mesh with so many vertices.
     pub fn new(vertices: usize) -> Result<Self, ReadFault> {
         if u32::try_from(vertices).is_err() {
-            return Err(ReadFault::Unsupported(format!("{vertices} vertices; a mesh has less than 2^32")));
+            return Err(ReadFault::Unsupported(format!(
+                "{vertices} vertices; a mesh has less than 2^32"
+            )));
         }
         Ok(Self { vertices, triangles: Vec::new() })
     }
 
-    /// Fans face number `face`, stored at byte `at`, from its first corner. Points and lines have no area
-    /// and are ignored.
+    /// Fans face number `face`, stored at byte `at`, from its first corner. Points and lines have
+    /// no area and are ignored.
     pub fn polygon(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         self.check(face, at, corners)?;
         if let [apex, rim @ ..] = corners {
-            self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]].map(|i| i as u32)));
+            self.triangles
+                .extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]].map(|i| i as u32)));
         }
         Ok(())
     }
@@ -122,9 +128,10 @@ impl Triangles {
 
     fn check(&self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         match corners.iter().find(|&&i| i < 0 || i as u64 >= self.vertices as u64) {
-            Some(i) => {
-                Err(malformed(at, format!("face {face} names vertex {i}, the file has {}", self.vertices)))
-            }
+            Some(i) => Err(malformed(
+                at,
+                format!("face {face} names vertex {i}, the file has {}", self.vertices),
+            )),
             None => Ok(()),
         }
     }
@@ -132,9 +139,12 @@ impl Triangles {
 
 /// The integer that `bytes` hold; nothing for a type that is not one.
 pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i64> {
-    let chunk2 = || bytes.first_chunk().map(|&b| order(endian, b, u16::from_le_bytes, u16::from_be_bytes));
-    let chunk4 = || bytes.first_chunk().map(|&b| order(endian, b, u32::from_le_bytes, u32::from_be_bytes));
-    let chunk8 = || bytes.first_chunk().map(|&b| order(endian, b, u64::from_le_bytes, u64::from_be_bytes));
+    let chunk2 =
+        || bytes.first_chunk().map(|&b| order(endian, b, u16::from_le_bytes, u16::from_be_bytes));
+    let chunk4 =
+        || bytes.first_chunk().map(|&b| order(endian, b, u32::from_le_bytes, u32::from_be_bytes));
+    let chunk8 =
+        || bytes.first_chunk().map(|&b| order(endian, b, u64::from_le_bytes, u64::from_be_bytes));
     match scalar {
         Scalar::I8 => bytes.first().map(|&value| i64::from(value as i8)),
         Scalar::U8 => bytes.first().map(|&value| i64::from(value)),

@@ -1,7 +1,9 @@
-//! Writing meshes as VTKHDF, which is HDF5: PolyData of one partition, every data set in one run of bytes.
+//! Writing meshes as VTKHDF, which is HDF5: PolyData of one partition, every data set in one run of
+//! bytes.
 //!
-//! All sizes are known before the first byte, so the file is written from front to back: the superblock (version 0), the headers of
-//! all groups and data sets (version 1, with links in them), then the data. It is read by [`h5`](super::input) and by whatever reads HDF5.
+//! All sizes are known before the first byte, so the file is written from front to back: the
+//! superblock (version 0), the headers of all groups and data sets (version 1, with links in them),
+//! then the data. It is read by [`h5`](super::input) and by whatever reads HDF5.
 
 use std::io::{self, Write};
 
@@ -16,17 +18,18 @@ const NOWHERE: u64 = u64::MAX;
 /// Bytes of the superblock.
 const SUPERBLOCK: u64 = 96;
 
-/// Writes `mesh` with all of its attributes, little-endian: points as f32 or f64 by `width`, indices as 32 bits as long as they
-/// fit.
+/// Writes `mesh` with all of its attributes, little-endian: points as f32 or f64 by `width`,
+/// indices as 32 bits as long as they fit.
 ///
 /// A slash in a name, which HDF5 keeps for paths, is written as an underscore.
 ///
-/// # Errors
-/// Those of `mesh` and `out`.
-///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+pub fn write_mesh(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+) -> io::Result<()> {
     let root = root(mesh, width);
     let headers = root.header_bytes();
     let mut out = Counting { out, at: 0 };
@@ -71,7 +74,8 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
         ])
     };
     let none = || faces(0, counts(&[]), counts(&[0]));
-    let ends = Node::Set { scalar: ends.scalar(), shape: vec![triangles + 1], data: Data::Ends(ends) };
+    let ends =
+        Node::Set { scalar: ends.scalar(), shape: vec![triangles + 1], data: Data::Ends(ends) };
     let data = point_data(mesh, spelled).into_iter().map(|array| (array.name.clone(), set(array)));
     let vtk = Node::Group {
         links: vec![
@@ -99,7 +103,11 @@ fn group(links: Vec<(&str, Node)>) -> Node {
 }
 
 fn counts(values: &[u64]) -> Node {
-    Node::Set { scalar: Scalar::I64, shape: vec![values.len() as u64], data: Data::Counts(values.to_vec()) }
+    Node::Set {
+        scalar: Scalar::I64,
+        shape: vec![values.len() as u64],
+        data: Data::Counts(values.to_vec()),
+    }
 }
 
 fn set(array: Array<'static>) -> Node {
@@ -119,13 +127,19 @@ impl Node {
         match self {
             Self::Group { links, attributes } => {
                 // Links are in the header itself, and not in a heap.
-                messages.add(0x02, &[&[0, 0], &NOWHERE.to_le_bytes()[..], &NOWHERE.to_le_bytes()].concat());
+                messages.add(
+                    0x02,
+                    &[&[0, 0], &NOWHERE.to_le_bytes()[..], &NOWHERE.to_le_bytes()].concat(),
+                );
                 messages.add(0x0a, &[0, 0]);
                 for ((name, _), address) in links.iter().zip(addresses) {
                     let name = &name.as_bytes()[..name.len().min(usize::from(u16::MAX) / 2)];
                     let length = (name.len() as u16).to_le_bytes();
                     // A hard link, its name in UTF-8.
-                    messages.add(0x06, &[&[1, 0x11, 1], &length[..], name, &address.to_le_bytes()].concat());
+                    messages.add(
+                        0x06,
+                        &[&[1, 0x11, 1], &length[..], name, &address.to_le_bytes()].concat(),
+                    );
                 }
                 attributes.iter().for_each(|attribute| messages.add(0x0c, &attribute.encoded()));
             }
@@ -135,7 +149,10 @@ impl Node {
                 // No value fills what was never written: all is.
                 messages.add(0x05, &[2, 2, 2, 0]);
                 let (bytes, address) = (self.data_bytes(), addresses[0]);
-                messages.add(0x08, &[&[3, 1], &address.to_le_bytes()[..], &bytes.to_le_bytes()].concat());
+                messages.add(
+                    0x08,
+                    &[&[3, 1], &address.to_le_bytes()[..], &bytes.to_le_bytes()].concat(),
+                );
             }
         }
         messages.with_prefix()
@@ -165,7 +182,8 @@ impl Node {
         }
     }
 
-    /// Appends the header, whose address is `at`, and those of all below; `data` is where the next data go.
+    /// Appends the header, whose address is `at`, and those of all below; `data` is where the next
+    /// data go.
     fn encode(&self, at: u64, data: &mut u64, out: &mut Vec<u8>) {
         let bytes = self.data_bytes();
         let addresses = match self {
@@ -190,7 +208,9 @@ impl Node {
     /// Writes the data of all below in the order of [`encode`](Self::encode).
     fn write_data(&self, out: &mut Counting, mesh: &dyn MeshSource) -> io::Result<()> {
         match self {
-            Self::Group { links, .. } => links.iter().try_for_each(|(_, node)| node.write_data(out, mesh)),
+            Self::Group { links, .. } => {
+                links.iter().try_for_each(|(_, node)| node.write_data(out, mesh))
+            }
             Self::Set { scalar, data, .. } => {
                 match data {
                     Data::Counts(values) => {
@@ -282,7 +302,8 @@ fn datatype(scalar: Scalar) -> Vec<u8> {
     let float = |sign: u8, exponent_at: u8, exponent: u8, bias: u16| {
         let [low, high] = bias.to_le_bytes();
         let head = [0x11, 0x20, sign, 0, size, 0, 0, 0];
-        [&head[..], &[0, 0, 8 * size, 0, exponent_at, exponent, 0, exponent_at, low, high, 0, 0]].concat()
+        [&head[..], &[0, 0, 8 * size, 0, exponent_at, exponent, 0, exponent_at, low, high, 0, 0]]
+            .concat()
     };
     match scalar {
         Scalar::F32 => float(31, 23, 8, 127),

@@ -5,7 +5,8 @@ use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use super::input_format::InputFormat;
 use super::{ParticleFile, ReadFault};
 
-/// Names of VTK's flags of points or cells that are copies, or hidden: today's, and that of levels of copies before version 6.3.
+/// Names of VTK's flags of points or cells that are copies, or hidden: today's, and that of levels
+/// of copies before version 6.3.
 pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 /// Name of PySPH's flag of particles that are copies.
 pub(super) const TAG: &str = "tag";
@@ -13,7 +14,8 @@ pub(super) const TAG: &str = "tag";
 /// The particles that are wanted of an input that may hold others too, and what of them.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Wanted<'a> {
-    /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
+    /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that
+    /// there is.
     pub particle_type: Option<&'a str>,
     /// Format of the input, where it is not the one that its extension names.
     pub format: Option<InputFormat>,
@@ -23,7 +25,8 @@ pub struct Wanted<'a> {
     pub pieces: WantedPieces<'a>,
 }
 
-/// Pieces that are wanted of an input in several files; the others are not opened, as if there were no particles in them.
+/// Pieces that are wanted of an input in several files; the others are not opened, as if there were
+/// no particles in them.
 #[derive(Debug, Clone, Copy, Default)]
 pub enum WantedPieces<'a> {
     /// All that there are.
@@ -35,7 +38,6 @@ pub enum WantedPieces<'a> {
 
 impl WantedPieces<'_> {
     /// Whether a piece is one of them.
-    #[must_use]
     pub fn hold(&self, piece: usize) -> bool {
         match self {
             Self::All => true,
@@ -44,7 +46,6 @@ impl WantedPieces<'_> {
     }
 
     /// The number of pieces that are wanted of so many.
-    #[must_use]
     pub fn of(&self, all: usize) -> usize {
         match self {
             Self::All => all,
@@ -66,9 +67,8 @@ pub enum WantedAttributes<'a> {
 }
 
 impl WantedAttributes<'_> {
-    /// Tells for each of an input's attributes whether it is to be read. All are, where one that is wanted is not there: whoever wants it will say
-    /// what is.
-    #[must_use]
+    /// Tells for each of an input's attributes whether it is to be read. All are, where one that is
+    /// wanted is not there: whoever wants it will say what is.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let velocity = velocity_attribute(infos);
         let number = |name: &String| {

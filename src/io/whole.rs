@@ -1,5 +1,5 @@
-//! A file that appears whole or not at all: whatever can be refused is refused before the work, and whatever
-//! fails later leaves nothing behind.
+//! A file that appears whole or not at all: whatever can be refused is refused before the work, and
+//! whatever fails later leaves nothing behind.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
@@ -46,8 +46,8 @@ enum Target {
 }
 
 impl WholeFile {
-    /// Makes sure, before the work, that `path` is free or may be replaced, and that a file can be created in its
-    /// folder, by creating one. Pipes and devices are written directly.
+    /// Makes sure, before the work, that `path` is free or may be replaced, and that a file can be
+    /// created in its folder, by creating one. Pipes and devices are written directly.
     ///
     /// # Errors
     /// [`WriteFault::Exists`], and [`WriteFault::Io`] where the system refuses.
@@ -71,7 +71,6 @@ impl WholeFile {
     }
 
     /// Whether it is a pipe or a device, which needs no extension.
-    #[must_use]
     pub fn is_direct(&self) -> bool {
         matches!(self.target, Target::Direct)
     }
@@ -90,7 +89,6 @@ impl WholeFile {
     }
 
     /// The file that is written before it gets its name: what an interrupt leaves behind.
-    #[must_use]
     pub fn temporary(&self) -> Option<&Path> {
         match &self.target {
             Target::Temporary { file, .. } => Some(file.path()),
@@ -98,20 +96,20 @@ impl WholeFile {
         }
     }
 
-    /// Writes what `content` writes, waits until it is on disk, and gives the file its name. Returns its size in
-    /// bytes.
-    ///
-    /// # Errors
-    /// As [`fill`](Self::fill) and [`FilledFile::keep`].
-    pub fn write(self, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<u64, WriteError> {
+    /// Writes what `content` writes, waits until it is on disk, and gives the file its name.
+    /// Returns its size in bytes.
+    pub fn write(
+        self,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<u64, WriteError> {
         self.filled(content, None)?.keep()
     }
 
     /// Writes what `content` writes to a file that has no name yet, and sums it up.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system or `content` refuses, and [`WriteFault::Unsupported`] where `content` fails as
-    /// [`io::ErrorKind::InvalidInput`].
+    /// [`WriteFault::Io`] where the system or `content` refuses, and [`WriteFault::Unsupported`]
+    /// where `content` fails as [`io::ErrorKind::InvalidInput`].
     pub fn fill(
         self,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -136,9 +134,12 @@ impl WholeFile {
             Target::Temporary { file, .. } => counted_in(file.as_file(), crc, content),
         };
         match filled {
-            Ok((bytes, crc)) => {
-                Ok(FilledFile { file: self, bytes, crc: crc.map_or(0, Hasher::finalize), folder: None })
-            }
+            Ok((bytes, crc)) => Ok(FilledFile {
+                file: self,
+                bytes,
+                crc: crc.map_or(0, Hasher::finalize),
+                folder: None,
+            }),
             Err(fault) => Err(WriteError::new(&self.path, fault_of(fault))),
         }
     }
@@ -160,14 +161,13 @@ impl FilledFile {
         Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
     }
 
-    /// CRC-32 of its bytes, and of those of the files that it names; 0 of a pipe that nobody reads to its end.
-    #[must_use]
+    /// CRC-32 of its bytes, and of those of the files that it names; 0 of a pipe that nobody reads
+    /// to its end.
     pub fn crc(&self) -> u32 {
         self.crc
     }
 
     /// Returns the file's size in bytes.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -175,7 +175,8 @@ impl FilledFile {
     /// Waits until the file is on disk, and gives it its name. Returns its size in bytes.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system refuses, and [`WriteFault::Exists`] if the name was taken meanwhile.
+    /// [`WriteFault::Io`] where the system refuses, and [`WriteFault::Exists`] if the name was
+    /// taken meanwhile.
     pub fn keep(self) -> Result<u64, WriteError> {
         let Self { file: WholeFile { path, target }, bytes, folder, .. } = self;
         let kept = match target {
@@ -206,8 +207,8 @@ pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes what processes that were killed have left half-written in `folder`. What belongs to a process that
-/// lives, on this machine or another that shares the folder, is locked, and stays.
+/// Removes what processes that were killed have left half-written in `folder`. What belongs to a
+/// process that lives, on this machine or another that shares the folder, is locked, and stays.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
@@ -219,8 +220,10 @@ pub fn sweep(folder: &Path) {
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
             continue;
         }
-        let unlocked = File::open(&path).and_then(|file| file.try_lock().map(|()| file).map_err(Into::into));
-        // The lock is held until the name is gone: who just created the file will find that, and begin again.
+        let unlocked =
+            File::open(&path).and_then(|file| file.try_lock().map(|()| file).map_err(Into::into));
+        // The lock is held until the name is gone: who just created the file will find that, and
+        // begin again.
         if let Ok(_lock) = unlocked {
             let _ = fs::remove_file(&path);
             remove_belongings(&path);
@@ -233,9 +236,30 @@ pub fn sweep_beside(file: &Path) {
     sweep(folder_of(file));
 }
 
-/// Makes the folder that a file will be in, and those that it is to be in, unless they are there.
-pub fn make_folder_of(file: &Path) -> Result<(), WriteError> {
-    make_folder(folder_of(file)).map_err(|fault| WriteError::new(file, fault))
+/// The folders that were made for a file: removed again where nothing comes to be in them.
+#[derive(Debug)]
+pub struct MadeFolders(Vec<PathBuf>);
+
+impl MadeFolders {
+    /// Makes the folder that a file will be in, and those that this is in, unless they are there.
+    ///
+    /// # Errors
+    /// The system's refusal.
+    pub fn of(file: &Path) -> Result<Self, WriteError> {
+        let folder = folder_of(file);
+        let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
+        let made =
+            Self(missing.take_while(|folder| !folder.exists()).map(Path::to_owned).collect());
+        make_folder(folder).map_err(|fault| WriteError::new(file, fault))?;
+        Ok(made)
+    }
+}
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        // The innermost first; one that holds something is not removed.
+        self.0.iter().for_each(|folder| drop(fs::remove_dir(folder)));
+    }
 }
 
 fn folder_of(file: &Path) -> &Path {
@@ -272,11 +296,13 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
 /// # Errors
 /// The system's refusal, of which the kind and the words are kept.
 pub fn make_folder(folder: &Path) -> io::Result<()> {
-    fs::create_dir_all(folder)
-        .map_err(|fault| io::Error::new(fault.kind(), format!("the folder cannot be made: {fault}")))
+    fs::create_dir_all(folder).map_err(|fault| {
+        io::Error::new(fault.kind(), format!("the folder cannot be made: {fault}"))
+    })
 }
 
-/// In the same folder, so that it can be moved there in one step; with the permissions of any new file.
+/// In the same folder, so that it can be moved there in one step; with the permissions of any new
+/// file.
 fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     let folder = folder_of(place);
     let mut builder = tempfile::Builder::new();
@@ -295,7 +321,10 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
             }
             kind => {
                 let why = fault.raw_os_error().map_or(fault, io::Error::from_raw_os_error);
-                io::Error::new(kind, format!("no file can be made in the folder {}: {why}", folder.display()))
+                io::Error::new(
+                    kind,
+                    format!("no file can be made in the folder {}: {why}", folder.display()),
+                )
             }
         };
         let file = builder.tempfile_in(folder).map_err(refused)?;
@@ -316,8 +345,8 @@ pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     }
 }
 
-/// Bytes that are given to the system at once: of small pieces as many, and of large ones no more, for which it would look for memory that
-/// no program has used lately.
+/// Bytes that are given to the system at once: of small pieces as many, and of large ones no more,
+/// for which it would look for memory that no program has used lately.
 const AT_ONCE: usize = 256 << 10;
 
 /// How many bytes `content` writes to `out`, and what sums them up, if anything does.
@@ -334,7 +363,8 @@ pub(super) fn counted(
     Ok((bytes, crc))
 }
 
-/// Works like [`counted`] for a file that is empty, and goes past the system's cache where that becomes large.
+/// Works like [`counted`] for a file that is empty, and goes past the system's cache where that
+/// becomes large.
 pub(super) fn counted_in(
     file: &File,
     crc: Option<Hasher>,
@@ -370,7 +400,10 @@ mod tests {
     use super::*;
 
     fn filled(path: &Path) -> FilledFile {
-        WholeFile::prepare(path, Replace::Refuse).unwrap().fill(|out| out.write_all(b"mesh")).unwrap()
+        WholeFile::prepare(path, Replace::Refuse)
+            .unwrap()
+            .fill(|out| out.write_all(b"mesh"))
+            .unwrap()
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! The bytes that columns lie in, window by window: in memory, in a mapped scratch file, or in the input itself.
+//! The bytes that columns lie in, window by window: in memory, in a mapped scratch file, or in the
+//! input itself.
 //!
-//! The input is read by position into buffers, each thread in its own, and never mapped: a file that
-//! another program shortens or rewrites meanwhile is an error of that frame, where a map would end the process by a signal. All files
-//! of an input have their buffers in common.
+//! The input is read by position into buffers, each thread in its own, and never mapped: a file
+//! that another program shortens or rewrites meanwhile is an error of that frame, where a map would
+//! end the process by a signal. All files of an input have their buffers in common.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -18,8 +19,8 @@ use super::bytes::{Bytes, Kept};
 const LARGE: usize = 1 << 18;
 /// Bytes that are read at once anywhere else.
 const SMALL: usize = 1 << 14;
-/// Bytes that the system is told to read ahead of a thread, at the least; it looks for each of them in what it has already, so it is
-/// told only once.
+/// Bytes that the system is told to read ahead of a thread, at the least; it looks for each of them
+/// in what it has already, so it is told only once.
 const AHEAD: usize = 1 << 22;
 
 /// Bytes that are handed out by windows.
@@ -27,7 +28,8 @@ pub trait Windows: Sync + Debug {
     /// How many there are.
     fn count(&self) -> usize;
 
-    /// Passes the bytes of a range on. Where they cannot be read, it passes zeros, and [`check`](Self::check) fails from then on.
+    /// Passes the bytes of a range on. Where they cannot be read, it passes zeros, and
+    /// [`check`](Self::check) fails from then on.
     ///
     /// # Panics
     /// If the range exceeds them.
@@ -44,9 +46,6 @@ pub trait Windows: Sync + Debug {
     }
 
     /// Makes sure that all that was passed on is what the bytes were from the beginning.
-    ///
-    /// # Errors
-    /// [`Unread`].
     fn check(&self) -> Result<(), Unread> {
         Ok(())
     }
@@ -158,7 +157,8 @@ pub struct FileWindows {
     fault: OnceLock<Unread>,
 }
 
-/// Windows that no thread reads in at the moment, of some files; that which was used last comes last.
+/// Windows that no thread reads in at the moment, of some files; that which was used last comes
+/// last.
 #[derive(Debug, Default)]
 pub struct Shelf {
     idle: Mutex<Vec<Window>>,
@@ -190,15 +190,16 @@ impl Shelf {
     }
 
     /// Bytes of all windows of files that are so large together.
-    #[must_use]
     pub fn resident_bytes(file_bytes: u64) -> u64 {
         file_bytes.min((Self::most() * LARGE) as u64)
     }
 
-    /// A window of a file that holds byte `at`, or else that ends there, or else the one that was not used for longest.
+    /// A window of a file that holds byte `at`, or else that ends there, or else the one that was
+    /// not used for longest.
     fn take(&self, file: u64, at: usize) -> Window {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        let holds = |window: &Window| window.file == file && (window.at..window.end()).contains(&at);
+        let holds =
+            |window: &Window| window.file == file && (window.at..window.end()).contains(&at);
         let ends = |window: &Window| window.file == file && window.end() == at;
         let found = idle.iter().position(holds).or_else(|| idle.iter().position(ends));
         let window = match found {

@@ -1,9 +1,10 @@
 //! Tables: .csv, .txt and .xyz as text, and .xyz as raw f32 triples without any header.
 //!
-//! A text is decoded to rows of little-endian f64, position first. Fields are separated by `;`, else by `,`,
-//! else by blanks, as the first row of numbers shows. A line that names `x`, `y` and `z` (see [`names`]) says
-//! what the columns hold, even as a comment; what stands above it is passed over. Without such a line, the first
-//! three columns are the position and the others have no name to be carried under.
+//! A text is decoded to rows of little-endian f64, position first. Fields are separated by `;`,
+//! else by `,`, else by blanks, as the first row of numbers shows. A line that names `x`, `y` and
+//! `z` (see [`names`]) says what the columns hold, even as a comment; what stands above it is
+//! passed over. Without such a line, the first three columns are the position and the others have
+//! no name to be carried under.
 //!
 //! [`names`]: super::names
 
@@ -24,7 +25,8 @@ const HEADER_LINES: usize = 32;
 /// Bytes by which text is told from raw numbers.
 const SNIFFED: usize = 4 << 10;
 
-/// Bytes in which the names of columns and the first row are looked for, and twice as many where these do not hold as many lines.
+/// Bytes in which the names of columns and the first row are looked for, and twice as many where
+/// these do not hold as many lines.
 const HEAD: usize = 64 << 10;
 
 /// Fields of a line; more are no table of particles.
@@ -68,8 +70,9 @@ fn read_raw(source: Source) -> Result<ParticleFile, ReadFault> {
 /// Reads a table of text, whatever its extension.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a row with a field too many or too few, for a field that is no number where one is
-/// needed, and for a header that names no position; [`ReadFault::Scratch`] where the scratch file fails.
+/// [`ReadFault::Line`] for a row with a field too many or too few, for a field that is no number
+/// where one is needed, and for a header that names no position; [`ReadFault::Scratch`] where the
+/// scratch file fails.
 pub fn read_text(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     table(bytes.into(), unpacking)
 }
@@ -115,7 +118,8 @@ struct Heading {
 }
 
 impl Table {
-    /// Finds the first row and the names of the columns in a text, of which no more is read than they are in.
+    /// Finds the first row and the names of the columns in a text, of which no more is read than
+    /// they are in.
     fn of(source: &Source) -> Result<Self, ReadFault> {
         let mut looked_at = HEAD;
         loop {
@@ -142,7 +146,9 @@ impl Table {
         let mut left = HEADER_LINES;
         for (line, start, content) in lines(text) {
             if let Some(content) = content.strip_prefix(b"#") {
-                comment = Some(Heading::read(line, content)).filter(|h| h.quantities.is_some()).or(comment);
+                comment = Some(Heading::read(line, content))
+                    .filter(|h| h.quantities.is_some())
+                    .or(comment);
                 continue;
             }
             let row = is_row(content);
@@ -151,7 +157,8 @@ impl Table {
                 break;
             }
             if row {
-                // Under a title that names no position: perhaps the first row, perhaps more of the title.
+                // Under a title that names no position: perhaps the first row, perhaps more of the
+                // title.
                 first = first.or(Some((line, start, content)));
             } else {
                 let heading = Heading::read(line, content);
@@ -172,11 +179,13 @@ impl Table {
         let fields = Fields::new(row, separator).take(MOST_FIELDS + 1).count();
         let comment = comment.filter(|comment| first.is_none() || comment.names.len() == fields);
         let start = bytes.len() - text.len() + start;
-        let table = |slots, attributes| Self { start, lines_above: line - 1, separator, slots, attributes };
+        let table =
+            |slots, attributes| Self { start, lines_above: line - 1, separator, slots, attributes };
         match names.or(comment).or(title) {
             Some(Heading { names, quantities: Some((position, attributes)), .. }) => {
                 let mut slots = vec![None; names.len()];
-                let kept = position.columns.iter().chain(attributes.iter().flat_map(|a| &a.columns));
+                let kept =
+                    position.columns.iter().chain(attributes.iter().flat_map(|a| &a.columns));
                 for (slot, &column) in kept.enumerate() {
                     slots[column] = Some(slot);
                 }
@@ -187,9 +196,10 @@ impl Table {
                 let what = format!("{fields} fields where x, y and z are expected");
                 Err(ReadFault::Line { line, what })
             }
-            _ => {
-                Ok(table((0..fields.max(3)).map(|field| (field < 3).then_some(field)).collect(), Vec::new()))
-            }
+            _ => Ok(table(
+                (0..fields.max(3)).map(|field| (field < 3).then_some(field)).collect(),
+                Vec::new(),
+            )),
         }
     }
 
@@ -203,8 +213,8 @@ impl Table {
             |byte| byte == b'\n',
             |piece| self.decode(piece),
             |piece| {
-                let (piece, lines) =
-                    piece.map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
+                let (piece, lines) = piece
+                    .map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
                 lines_above += lines;
                 rows.push(&piece)?;
                 Ok(ControlFlow::Continue(()))
@@ -213,7 +223,8 @@ impl Table {
         rows.finish()
     }
 
-    /// The numbers of whole lines, and how many lines they were; or the line that is wrong, and how.
+    /// The numbers of whole lines, and how many lines they were; or the line that is wrong, and
+    /// how.
     fn decode(&self, chunk: &[u8]) -> Result<(Vec<u8>, u64), (u64, String)> {
         let width = self.slots.iter().flatten().count() * size_of::<f64>();
         let mut rows = Vec::new();
@@ -233,7 +244,10 @@ impl Table {
                 fields += 1;
             }
             if fields != self.slots.len() {
-                return Err((line, format!("{fields} fields where {} are expected", self.slots.len())));
+                return Err((
+                    line,
+                    format!("{fields} fields where {} are expected", self.slots.len()),
+                ));
             }
         }
         let lines = chunk.iter().filter(|&&byte| byte == b'\n').count();
@@ -257,8 +271,12 @@ impl Heading {
     }
 
     fn refused(&self) -> ReadFault {
-        let shown: Vec<_> = self.names.iter().take(8).map(|name| excerpt(name.as_bytes())).collect();
-        let what = format!("neither three numbers nor the names of columns x, y and z: {}", shown.join(", "));
+        let shown: Vec<_> =
+            self.names.iter().take(8).map(|name| excerpt(name.as_bytes())).collect();
+        let what = format!(
+            "neither three numbers nor the names of columns x, y and z: {}",
+            shown.join(", ")
+        );
         ReadFault::Line { line: self.line, what }
     }
 }
@@ -277,7 +295,8 @@ impl Separator {
     }
 }
 
-/// The fields of a line, trimmed, up to a comment. A separator at the end of the line opens no further field.
+/// The fields of a line, trimmed, up to a comment. A separator at the end of the line opens no
+/// further field.
 struct Fields<'a> {
     rest: &'a [u8],
     separator: Separator,

@@ -66,7 +66,11 @@ impl<'a, P: Particles + ?Sized> Cloud<'a, P> {
     pub fn with<V: AttributeValue>(mut self, name: impl Into<String>, values: &'a [V]) -> Self {
         let (name, particles) = (name.into(), self.positions.len());
         assert!(V::COMPONENTS > 0, "values of {name} have no numbers");
-        assert!(values.len() == particles, "{name} has {} values for {particles} particles", values.len());
+        assert!(
+            values.len() == particles,
+            "{name} has {} values for {particles} particles",
+            values.len()
+        );
         self.infos.push(AttributeInfo { name, components: V::COMPONENTS });
         self.values.push(V::numbers(values));
         self

@@ -1,10 +1,11 @@
 //! Whether particles stand on a lattice that beats with the grid, and the origin that suits it.
 //!
-//! Simulations begin with particles on a lattice. Where its step divides the cells' edge, all particles have the
-//! same place in their cell, and symmetry's theta is anything from 0 (on a corner) to 1 (in the centre), while
-//! the same fluid a few frames later, in disorder, has 1 - 2 E|u| / sqrt 3 = 0.445: the mean over all places u in
-//! a cell of edge 1. A grid that holds the lattice at a place of just that theta measures on the first frame what
-//! suits all. On such a place a lattice is also far from cell faces, where rounding would scramble the counts.
+//! Simulations begin with particles on a lattice. Where its step divides the cells' edge, all
+//! particles have the same place in their cell, and symmetry's theta is anything from 0 (on a
+//! corner) to 1 (in the centre), while the same fluid a few frames later, in disorder, has 1 - 2
+//! E|u| / sqrt 3 = 0.445: the mean over all places u in a cell of edge 1. A grid that holds the
+//! lattice at a place of just that theta measures on the first frame what suits all. On such a
+//! place a lattice is also far from cell faces, where rounding would scramble the counts.
 
 use std::f64::consts::TAU;
 
@@ -19,16 +20,20 @@ const DIVISIONS: u32 = 4;
 const PLACES: usize = 256;
 /// The place of theta = 0.445: 0.277 from the middle along each axis.
 const SOUND: f64 = 57.0;
-/// Mean resultant of the places above which they are one: particles jittered by 0.19 of a step have 0.5.
+/// Mean resultant of the places above which they are one: particles jittered by 0.19 of a step have
+/// 0.5.
 const COHERENT: f64 = 0.5;
 /// Scale of the integer cosines, so that neither order nor threads matter to their sums.
 const ONE: f64 = 32768.0;
 const CHUNK: usize = 1 << 12;
 
-/// The origin nearest to `origin` that suits a lattice of particles in cells of edge `cell_size`; `None` where
-/// there is no lattice along any axis, or none that beats with the cells.
-#[must_use]
-pub fn sound_origin(particles: &(impl Particles + ?Sized), origin: DVec3, cell_size: f64) -> Option<DVec3> {
+/// The origin nearest to `origin` that suits a lattice of particles in cells of edge `cell_size`;
+/// `None` where there is no lattice along any axis, or none that beats with the cells.
+pub fn sound_origin(
+    particles: &(impl Particles + ?Sized),
+    origin: DVec3,
+    cell_size: f64,
+) -> Option<DVec3> {
     (1..=DIVISIONS).find_map(|divisions| {
         let step = cell_size / f64::from(divisions);
         let places = places(particles, origin, step);
@@ -63,7 +68,8 @@ fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [O
                 continue;
             }
             for (sum, x) in sums.iter_mut().zip(steps.to_array()) {
-                // Nearest place, not the one below: a lattice on faces is rounded to either side of them.
+                // Nearest place, not the one below: a lattice on faces is rounded to either side of
+                // them.
                 let place = ((x - x.floor()) * PLACES as f64).round() as usize % PLACES;
                 let [cos, sin] = circle[place];
                 sum[0] += cos;
@@ -97,14 +103,19 @@ mod tests {
 
     #[test]
     fn a_lattice_comes_to_stand_at_the_sound_place_wherever_it_was() {
-        for (per_cell, at) in [(1.0, [0.0; 3]), (1.0, [0.5; 3]), (2.0, [0.25, -0.5, 7.1]), (3.0, [1e-9; 3])] {
+        for (per_cell, at) in
+            [(1.0, [0.0; 3]), (1.0, [0.5; 3]), (2.0, [0.25, -0.5, 7.1]), (3.0, [1e-9; 3])]
+        {
             let step = 0.05 / per_cell;
             let particles = lattice(step, at.map(|x| x * step));
             let origin = sound_origin(&particles[..], DVec3::ZERO, 0.05).unwrap();
             assert!(origin.abs().max_element() <= step / 2.0);
             for p in &particles {
                 for x in ((DVec3::from(*p) - origin) / step).to_array() {
-                    assert!((x - x.floor() - SOUND / 256.0).abs() < 0.003, "{per_cell} {at:?}: {x}");
+                    assert!(
+                        (x - x.floor() - SOUND / 256.0).abs() < 0.003,
+                        "{per_cell} {at:?}: {x}"
+                    );
                 }
             }
         }
@@ -115,7 +126,9 @@ mod tests {
         assert_eq!(sound_origin(&lattice(0.0391, [0.0; 3])[..], DVec3::ZERO, 0.05), None);
         let mut state = 1u64;
         let mut unit = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) as f64 / f64::from(1u32 << 31)
         };
         let random: Vec<[f64; 3]> = (0..2000).map(|_| [unit(), unit(), unit()]).collect();

@@ -6,7 +6,8 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::{AttributeInfo, Particles, Unread};
 
-/// Particles as they are, until the work is cancelled: from then on they have no positions, so that every reading soon comes to its end.
+/// Particles as they are, until the work is cancelled: from then on they have no positions, so that
+/// every reading soon comes to its end.
 #[derive(Debug)]
 pub struct Metered<'a, P: ?Sized> {
     particles: &'a P,
@@ -16,7 +17,6 @@ pub struct Metered<'a, P: ?Sized> {
 
 impl<'a, P: Particles + ?Sized> Metered<'a, P> {
     /// Counts the particles that are read once in a stage.
-    #[must_use]
     pub fn new(particles: &'a P, control: &'a Control, stage: Stage) -> Self {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
     }

@@ -46,9 +46,9 @@ pub enum Unread {
 
 /// Particles, held in memory or in a file.
 ///
-/// The order is the file's, and an index names a particle in error messages. Values are handed out as
-/// stored: they may be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]` are particles without attributes; a
-/// [`Cloud`] adds some.
+/// The order is the file's, and an index names a particle in error messages. Values are handed out
+/// as stored: they may be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
+/// are particles without attributes; a [`Cloud`] adds some.
 pub trait Particles: Sync {
     /// Number of particles.
     fn len(&self) -> usize;
@@ -77,7 +77,8 @@ pub trait Particles: Sync {
         0
     }
 
-    /// Says that the particles of a range will not be read soon: a mapped scratch file can give its pages back.
+    /// Says that the particles of a range will not be read soon: a mapped scratch file can give its
+    /// pages back.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }
@@ -87,8 +88,8 @@ pub trait Particles: Sync {
         &[]
     }
 
-    /// Fills `out` with attribute number `index` of the particles from `first` on, all components of one
-    /// particle after the other.
+    /// Fills `out` with attribute number `index` of the particles from `first` on, all components
+    /// of one particle after the other.
     ///
     /// # Panics
     /// If the range exceeds the particles or there is no such attribute.
@@ -145,8 +146,8 @@ where
     }
 }
 
-/// Positions among other numbers, such as the fields of a caller's own structures: x, y and z side by side, particle after particle
-/// at equal distances.
+/// Positions among other numbers, such as the fields of a caller's own structures: x, y and z side
+/// by side, particle after particle at equal distances.
 #[derive(Debug, Clone, Copy)]
 pub struct StridedPositions<'a, T> {
     numbers: &'a [T],
@@ -154,8 +155,8 @@ pub struct StridedPositions<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
-    /// Takes x, y and z from every `stride` numbers of f32 or f64, from number `first` on: both count numbers, not bytes. `None` where
-    /// the stride is less than 3.
+    /// Takes x, y and z from every `stride` numbers of f32 or f64, from number `first` on: both
+    /// count numbers, not bytes. `None` where the stride is less than 3.
     ///
     /// ```
     /// use meniscus::{Particles, StridedPositions};
@@ -193,7 +194,8 @@ fn widen(to: &mut [f64], from: &[f32]) {
 pub const VELOCITY_NAMES: [&str; 9] =
     ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", "Velocities", ".velocities"];
 
-/// The number of the attribute that holds velocities, if there is one: three components under a usual name.
+/// The number of the attribute that holds velocities, if there is one: three components under a
+/// usual name.
 #[must_use]
 pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     VELOCITY_NAMES
@@ -201,14 +203,18 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
 }
 
-/// The attributes on the mesh: velocity under the name that other programs read, others under their own.
-#[must_use]
+/// The attributes on the mesh: velocity under the name that other programs read, others under their
+/// own.
 pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);
     let name = |&index: &usize| {
         let info = attributes[index].clone();
-        if velocity == Some(index) { AttributeInfo { name: "velocity".into(), ..info } } else { info }
+        if velocity == Some(index) {
+            AttributeInfo { name: "velocity".into(), ..info }
+        } else {
+            info
+        }
     };
     carried.iter().map(name).collect()
 }
@@ -229,14 +235,16 @@ impl Bounds {
     pub const NONE: Self = Self { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
 
     /// Bounds of two lots of particles together.
-    #[must_use]
     pub fn joined(self, other: Self) -> Self {
-        Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi), finite: self.finite + other.finite }
+        Self {
+            lo: self.lo.min(other.lo),
+            hi: self.hi.max(other.hi),
+            finite: self.finite + other.finite,
+        }
     }
 }
 
 /// The box around all finite positions; `None` where there is no such.
-#[must_use]
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
     let of_chunk = |positions: Vec<[f64; 3]>| {
         positions.into_iter().map(DVec3::from).fold(Bounds::NONE, |b, p| Bounds {

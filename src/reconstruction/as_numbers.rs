@@ -1,5 +1,5 @@
-//! A calibration as files of JSON have it: mu0 where the indicator counts, and the isovalue as a fraction of 1; or the plateau of
-//! clouds.
+//! A calibration as files of JSON have it: mu0 where the indicator counts, and the isovalue as a
+//! fraction of 1; or the plateau of clouds.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -15,9 +15,6 @@ struct Numbers {
 }
 
 /// Writes it down.
-///
-/// # Errors
-/// Those of `to`.
 pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
     let mu0 = known.and_then(|known| known.mean()).map(MeanCount::particles);
     let isovalue = known.and_then(|known| known.iso()).map(Isovalue::value);
@@ -29,9 +26,6 @@ pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S:
 }
 
 /// Reads what was written, and refuses what cannot have been measured.
-///
-/// # Errors
-/// Those of `from`.
 pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
     let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
     let calibration = |iso| {

@@ -1,4 +1,5 @@
-//! The choice of particle attributes that go to the vertices, and of what is read of an input for them.
+//! The choice of particle attributes that go to the vertices, and of what is read of an input for
+//! them.
 
 use crate::error::Error;
 use crate::io::output::MeshFormat;
@@ -9,7 +10,8 @@ use crate::settings::Settings;
 impl Settings {
     /// Particles and attributes that have to be read of an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
-        let attributes = self.attribute_names().map_or(WantedAttributes::Velocity, WantedAttributes::Named);
+        let attributes =
+            self.attribute_names().map_or(WantedAttributes::Velocity, WantedAttributes::Named);
         Wanted {
             format: self.format,
             particle_type: self.particle_type.as_deref(),
@@ -18,7 +20,8 @@ impl Settings {
         }
     }
 
-    /// The numbers of the attributes that go to the vertices, of those that there are. Velocity goes where a format can hold it.
+    /// The numbers of the attributes that go to the vertices, of those that there are. Velocity
+    /// goes where a format can hold it.
     pub(crate) fn carried(
         &self,
         all: &[AttributeInfo],

@@ -19,7 +19,8 @@ use crate::vulkan::Device;
 
 /// A request for the surface of particles: what is not said is measured, or the default.
 ///
-/// Numbers are checked when it runs. Every run has threads of its own, and sets nothing for the rest of the program.
+/// Numbers are checked when it runs. Every run has threads of its own, and sets nothing for the
+/// rest of the program.
 ///
 /// ```
 /// use meniscus::Reconstruction;
@@ -86,7 +87,8 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the distance between neighbouring particles, which is otherwise taken from the file or estimated.
+    /// Sets the distance between neighbouring particles, which is otherwise taken from the file or
+    /// estimated.
     pub fn spacing(mut self, length: f64) -> Self {
         (self.settings.spacing, self.settings.radius) = (Some(length), None);
         self
@@ -104,18 +106,18 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not counted. An axis without walls goes
-    /// from -inf to inf.
+    /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not
+    /// counted. An axis without walls goes from -inf to inf.
     pub fn domain(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
         self.settings.domain = Some(Faces::from_corners([lowest, highest]));
         self
     }
 
-    /// Sets a periodic box by its faces along x, y and z, `None` for an axis that is open: beyond a face the fluid goes on as it does
-    /// behind the opposite one.
+    /// Sets a periodic box by its faces along x, y and z, `None` for an axis that is open: beyond a
+    /// face the fluid goes on as it does behind the opposite one.
     ///
-    /// Particles on an upper face are on the lower one; others outside are an error, or left out where such are
-    /// [skipped](Self::skip_invalid). Walls can stand along open axes.
+    /// Particles on an upper face are on the lower one; others outside are an error, or left out
+    /// where such are [skipped](Self::skip_invalid). Walls can stand along open axes.
     ///
     /// ```
     /// use meniscus::Reconstruction;
@@ -149,20 +151,23 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the isovalue, between 0 and 1, for the paper's indicators and for kernels; it is otherwise measured, or a half.
+    /// Sets the isovalue, between 0 and 1, for the paper's indicators and for kernels; it is
+    /// otherwise measured, or a half.
     pub fn iso(mut self, value: f64) -> Self {
         self.settings.iso = Some(Iso::Value(value));
         self
     }
 
-    /// Carries these attributes of the particles to the vertices; without this their velocity, if they have it.
+    /// Carries these attributes of the particles to the vertices; without this their velocity, if
+    /// they have it.
     pub fn attributes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.settings.attributes = Some(names.into_iter().map(Into::into).collect());
         self
     }
 
-    /// Sets the type of particles that is meant, where an input holds several: `PartType1` of a snapshot, an array of PySPH's, a species
-    /// of openPMD's. Without this it is gas, `fluid`, or the only one.
+    /// Sets the type of particles that is meant, where an input holds several: `PartType1` of a
+    /// snapshot, an array of PySPH's, a species of openPMD's. Without this it is gas, `fluid`, or
+    /// the only one.
     pub fn particle_type(mut self, name: impl Into<String>) -> Self {
         self.settings.particle_type = Some(name.into());
         self
@@ -180,7 +185,8 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the folder for what exceeds the memory: that of the system's temporary files otherwise, where the program takes the output's.
+    /// Sets the folder for what exceeds the memory: that of the system's temporary files otherwise,
+    /// where the program takes the output's.
     pub fn scratch(mut self, folder: impl Into<PathBuf>) -> Self {
         self.scratch = Some(folder.into());
         self
@@ -192,7 +198,8 @@ impl Reconstruction {
         self
     }
 
-    /// Runs on threads of the caller's, beside whatever else they do, in place of threads of its own.
+    /// Runs on threads of the caller's, beside whatever else they do, in place of threads of its
+    /// own.
     ///
     /// ```
     /// use std::sync::Arc;
@@ -228,8 +235,9 @@ impl Reconstruction {
         self
     }
 
-    /// Tells a function of progress, from whatever thread makes it. The frames of a [`Simulation`](crate::Simulation) tell of theirs by
-    /// [`Event::Stage`](crate::Event::Stage) instead.
+    /// Tells a function of progress, from whatever thread makes it. The frames of a
+    /// [`Simulation`](crate::Simulation) tell of theirs by [`Event::Stage`](crate::Event::Stage)
+    /// instead.
     pub fn progress(mut self, tell: impl Fn(Progress) + Send + Sync + 'static) -> Self {
         self.control.progress = Some(Arc::new(tell));
         self
@@ -271,9 +279,11 @@ setters! {
     indicator: IndicatorKind,
     /// Sets `mu0`, the mean number of particles in a full cell, for counting.
     mu0: f64,
-    /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer water.
+    /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer
+    /// water.
     smooth: f64,
-    /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the paper's indicators.
+    /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the
+    /// paper's indicators.
     sigma: f64,
     /// Recovers details that smoothing loses, for the paper's indicators.
     detail: bool,
@@ -285,12 +295,15 @@ setters! {
     smallest_component: f64,
     /// Leaves out drops of fewer particles, as told by their volume.
     smallest_drop: u32,
-    /// Leaves out particles that are not finite or too far away, and counts them, where they would be an error.
+    /// Leaves out particles that are not finite or too far away, and counts them, where they would
+    /// be an error.
     skip_invalid: bool,
     /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression).
     compress: bool,
-    /// Sets the axis that points up in mesh files, which are turned where the particles have the other one up.
+    /// Sets the axis that points up in mesh files, which are turned where the particles have the
+    /// other one up.
     up: UpAxis,
-    /// Sets the axis that points up in the particles: z for `.bi4` and y for all else, if it is not said.
+    /// Sets the axis that points up in the particles: z for `.bi4` and y for all else, if it is not
+    /// said.
     particles_up: UpAxis,
 }

@@ -1,4 +1,5 @@
-//! How wide cells are, by a spacing that is given, in the file, in a scene beside it, or estimated: in this order.
+//! How wide cells are, by a spacing that is given, in the file, in a scene beside it, or estimated:
+//! in this order.
 
 use std::fmt;
 use std::path::Path;
@@ -24,10 +25,10 @@ pub enum CellSize {
 }
 
 impl CellSize {
-    /// The default: half a spacing. In cells of two thirds single drops are angular and hold more or less by where they lie; these
-    /// take hardly longer, for the surface is made in the same wide cells. Renders of single drops want half as much. The
-    /// paper's indicators take two thirds, for symmetry does not bear half a spacing.
-    #[must_use]
+    /// The default: half a spacing. In cells of two thirds single drops are angular and hold more
+    /// or less by where they lie; these take hardly longer, for the surface is made in the same
+    /// wide cells. Renders of single drops want half as much. The paper's indicators take two
+    /// thirds, for symmetry does not bear half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -88,7 +89,9 @@ impl Slab {
         /// The distance from the plane, in thicknesses of the slab, by which particles are in it.
         const NEAR: f64 = 0.05;
         let (at, near) = (lo + (hi - lo) / 2.0, NEAR * (hi - lo));
-        axis < 3 && finite_chunks(particles).all(|chunk| chunk.iter().all(|p| (p[axis] - at).abs() <= near))
+        axis < 3
+            && finite_chunks(particles)
+                .all(|chunk| chunk.iter().all(|p| (p[axis] - at).abs() <= near))
     }
 }
 
@@ -116,7 +119,9 @@ impl fmt::Display for Cells {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let size = shown(self.size);
         match &self.spacing {
-            Some((spacing, source)) => write!(f, "spacing {} ({source}), cell size {size}", shown(*spacing)),
+            Some((spacing, source)) => {
+                write!(f, "spacing {} ({source}), cell size {size}", shown(*spacing))
+            }
             None => write!(f, "spacing not known, taken to be the cell size; cell size {size}"),
         }?;
         match self.origin {

@@ -16,7 +16,9 @@ use crate::field::recipe::Detail;
 use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::frame::{Method, Resources, Surfacing};
 use crate::grid::PeriodicError;
-use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length};
+use crate::grid::units::{
+    Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length,
+};
 use crate::io::bytes::Unpacking;
 use crate::io::output::MeshFormat;
 use crate::settings::Settings;
@@ -29,7 +31,8 @@ use super::builder::Reconstruction;
 use super::threads::Threads;
 use super::{CellSize, SamplingRequest};
 
-/// Threads that a call may have at the most: more than any machine has cores, and few enough to start.
+/// Threads that a call may have at the most: more than any machine has cores, and few enough to
+/// start.
 const MOST_THREADS: usize = 1024;
 
 /// A request that can be run.
@@ -60,13 +63,15 @@ impl Reconstruction {
         let sampling = sampling(settings, surfacing)?;
         let reduction = reduction(settings)?;
         let budget = self.memory.unwrap_or_else(default_memory);
-        let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
+        let threads =
+            self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         if !(1..=MOST_THREADS).contains(&threads) {
             return Err(Error::Threads(format!("their number must be 1 to {MOST_THREADS}")));
         }
         // Chunks are simplified whole, and every thread has its own.
         let simplifying = reduction.tolerance.map(|_| threads);
-        let least = SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_A_THREAD * threads as u64);
+        let least =
+            SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_A_THREAD * threads as u64);
         if budget < SMALLEST_BUDGET {
             return Err(Error::LittleMemory { least: SMALLEST_BUDGET.0, simplifying: None });
         }
@@ -90,7 +95,16 @@ impl Reconstruction {
             control: self.control.clone(),
         };
         let (settings, calibration, pool) = (settings.clone(), self.calibration, self.pool.clone());
-        Ok(Checked { settings, sampling, surfacing, reduction, calibration, threads, pool, resources })
+        Ok(Checked {
+            settings,
+            sampling,
+            surfacing,
+            reduction,
+            calibration,
+            threads,
+            pool,
+            resources,
+        })
     }
 }
 
@@ -126,7 +140,8 @@ fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest
         let (setting, with) = (Setting::named(setting), Conflict::Setting(Setting::named(other)));
         return Err(Unfit { setting, with }.into());
     }
-    let length = |name, length: Option<f64>| length.map(|length| positive_length(name, length)).transpose();
+    let length =
+        |name, length: Option<f64>| length.map(|length| positive_length(name, length)).transpose();
     length("radius", settings.radius)?;
     let cell = match (length("cell-size", settings.cell_size)?, length("cell", settings.cell)?) {
         (Some(size), _) => Some(CellSize::Length(size)),
@@ -134,7 +149,11 @@ fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest
     };
     let request = SamplingRequest {
         method: method(settings)?,
-        invalid: if settings.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
+        invalid: if settings.skip_invalid {
+            InvalidParticles::Skip
+        } else {
+            InvalidParticles::Refuse
+        },
         origin: settings.origin.map(Into::into),
         walls: settings.domain.map(|walls| walls.corners().map(Into::into)),
         periodic: settings.periodic.map(|faces| (faces.0, surfacing)),
@@ -182,7 +201,9 @@ fn surfacing(settings: &Settings) -> Result<Surfacing, Error> {
 }
 
 fn reduction(settings: &Settings) -> Result<Reduction, Error> {
-    if let Some(value) = settings.smallest_component.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
+    if let Some(value) =
+        settings.smallest_component.filter(|volume| !(volume.is_finite() && *volume > 0.0))
+    {
         return Err(UnitError::Volume(value).into());
     }
     Ok(Reduction {
@@ -265,7 +286,8 @@ impl Checked {
         Ok(Ready { checked: Arc::new(self), threads })
     }
 
-    /// Refuses settings that have no meaning for the indicator that was asked for, or without a periodic box.
+    /// Refuses settings that have no meaning for the indicator that was asked for, or without a
+    /// periodic box.
     pub(crate) fn refuse_of_indicator(&self) -> Result<(), Error> {
         if self.settings.periodic_mesh.is_some() && self.settings.periodic.is_none() {
             return Err(PeriodicError::NoBox.into());

@@ -1,4 +1,5 @@
-//! From a sampled frame to its surface, simplified if it is to be, with whatever there is to know of it.
+//! From a sampled frame to its surface, simplified if it is to be, with whatever there is to know
+//! of it.
 
 use crate::error::Error;
 use crate::field::calibration::Calibration;
@@ -43,7 +44,8 @@ impl Kept {
 }
 
 impl Checked {
-    /// Draws the surface of a frame, by a calibration that is known or measured on it, and leaves out what is to be.
+    /// Draws the surface of a frame, by a calibration that is known or measured on it, and leaves
+    /// out what is to be.
     pub(crate) fn draw(
         &self,
         engine: &Engine,
@@ -54,8 +56,9 @@ impl Checked {
         Ok(self.reduce_of(engine, surface, report, timings)?)
     }
 
-    /// Draws as [`draw`](Self::draw) does the surface of one of many frames: where there is none, the mesh is empty, vertices would have
-    /// carried the attributes `infos`, and a warning says why. `measured_on` is the frame that the calibration is of.
+    /// Draws as [`draw`](Self::draw) does the surface of one of many frames: where there is none,
+    /// the mesh is empty, vertices would have carried the attributes `infos`, and a warning says
+    /// why. `measured_on` is the frame that the calibration is of.
     pub(crate) fn draw_or_empty(
         &self,
         engine: &Engine,
@@ -101,8 +104,11 @@ impl Checked {
 
     /// An empty mesh, which every program can load, and finds the attributes that it expects.
     pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> Kept {
-        let attribute =
-            |AttributeInfo { name, components }| VertexAttribute { name, components, values: Vec::new() };
+        let attribute = |AttributeInfo { name, components }| VertexAttribute {
+            name,
+            components,
+            values: Vec::new(),
+        };
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
             attributes: infos.into_iter().map(attribute).collect(),
@@ -134,8 +140,14 @@ impl Checked {
         })
     }
 
-    /// Adds to a report what there is to doubt of a surface, of which it says already how many particles are in none.
-    pub(super) fn judge(&self, report: &mut Report, surface: &Stitched, shortfall: Option<Shortfall>) {
+    /// Adds to a report what there is to doubt of a surface, of which it says already how many
+    /// particles are in none.
+    pub(super) fn judge(
+        &self,
+        report: &mut Report,
+        surface: &Stitched,
+        shortfall: Option<Shortfall>,
+    ) {
         let doubt = report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
         report.warnings.extend(doubt);
         let clouds = report.is_clouds();
@@ -154,7 +166,9 @@ impl Checked {
         timings: &mut Timings,
     ) -> Result<Drawn, FrameError> {
         let control = &self.resources.control;
-        self.reduce(surface, report, |surface| engine.simplify(surface, &self.reduction, control, timings))
+        self.reduce(surface, report, |surface| {
+            engine.simplify(surface, &self.reduction, control, timings)
+        })
     }
 
     /// Has a surface simplified, and components left out, where that was asked for.

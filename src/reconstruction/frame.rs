@@ -21,7 +21,8 @@ use super::warning::{Warning, of_frame, with_doubts};
 use super::{Cells, ChosenSampling, Packed, Source};
 use crate::settings::Settings;
 
-/// A frame that was sampled: its discrete indicator function, and whatever its surface has to know of the particles.
+/// A frame that was sampled: its discrete indicator function, and whatever its surface has to know
+/// of the particles.
 #[derive(Debug)]
 pub struct Frame {
     pub(super) path: Option<PathBuf>,
@@ -107,19 +108,21 @@ impl Frame {
         self.draw(&self.ready.checked, self.timings.clone())
     }
 
-    /// Draws a surface by other settings: whatever does not need the particles again, from the width of smoothing to simplifying.
+    /// Draws a surface by other settings: whatever does not need the particles again, from the
+    /// width of smoothing to simplifying.
     ///
     /// Memory, threads and backend stay those of the frame.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], also for settings that say how particles are sampled, unless these were sampled so, and those of
-    /// [`surface`](Self::surface).
+    /// [`Error::Unit`], [`Error::Unfit`], also for settings that say how particles are sampled,
+    /// unless these were sampled so, and those of [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();
-        checked
-            .settings
-            .refuse_of_sampled(&Settings { indicator: kind, ..self.ready.checked.settings.clone() })?;
+        checked.settings.refuse_of_sampled(&Settings {
+            indicator: kind,
+            ..self.ready.checked.settings.clone()
+        })?;
         kind.map_or(Ok(()), |kind| checked.settings.refuse_of_others(kind))?;
         checked.resources = self.ready.checked.resources.clone();
         checked.resources.control = request.control.clone();
@@ -158,7 +161,8 @@ impl Frame {
         let mut timings = self.timings.clone();
         timings.skip();
         let control = &checked.resources.control;
-        let bytes = threads.install(|| output.write(control, |out| write_frame(out, sampled).map(drop)))?;
+        let bytes =
+            threads.install(|| output.write(control, |out| write_frame(out, sampled).map(drop)))?;
         timings.done("write");
         let dif = &sampled.dif;
         let census = sampled.facts.census;

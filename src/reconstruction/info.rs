@@ -1,4 +1,5 @@
-//! Contents of a particle file, a packed frame or a mesh, for people and programs that look before they convert.
+//! Contents of a particle file, a packed frame or a mesh, for people and programs that look before
+//! they convert.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -126,7 +127,9 @@ pub struct MeshInfo {
 
 /// The extensions of all files that are looked into, in the words of a message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
-    format!("of particles {KNOWN}; of packed frames .mnf; of meshes .ply, .obj, .vtk, .vtp and .stl")
+    format!(
+        "of particles {KNOWN}; of packed frames .mnf; of meshes .ply, .obj, .vtk, .vtp and .stl"
+    )
 });
 
 /// Looks into a particle file, a packed frame or a mesh.
@@ -137,7 +140,8 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
     info_by(path, &Settings::default())
 }
 
-/// Looks into a file like [`info`], read in the format and for the type of particles that settings name.
+/// Looks into a file like [`info`], read in the format and for the type of particles that settings
+/// name.
 ///
 /// # Errors
 /// [`Error::Read`], also where there is no such type.
@@ -225,9 +229,10 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         spacing_source: known.map(|(_, source)| match source {
             SpacingSource::Scene(scene) => scene.display().to_string(),
             SpacingSource::Estimated => "an estimate".to_owned(),
-            SpacingSource::File | SpacingSource::Given | SpacingSource::State | SpacingSource::Packed => {
-                "the file".to_owned()
-            }
+            SpacingSource::File
+            | SpacingSource::Given
+            | SpacingSource::State
+            | SpacingSource::Packed => "the file".to_owned(),
         }),
         slab: cells.as_ref().and_then(|cells| cells.slab),
         spacing_doubts: cells
@@ -244,7 +249,8 @@ fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
     let grid = request.grid_of(cells).ok()?;
     let carried = Settings::default().carried(particles.attributes(), None).ok()?;
-    let sampling = request.sampling_on(grid, request.method, cells.spacing(), carried, resources).ok()?;
+    let sampling =
+        request.sampling_on(grid, request.method, cells.spacing(), carried, resources).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())
 }

@@ -8,16 +8,20 @@ use crate::grid::{Domain, Grid};
 use crate::particles::Particles;
 use crate::particles::lattice::sound_origin;
 
-/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder, where its particles stand on
-/// one and the indicator tells where that lies: see [`sound_origin`].
-#[must_use]
+/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder,
+/// where its particles stand on one and the indicator tells where that lies: see [`sound_origin`].
 pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
-    origin_for_lattice(particles, &sampling).and_then(|origin| moved(&sampling, origin)).unwrap_or(sampling)
+    origin_for_lattice(particles, &sampling)
+        .and_then(|origin| moved(&sampling, origin))
+        .unwrap_or(sampling)
 }
 
-/// The origin that a grid should have for a lattice of particles; `None` where there is no lattice, or it does not matter.
-#[must_use]
-pub fn origin_for_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
+/// The origin that a grid should have for a lattice of particles; `None` where there is no lattice,
+/// or it does not matter.
+pub fn origin_for_lattice(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+) -> Option<DVec3> {
     match sampling.method.indicator()? {
         IndicatorKind::Cloud => None,
         IndicatorKind::Symmetry | IndicatorKind::Counting => {
@@ -26,8 +30,8 @@ pub fn origin_for_lattice(particles: &(impl Particles + ?Sized), sampling: &Samp
     }
 }
 
-/// Moves the grid of a sampling to another origin; `None` where its walls have no cells there, or its periodic box none.
-#[must_use]
+/// Moves the grid of a sampling to another origin; `None` where its walls have no cells there, or
+/// its periodic box none.
 pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
     let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
     let domain = match &sampling.domain {

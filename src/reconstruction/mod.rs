@@ -1,4 +1,5 @@
-//! Particles to a surface in one call, with everything chosen that is not said: the facade, and the policy behind it.
+//! Particles to a surface in one call, with everything chosen that is not said: the facade, and the
+//! policy behind it.
 //!
 //! Limits are in `limits.md`, a page of the docs.
 

@@ -32,9 +32,9 @@ impl Reconstruction {
     /// spacing or the cells' size has to be given, and the grid is that of the origin.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Domain`], [`Error::Unfit`] for settings that have no meaning there,
-    /// [`Error::Request`] where neither spacing nor cell size is given, and
-    /// [`Error::Frame`] for cells that are too fine for the spacing.
+    /// [`Error::Unit`], [`Error::Domain`], [`Error::Unfit`] for settings that have no meaning
+    /// there, [`Error::Request`] where neither spacing nor cell size is given, and [`Error::Frame`]
+    /// for cells that are too fine for the spacing.
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
         refuse_named(&self.settings, &OF_HOST, || Conflict::OnDevice)?;
         let checked = self.checked()?;
@@ -42,7 +42,9 @@ impl Reconstruction {
         let (request, surfacing) = (&checked.sampling, checked.surfacing);
         let size = match (request.cell_size(), request.spacing) {
             (CellSize::Length(size), _) => size,
-            (CellSize::Spacings(ratio), Some(spacing)) => positive_length("cell-size", ratio * spacing)?,
+            (CellSize::Spacings(ratio), Some(spacing)) => {
+                positive_length("cell-size", ratio * spacing)?
+            }
             (CellSize::Spacings(_), None) => {
                 let what = "spacing must be given for particles that are on a device";
                 return Err(Error::Request(what.into()));
@@ -51,10 +53,23 @@ impl Reconstruction {
         let grid = request.grid(size)?;
         let domain = request.domain(&grid)?;
         // Kernels are refused above.
-        let Method::Indicator { kind, mean } = request.method else { unreachable!("a method was refused") };
+        let Method::Indicator { kind, mean } = request.method else {
+            unreachable!("a method was refused")
+        };
         let spacing = request.spacing;
-        surfacing.refuse_too_fine(kind, mean, spacing, &grid).map_err(crate::frame::FrameError::from)?;
+        surfacing
+            .refuse_too_fine(kind, mean, spacing, &grid)
+            .map_err(crate::frame::FrameError::from)?;
         let (invalid, calibration) = (request.invalid, checked.calibration);
-        Ok(DeviceRequest { grid, domain, indicator: kind, mean, invalid, spacing, surfacing, calibration })
+        Ok(DeviceRequest {
+            grid,
+            domain,
+            indicator: kind,
+            mean,
+            invalid,
+            spacing,
+            surfacing,
+            calibration,
+        })
     }
 }

@@ -162,11 +162,14 @@ impl Opened {
         }
     }
 
-    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to suit.
+    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to
+    /// suit.
     #[must_use]
     pub fn moved_to(&self) -> Option<[f64; 3]> {
         match &self.input {
-            Input::Particles { chosen, .. } => chosen.moved.then(|| chosen.sampling.grid.origin().to_array()),
+            Input::Particles { chosen, .. } => {
+                chosen.moved.then(|| chosen.sampling.grid.origin().to_array())
+            }
             Input::Packed(_) => None,
         }
     }
@@ -179,10 +182,12 @@ impl Opened {
         let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
         let Ready { checked, threads } = &self.ready;
         let counted = threads.install(|| {
-            let counted = Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing, None)?;
+            let counted =
+                Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing, None)?;
             Ok((counted.census(), counted.estimate()))
         });
-        let (census, estimate): (Census, Estimate) = counted.map_err(|fault| self.in_file(fault))?;
+        let (census, estimate): (Census, Estimate) =
+            counted.map_err(|fault| self.in_file(fault))?;
         let resources = &checked.resources;
         let plan = estimate.plan(resources.budget);
         // Two passes hold the triangles that are left as three numbers of 64 bits.
@@ -208,17 +213,21 @@ impl Opened {
     /// Samples the particles, for surfaces that may be drawn otherwise again and again.
     ///
     /// # Errors
-    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and [`Error::Cancelled`].
+    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and
+    /// [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
         let Self { path, ready, input, mut timings } = self;
         let checked = &ready.checked;
         let up = checked.settings.usual_up(&path);
         let sampled = ready.threads.install(|| match input {
             Input::Packed(sampled) => {
-                let engine = Engine::from_sampled(*sampled, &checked.surfacing, checked.resources.clone());
+                let engine =
+                    Engine::from_sampled(*sampled, &checked.surfacing, checked.resources.clone());
                 Ok(Sampled { engine, cells: None, moved: false })
             }
-            Input::Particles { file, chosen } => checked.sampled(&file.particles, *chosen, &mut timings),
+            Input::Particles { file, chosen } => {
+                checked.sampled(&file.particles, *chosen, &mut timings)
+            }
         });
         let sampled = sampled.map_err(|error| error.of_file(&path))?;
         Ok(Frame { path: Some(path), up, ready, sampled, timings })

@@ -1,4 +1,5 @@
-//! The axis that points up: in the particles, in the mesh file, and on the screens of programs that show it.
+//! The axis that points up: in the particles, in the mesh file, and on the screens of programs that
+//! show it.
 
 use std::path::Path;
 
@@ -22,7 +23,8 @@ pub(crate) struct Orientation {
     pub(crate) shown: UpAxis,
 }
 
-/// The axis that points up in the particles of a file, by who wrote it: DualSPHysics lets z point up, other simulators mostly y.
+/// The axis that points up in the particles of a file, by who wrote it: DualSPHysics lets z point
+/// up, other simulators mostly y.
 #[must_use]
 pub fn usual_up(input: &Path) -> UpAxis {
     if InputFormat::of(input) == Some(InputFormat::Bi4) { UpAxis::Z } else { UpAxis::Y }

@@ -7,7 +7,7 @@ use crate::brick::Census;
 use crate::error::Error;
 use crate::io::output::{MeshFormat, MeshOutput};
 use crate::io::stamp::is_same_file;
-use crate::io::whole::{FilledFile, Replace, WholeFile, make_folder_of};
+use crate::io::whole::{FilledFile, MadeFolders, Replace, WholeFile};
 use crate::io::{CoordinateWidth, WriteError, WriteFault};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::source::Metered;
@@ -24,6 +24,8 @@ pub struct Output {
     file: MeshOutput,
     unfinished: Unfinished,
     path: PathBuf,
+    /// Dropped last: none is removed that the file is in.
+    _folders: MadeFolders,
 }
 
 /// A packed frame that is going to be written: whole or not at all.
@@ -32,6 +34,8 @@ pub struct PackedOutput {
     file: WholeFile,
     unfinished: Unfinished,
     path: PathBuf,
+    /// Dropped last: none is removed that the file is in.
+    _folders: MadeFolders,
 }
 
 /// A packed frame that was written.
@@ -86,11 +90,11 @@ impl Output {
         replace: Replace,
         cancel: &Cancel,
     ) -> Result<Self, Error> {
-        make_folder_of(path)?;
+        let folders = MadeFolders::of(path)?;
         let prepare = || MeshOutput::prepare(path, replace);
         let (file, unfinished) = cancel.guard(prepare, MeshOutput::temporary)?;
         settings.refuse_of_format(path, file.format())?;
-        Ok(Self { file, unfinished, path: path.to_owned() })
+        Ok(Self { file, unfinished, path: path.to_owned(), _folders: folders })
     }
 
     /// The format, by the file's extension.
@@ -119,7 +123,8 @@ impl Output {
         control: &Control,
     ) -> Result<(FilledFile, Unfinished), Error> {
         let mesh = Metered::new(mesh, control, Stage::Writing);
-        let file = control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
+        let file =
+            control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
         Ok((file, self.unfinished))
     }
 
@@ -138,11 +143,15 @@ impl Output {
 impl PackedOutput {
     pub(super) fn prepare(path: &Path, replace: Replace, cancel: &Cancel) -> Result<Self, Error> {
         if !crate::io::mnf::is_packed(path) {
-            return Err(Error::Request(format!("{}: packed frames are .mnf files", path.display())));
+            return Err(Error::Request(format!(
+                "{}: packed frames are .mnf files",
+                path.display()
+            )));
         }
-        make_folder_of(path)?;
-        let (file, unfinished) = cancel.guard(|| WholeFile::prepare(path, replace), WholeFile::temporary)?;
-        Ok(Self { file, unfinished, path: path.to_owned() })
+        let folders = MadeFolders::of(path)?;
+        let (file, unfinished) =
+            cancel.guard(|| WholeFile::prepare(path, replace), WholeFile::temporary)?;
+        Ok(Self { file, unfinished, path: path.to_owned(), _folders: folders })
     }
 
     /// The file's path.

@@ -11,8 +11,9 @@ use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::settings::Settings;
 use crate::system::memory::default_memory;
 
-/// Opens a file of particles with all of their attributes, in the format and for the type of particles that settings name. Where it does
-/// not say their spacing, that is the one of a scene beside it, if there is one.
+/// Opens a file of particles with all of their attributes, in the format and for the type of
+/// particles that settings name. Where it does not say their spacing, that is the one of a scene
+/// beside it, if there is one.
 ///
 /// ```no_run
 /// use meniscus::{Particles, Reconstruction, Settings, files};

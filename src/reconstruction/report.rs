@@ -31,7 +31,8 @@ pub struct Report {
     pub calibration: Option<Calibration>,
     /// The isovalue of kernels, where the method leaves a choice.
     pub kernel_iso: Option<f64>,
-    /// The measurements on the frame, unless the calibration was given or a kernel method needs none.
+    /// The measurements on the frame, unless the calibration was given or a kernel method needs
+    /// none.
     pub measured: Option<Calibrated>,
     /// Particles that are in no surface, at the least.
     pub lost: u64,

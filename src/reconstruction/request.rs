@@ -8,7 +8,8 @@ use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
-    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at, show_all,
+    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at,
+    show_all,
 };
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
@@ -27,12 +28,14 @@ pub struct SamplingRequest {
     pub method: Method,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
-    /// A corner of the grid's cells; where it is not given, the grid may be moved to suit a lattice.
+    /// A corner of the grid's cells; where it is not given, the grid may be moved to suit a
+    /// lattice.
     pub origin: Option<DVec3>,
     /// The lowest and the highest corner of a tank; particles outside are not counted.
     /// An axis without walls goes from -inf to inf.
     pub walls: Option<[DVec3; 2]>,
-    /// The faces of a periodic box along each axis, where it is not open, and the surface that images beyond them have to do for.
+    /// The faces of a periodic box along each axis, where it is not open, and the surface that
+    /// images beyond them have to do for.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The particles' spacing, where the caller knows it.
     pub spacing: Option<f64>,
@@ -69,7 +72,6 @@ pub struct ChosenSampling {
 
 impl ChosenSampling {
     /// Name of the stage that it took.
-    #[must_use]
     pub fn stage(&self) -> &'static str {
         if self.plan.is_some() { "count" } else { "spacing" }
     }
@@ -85,15 +87,11 @@ fn usual_spacing(cell_size: f64) -> f64 {
 
 impl SamplingRequest {
     /// Edge of a cell.
-    #[must_use]
     pub fn cell_size(&self) -> CellSize {
         self.cell.unwrap_or(CellSize::usual(self.method))
     }
 
     /// Refuses an origin, walls or a periodic box that are wrong whatever the cells' size is.
-    ///
-    /// # Errors
-    /// [`Error::Unit`], [`Error::Domain`] and [`Error::Periodic`].
     pub fn validate(&self) -> Result<(), Error> {
         let unit = self.grid(1.0)?;
         if let Some([lo, hi]) = self.walls
@@ -109,9 +107,6 @@ impl SamplingRequest {
     }
 
     /// The grid that was asked for, with cells of some size.
-    ///
-    /// # Errors
-    /// [`Error::Unit`].
     pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
         Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
     }
@@ -120,8 +115,8 @@ impl SamplingRequest {
         self.walls.map(|[lo, hi]| Domain::new(grid, lo, hi)).transpose()
     }
 
-    /// The request for a slab's particles: walls are its faces. Walls and periodic faces of the caller's own come first.
-    #[must_use]
+    /// The request for a slab's particles: walls are its faces. Walls and periodic faces of the
+    /// caller's own come first.
     pub fn in_slab(&self, slab: Option<Slab>) -> Self {
         let mut request = self.clone();
         if let Some(Slab { axis, faces: [lo, hi] }) =
@@ -149,12 +144,14 @@ impl SamplingRequest {
         of_caller.or(from.spacing.map(|spacing| (spacing, SpacingSource::File))).or_else(scene)
     }
 
-    /// Chooses the cells for particles. Only where cells have a size of their own and no kernels are drawn can the spacing be
-    /// unknown: the filters are then as wide as for particles a cell apart.
-    ///
-    /// # Errors
-    /// [`Error::NoSpacing`], and [`FrameError::NoParticles`].
-    pub fn cells(&self, particles: &(impl Particles + ?Sized), from: Source<'_>) -> Result<Cells, Error> {
+    /// Chooses the cells for particles. Only where cells have a size of their own and no kernels
+    /// are drawn can the spacing be unknown: the filters are then as wide as for particles a cell
+    /// apart.
+    pub fn cells(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+    ) -> Result<Cells, Error> {
         let read = |_, look: LookAtAll<'_>| {
             show_all(particles, look);
             Some(())
@@ -162,9 +159,10 @@ impl SamplingRequest {
         Ok(self.cells_while(particles, from, read)?.0)
     }
 
-    /// Chooses the cells for particles, and uses the caller's `read` where there are so many of them that a reading of its own would
-    /// take long. `read` gets the cell size, as far as it is known, and a function that it calls with the positions of all particles.
-    /// It returns `None` if it failed. The last value that it returned is returned with the cells.
+    /// Chooses the cells for particles, and uses the caller's `read` where there are so many of
+    /// them that a reading of its own would take long. `read` gets the cell size, as far as it is
+    /// known, and a function that it calls with the positions of all particles. It returns `None`
+    /// if it failed. The last value that it returned is returned with the cells.
     fn cells_while<T>(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -237,7 +235,8 @@ impl SamplingRequest {
         Ok((self.cells_by_evidence(particles, from, Some(evidence))?, done))
     }
 
-    /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for particles whose spacing is known.
+    /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for
+    /// particles whose spacing is known.
     fn cells_of(
         &self,
         spacing: f64,
@@ -262,21 +261,27 @@ impl SamplingRequest {
         })
     }
 
-    /// A corner for cells of particles around `middle`, where the grid around the origin would not reach them with half of its cells.
+    /// A corner for cells of particles around `middle`, where the grid around the origin would not
+    /// reach them with half of its cells.
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;
         // Of particles outside of walls none counts.
         let middle = self.walls.map_or(middle, |[lo, hi]| {
             let walled = (lo + hi) / 2.0;
-            DVec3::from([0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }))
+            DVec3::from(
+                [0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }),
+            )
         });
         // Along the axes that need it, in whole cells.
-        let origin = middle.to_array().map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
+        let origin = middle
+            .to_array()
+            .map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
         (origin != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
     }
 
-    /// The cells for a spacing that was given, with doubts about it where a look at its scale does not bear it out.
+    /// The cells for a spacing that was given, with doubts about it where a look at its scale does
+    /// not bear it out.
     fn cells_for_given(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -295,8 +300,12 @@ impl SamplingRequest {
             None if !all_is_well || is_scene => evidence(particles),
             at_hand => at_hand,
         };
-        let place = evidence.as_ref().map(|evidence| evidence.place).or(look.as_ref().map(|look| look.place));
-        let (middle, plane) = (place.map(|place| place.middle), place.and_then(|place| place.plane));
+        let place = evidence
+            .as_ref()
+            .map(|evidence| evidence.place)
+            .or(look.as_ref().map(|look| look.place));
+        let (middle, plane) =
+            (place.map(|place| place.middle), place.and_then(|place| place.plane));
         let mut cells = self.cells_of(spacing, source.clone(), middle, plane)?;
         if let Some(evidence) = &evidence {
             let at_scale = look.as_ref().map_or(&evidence.neighbours, |look| &look.neighbours);
@@ -314,7 +323,10 @@ impl SamplingRequest {
     ) -> Result<Cells, Error> {
         let path = || from.path.map(Path::to_owned);
         if particles.is_empty() {
-            return Err(Error::Frame { path: path(), fault: FrameError::NoParticles(Census::default()) });
+            return Err(Error::Frame {
+                path: path(),
+                fault: FrameError::NoParticles(Census::default()),
+            });
         }
         let place = evidence.as_ref().map(|evidence| evidence.place);
         let middle = place.map(|place| place.middle);
@@ -345,14 +357,12 @@ impl SamplingRequest {
         })?;
         let plane = place.and_then(|place| place.plane);
         let mut cells = self.cells_of(estimate.spacing, SpacingSource::Estimated, middle, plane)?;
-        cells.doubts = evidence.map_or(Vec::new(), |evidence| Doubt::of_estimate(&estimate, &evidence));
+        cells.doubts =
+            evidence.map_or(Vec::new(), |evidence| Doubt::of_estimate(&estimate, &evidence));
         Ok(cells)
     }
 
     /// Chooses how to sample particles, whose attributes numbered in `carried` go to the vertices.
-    ///
-    /// # Errors
-    /// Those of [`cells`](Self::cells), [`Error::Domain`] and [`Error::Periodic`].
     pub fn sampling(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -364,10 +374,8 @@ impl SamplingRequest {
         self.sampling_in(cells, particles, carried, resources)
     }
 
-    /// Works like [`sampling`](Self::sampling), and counts the particles for it where that can be done on the way.
-    ///
-    /// # Errors
-    /// Those of [`sampling`](Self::sampling).
+    /// Works like [`sampling`](Self::sampling), and counts the particles for it where that can be
+    /// done on the way.
     pub fn sampling_and_plan(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -375,12 +383,14 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        // Of the count comes the grid that it was made on. Whatever fails will fail again where it is reported.
+        // Of the count comes the grid that it was made on. Whatever fails will fail again where it
+        // is reported.
         let count = |cell_size: f64, look: LookAtAll<'_>| {
             let grid = self.grid(cell_size).ok()?;
             let domain = self.domain(&grid).ok()?;
             let room = CountingRoom::within(resources.budget.0);
-            let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
+            let plan =
+                BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
             Some((grid, plan.ok()?))
         };
         let (cells, counted) = match self.periodic {
@@ -402,7 +412,8 @@ impl SamplingRequest {
     ) -> Result<ChosenSampling, Error> {
         let grid = self.grid_of(&cells)?;
         let request = self.in_slab(cells.slab);
-        let sampling = request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
+        let sampling =
+            request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {
             return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
         }
@@ -412,9 +423,6 @@ impl SamplingRequest {
     }
 
     /// The grid of cells that were chosen.
-    ///
-    /// # Errors
-    /// [`Error::Unit`].
     pub fn grid_of(&self, cells: &Cells) -> Result<Grid, Error> {
         match cells.origin {
             Some(origin) => Ok(Grid::new(origin.into(), cells.size)?),
@@ -425,8 +433,8 @@ impl SamplingRequest {
     /// Samples on a grid that is known, by a method whose mu0 may be known.
     ///
     /// # Errors
-    /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to tell how far a periodic box's images have
-    /// to reach.
+    /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to
+    /// tell how far a periodic box's images have to reach.
     pub fn sampling_on(
         &self,
         grid: Grid,

@@ -14,10 +14,15 @@ impl Reconstruction {
     /// Refuses, before the work, what can be refused without reading an input.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and [`Error::Threads`].
+    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
+    /// [`Error::Threads`].
     pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
         let (checked, input) = (self.checked()?, input.as_ref());
-        if is_packed(input) { self.settings.refuse_of_packed(input) } else { checked.refuse_of_indicator() }
+        if is_packed(input) {
+            self.settings.refuse_of_packed(input)
+        } else {
+            checked.refuse_of_indicator()
+        }
     }
 
     /// Refuses settings of a surface, which a frame that is only packed does not have.
@@ -31,9 +36,10 @@ impl Reconstruction {
     /// Reconstructs the surface of particles in memory.
     ///
     /// # Errors
-    /// [`Error::Unit`] for numbers out of range, [`Error::Unfit`] for settings that exclude each other, [`Error::Domain`],
-    /// [`Error::NoSpacing`], [`Error::NoAttribute`], [`Error::Cancelled`], and [`Error::Frame`] for particles that have no surface or
-    /// do not fit the memory.
+    /// [`Error::Unit`] for numbers out of range, [`Error::Unfit`] for settings that exclude each
+    /// other, [`Error::Domain`], [`Error::NoSpacing`], [`Error::NoAttribute`],
+    /// [`Error::Cancelled`], and [`Error::Frame`] for particles that have no surface or do not fit
+    /// the memory.
     pub fn run(&self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         self.sample(particles)?.surface()
     }
@@ -62,7 +68,8 @@ impl Reconstruction {
         self.checked()?.on_threads()?.open(path.as_ref())
     }
 
-    /// Makes sure, before the work, that a mesh file can be written, and can hold what is asked for.
+    /// Makes sure, before the work, that a mesh file can be written, and can hold what is asked
+    /// for.
     ///
     /// # Errors
     /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
@@ -75,7 +82,11 @@ impl Reconstruction {
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn packed_output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<PackedOutput, Error> {
+    pub fn packed_output(
+        &self,
+        path: impl AsRef<Path>,
+        replace: Replace,
+    ) -> Result<PackedOutput, Error> {
         sweep_beside(path.as_ref());
         PackedOutput::prepare(path.as_ref(), replace, &self.control.cancel)
     }

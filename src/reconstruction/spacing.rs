@@ -65,7 +65,8 @@ pub enum Doubt {
         found: f64,
         /// The likely mistake.
         mistake: Option<Mistake>,
-        /// Whether they may be spray or threads, whose particles are farther apart than the spacing.
+        /// Whether they may be spray or threads, whose particles are farther apart than the
+        /// spacing.
         spray: bool,
     },
     /// The fluid is too thin for a sure estimate.
@@ -130,7 +131,8 @@ impl Mistake {
 /// Whether the neighbours of particles do not bear out a spacing that was given: then all that the
 /// particles say is worth a look.
 pub(super) fn is_suspicious(neighbours: &Neighbours, said: f64) -> bool {
-    let measured = neighbours.measured().map(|(measured, _)| measured).or_else(|| neighbours.suggested());
+    let measured =
+        neighbours.measured().map(|(measured, _)| measured).or_else(|| neighbours.suggested());
     !measured.is_some_and(|measured| (TOO_SMALL..TOO_LARGE).contains(&(said / measured)))
 }
 
@@ -253,15 +255,25 @@ impl fmt::Display for Doubt {
                         write!(f, "; {said} may be their support radius, or twice the spacing")?;
                     }
                     Some(Mistake::Unit(factor)) if *factor < 1.0 => {
-                        write!(f, "; it may be in a unit {} times larger than the positions'", 1.0 / factor)?;
+                        write!(
+                            f,
+                            "; it may be in a unit {} times larger than the positions'",
+                            1.0 / factor
+                        )?;
                     }
                     Some(Mistake::Unit(factor)) => {
-                        write!(f, "; it may be in a unit {factor} times smaller than the positions'")?;
+                        write!(
+                            f,
+                            "; it may be in a unit {factor} times smaller than the positions'"
+                        )?;
                     }
                     None => {}
                 }
                 if *spray {
-                    write!(f, "; if this is spray, or threads of single particles, it can be right")?;
+                    write!(
+                        f,
+                        "; if this is spray, or threads of single particles, it can be right"
+                    )?;
                 }
                 Ok(())
             }

@@ -34,7 +34,8 @@ const PREVIEW: [usize; 2] = [640, 360];
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
     drawn: Drawn,
-    /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be kept for long.
+    /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be
+    /// kept for long.
     threads: Threads,
     settings: Settings,
     /// Whoever had it drawn.
@@ -67,7 +68,8 @@ impl Surface {
     /// Copies the mesh into memory as a whole.
     ///
     /// # Errors
-    /// [`Error::WholeMesh`] where it is too large, or cannot be read from a scratch file, and [`Error::Threads`].
+    /// [`Error::WholeMesh`] where it is too large, or cannot be read from a scratch file, and
+    /// [`Error::Threads`].
     pub fn to_mesh(&self) -> Result<Mesh, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let mesh = threads.install(|| match &self.drawn.mesh {
@@ -84,8 +86,9 @@ impl Surface {
         &self.drawn.report
     }
 
-    /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in its particles. A picture that says
-    /// nothing of memory takes no more than half of the frame's: the other half is the mesh's.
+    /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in
+    /// its particles. A picture that says nothing of memory takes no more than half of the frame's:
+    /// the other half is the mesh's.
     ///
     /// # Errors
     /// [`Error::Picture`] and [`Error::Threads`].
@@ -98,7 +101,8 @@ impl Surface {
         drawn.map_err(|fault| Error::Picture { path: None, fault })
     }
 
-    /// Draws a small picture of the mesh on a ground, to see in a moment what became of the particles.
+    /// Draws a small picture of the mesh on a ground, to see in a moment what became of the
+    /// particles.
     ///
     /// # Errors
     /// Those of [`picture`](Self::picture).
@@ -114,23 +118,29 @@ impl Surface {
     /// [`Error::Write`] where the mesh is in a scratch file that cannot be read.
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
-        let mut warnings: Vec<_> = coarse.then_some(Warning::Coarse { format }).into_iter().collect();
+        let mut warnings: Vec<_> =
+            coarse.then_some(Warning::Coarse { format }).into_iter().collect();
         let threads = self.threads.started().map_err(Error::Threads)?;
         warnings.extend(threads.install(|| made_of(self.mesh(), format, Path::new("")))?);
         Ok(warnings)
     }
 
-    /// Writes the mesh to a file that is not there yet, whose extension says the format: whole or not at all. Coordinates are f64 where f32
-    /// would move vertices by more than 1 / 256 of a cell and the format can hold them. Returns the file's size in bytes. Its folder has to
-    /// be there.
+    /// Writes the mesh to a file that is not there yet, whose extension says the format: whole or
+    /// not at all. Coordinates are f64 where f32 would move vertices by more than 1 / 256 of a cell
+    /// and the format can hold them. Returns the file's size in bytes. Its folder has to be there.
     ///
     /// To replace a file call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
-    /// [`Error::Write`], [`Error::Unfit`] for what the format cannot hold, and [`Error::Cancelled`] by the handle of the request that
-    /// had the surface drawn.
+    /// [`Error::Write`], [`Error::Unfit`] for what the format cannot hold, and [`Error::Cancelled`]
+    /// by the handle of the request that had the surface drawn.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
-        self.write_to(Output::prepare(&self.settings, path.as_ref(), Replace::Refuse, &Cancel::new())?)
+        self.write_to(Output::prepare(
+            &self.settings,
+            path.as_ref(),
+            Replace::Refuse,
+            &Cancel::new(),
+        )?)
     }
 
     /// Writes the mesh in place of a file that may be there.
@@ -138,13 +148,20 @@ impl Surface {
     /// # Errors
     /// Those of [`write`](Self::write).
     pub fn overwrite(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
-        self.write_to(Output::prepare(&self.settings, path.as_ref(), Replace::Allow, &Cancel::new())?)
+        self.write_to(Output::prepare(
+            &self.settings,
+            path.as_ref(),
+            Replace::Allow,
+            &Cancel::new(),
+        )?)
     }
 
-    /// Writes the mesh to a file that was made ready before the work, and returns its size in bytes.
+    /// Writes the mesh to a file that was made ready before the work, and returns its size in
+    /// bytes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that had the surface drawn, or that made the file ready.
+    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that had the surface
+    /// drawn, or that made the file ready.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.settings.orientation(self.particles_up, format);
@@ -162,7 +179,8 @@ impl fmt::Debug for Surface {
     }
 }
 
-/// Warns of what a format makes of a mesh: attributes that get other names, and vertices that it does not tell apart.
+/// Warns of what a format makes of a mesh: attributes that get other names, and vertices that it
+/// does not tell apart.
 pub(crate) fn made_of(
     mesh: &dyn MeshSource,
     format: MeshFormat,
@@ -184,8 +202,11 @@ fn in_one_piece(mesh: &dyn MeshSource) -> Result<Mesh, WholeMeshError> {
     if u32::try_from(vertices).is_err() {
         return Err(WholeMeshError::TooManyVertices(vertices));
     }
-    let of_none =
-        |AttributeInfo { name, components }| VertexAttribute { name, components, values: Vec::new() };
+    let of_none = |AttributeInfo { name, components }| VertexAttribute {
+        name,
+        components,
+        values: Vec::new(),
+    };
     let attributes = attributes.into_iter().map(of_none).collect();
     let mut whole = Mesh { normals: normals.then(Vec::new), attributes, ..Mesh::default() };
     for piece in 0..pieces {
@@ -194,7 +215,9 @@ fn in_one_piece(mesh: &dyn MeshSource) -> Result<Mesh, WholeMeshError> {
         whole.normals.iter_mut().for_each(|normals| normals.extend_from_slice(&vertices.normals));
         let attributes = whole.attributes.iter_mut().zip(&vertices.attributes);
         attributes.for_each(|(attribute, values)| attribute.values.extend_from_slice(values));
-        whole.triangles.extend(mesh.triangles(piece)?.into_iter().map(|corners| corners.map(|v| v as u32)));
+        whole
+            .triangles
+            .extend(mesh.triangles(piece)?.into_iter().map(|corners| corners.map(|v| v as u32)));
     }
     Ok(whole)
 }

@@ -4,9 +4,11 @@ use std::sync::{Arc, Weak};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Threads of a request: as long as someone works they are his, and whoever comes later starts as many.
+/// Threads of a request: as long as someone works they are his, and whoever comes later starts as
+/// many.
 ///
-/// Surfaces are kept by the hundred, and in processes that fork, where threads of the parent are none of the child's.
+/// Surfaces are kept by the hundred, and in processes that fork, where threads of the parent are
+/// none of the child's.
 #[derive(Debug, Clone)]
 pub(crate) struct Threads {
     pool: Weak<ThreadPool>,
@@ -37,6 +39,10 @@ impl Threads {
 
 impl From<&Arc<ThreadPool>> for Threads {
     fn from(pool: &Arc<ThreadPool>) -> Self {
-        Self { pool: Arc::downgrade(pool), count: pool.current_num_threads(), process: std::process::id() }
+        Self {
+            pool: Arc::downgrade(pool),
+            count: pool.current_num_threads(),
+            process: std::process::id(),
+        }
     }
 }

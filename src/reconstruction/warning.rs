@@ -69,7 +69,8 @@ pub enum Warning {
         lost: u64,
         /// How many particles there are.
         of: usize,
-        /// Whether smoothing by one of the paper's indicators loses them, where smaller cells would not help.
+        /// Whether smoothing by one of the paper's indicators loses them, where smaller cells would
+        /// not help.
         smoothed: bool,
     },
     /// The surface holds far less than its particles.
@@ -180,7 +181,9 @@ impl fmt::Display for Warning {
                 significant(*iso, 4),
                 significant(*lowest, 4)
             ),
-            Self::Lost { lost, of, .. } => write!(f, "at least {lost} of {of} particles are in no surface"),
+            Self::Lost { lost, of, .. } => {
+                write!(f, "at least {lost} of {of} particles are in no surface")
+            }
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
             Self::Merged { vertices, format } => write!(
                 f,
@@ -194,7 +197,9 @@ impl fmt::Display for Warning {
                 write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
             }
             Self::Empty { why, .. } => match why {
-                Emptiness::Field => f.write_str("the field is nowhere above the isovalue: an empty mesh"),
+                Emptiness::Field => {
+                    f.write_str("the field is nowhere above the isovalue: an empty mesh")
+                }
                 Emptiness::Distances => {
                     f.write_str("no cell's centre is inside of the surface: an empty mesh")
                 }
@@ -212,12 +217,21 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     let mean = engine.dif().and_then(mean_symmetry);
     let (facts, coincident) = (engine.facts(), engine.coincident());
     let packed = facts.spacing.zip(engine.spacing_by_samples());
-    warnings.extend(packed.and_then(|(said, found)| Doubt::of_packed(said, found)).map(Warning::Spacing));
-    warnings.extend(of_particles(facts, engine.crowding(), coincident, engine.lacking_attributes(), mean));
+    warnings.extend(
+        packed.and_then(|(said, found)| Doubt::of_packed(said, found)).map(Warning::Spacing),
+    );
+    warnings.extend(of_particles(
+        facts,
+        engine.crowding(),
+        coincident,
+        engine.lacking_attributes(),
+        mean,
+    ));
     warnings
 }
 
-/// Warnings with the doubts about the spacing before them, which say more than that particles are crowded.
+/// Warnings with the doubts about the spacing before them, which say more than that particles are
+/// crowded.
 pub(crate) fn with_doubts(cells: Option<&Cells>, mut warnings: Vec<Warning>) -> Vec<Warning> {
     let doubts = cells.map_or(&[][..], |cells| &cells.doubts);
     if doubts.iter().any(|doubt| matches!(doubt, Doubt::Contradicted { .. })) {
@@ -232,8 +246,8 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
     (sampled.indicator.kind() == IndicatorKind::Symmetry).then(|| sampled.dif.mean_of_full())
 }
 
-/// Doubts about particles: by how many times as many there are as have room, by those in the same place, by how many lack a value of an attribute, and by
-/// the mean that symmetry makes of them.
+/// Doubts about particles: by how many times as many there are as have room, by those in the same
+/// place, by how many lack a value of an attribute, and by the mean that symmetry makes of them.
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,
@@ -243,7 +257,8 @@ pub(crate) fn of_particles<'a>(
 ) -> Vec<Warning> {
     let spacing = facts.spacing.unwrap_or_default();
     let crowded = crowding.filter(|&times| times > CROWDED);
-    let mut warnings: Vec<_> = crowded.map(|times| Warning::Crowded { times, spacing }).into_iter().collect();
+    let mut warnings: Vec<_> =
+        crowded.map(|times| Warning::Crowded { times, spacing }).into_iter().collect();
     let coincident = coincident.filter(|found| found.particles > FEW);
     warnings.extend(coincident.map(|found| Warning::Coincident { found, of: facts.census.binned }));
     warnings.extend(lacking.map(|(name, without)| Warning::Lacking {
@@ -261,9 +276,14 @@ pub(crate) fn of_particles<'a>(
 
 /// A doubt about an isovalue that was given, by what was measured on the frame.
 pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Option<Warning> {
-    let (Plateau::Interior { lowest, .. }, Some(given)) = (measured.plateau, given) else { return None };
+    let (Plateau::Interior { lowest, .. }, Some(given)) = (measured.plateau, given) else {
+        return None;
+    };
     let above = measured.calibration.iso().is_some() && given.threshold() >= lowest;
-    above.then(|| Warning::Bubbles { iso: given.value(), lowest: f64::from(lowest) / f64::from(FULL) })
+    above.then(|| Warning::Bubbles {
+        iso: given.value(),
+        lowest: f64::from(lowest) / f64::from(FULL),
+    })
 }
 
 /// A doubt about particles that are in no surface, if they are many.

@@ -18,7 +18,6 @@ pub enum SinglePrecision {
 
 impl SinglePrecision {
     /// Looks at the farthest vertex of a surface.
-    #[must_use]
     pub fn of(surface: &Stitched) -> Self {
         let farthest = surface.farthest_coordinate();
         let step = surface.grid().cell_size() * COARSEST;

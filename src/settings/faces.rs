@@ -21,7 +21,9 @@ impl Faces {
     #[must_use]
     pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
         let is_open = |ends: &[f64; 2]| *ends == [f64::NEG_INFINITY, f64::INFINITY];
-        Self([0, 1, 2].map(|axis| Some([lowest[axis], highest[axis]]).filter(|ends| !is_open(ends))))
+        Self(
+            [0, 1, 2].map(|axis| Some([lowest[axis], highest[axis]]).filter(|ends| !is_open(ends))),
+        )
     }
 }
 
@@ -67,7 +69,9 @@ impl FromStr for Faces {
 pub(super) fn point(text: &str) -> Result<[f64; 3], String> {
     let values: Result<Vec<f64>, _> = parts(text).map(str::parse).collect();
     let values = values.map_err(|e| e.to_string())?;
-    values.try_into().map_err(|v: Vec<f64>| format!("3 numbers with commas between, not {}", v.len()))
+    values
+        .try_into()
+        .map_err(|v: Vec<f64>| format!("3 numbers with commas between, not {}", v.len()))
 }
 
 /// Splits a list at its commas, or at its blanks if it has no commas.

@@ -60,7 +60,8 @@ impl Source for &str {
     }
 
     fn faces(&self) -> Result<Faces, String> {
-        self.parse().map_err(|_: String| format!("{}, or - for both ends of an axis", expected::FACES))
+        self.parse()
+            .map_err(|_: String| format!("{}, or - for both ends of an axis", expected::FACES))
     }
 
     fn is_word(&self, word: &str) -> bool {

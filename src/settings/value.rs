@@ -42,7 +42,10 @@ impl FromStr for Iso {
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "auto" => Ok(Self::Auto),
-            _ => text.parse().map(Self::Value).map_err(|_| "a number between 0 and 1, or auto".to_owned()),
+            _ => text
+                .parse()
+                .map(Self::Value)
+                .map_err(|_| "a number between 0 and 1, or auto".to_owned()),
         }
     }
 }

@@ -11,7 +11,8 @@ use super::naming::Naming;
 
 /// A request for the mesh of each frame of a simulation.
 ///
-/// Grid and calibration are measured once and kept beside the outputs, so that all frames are alike, whoever makes them.
+/// Grid and calibration are measured once and kept beside the outputs, so that all frames are
+/// alike, whoever makes them.
 ///
 /// ```no_run
 /// use meniscus::Simulation;
@@ -37,8 +38,9 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Asks for the meshes of frames: a name with `{}` for the number, a folder, a glob, or a file of several steps; to a name with `{}`
-    /// or `{:04}`, or a folder, which exists or ends in `/`, where they are `.ply`. Folders of a name are made.
+    /// Asks for the meshes of frames: a name with `{}` for the number, a folder, a glob, or a file
+    /// of several steps; to a name with `{}` or `{:04}`, or a folder, which exists or ends in `/`,
+    /// where they are `.ply`. Folders of a name are made.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>) -> Self {
         Self::of_files([input], output)
     }
@@ -63,10 +65,12 @@ impl Simulation {
         }
     }
 
-    /// Asks for a simulation where inputs and output name one; `None` where both name a single frame.
+    /// Asks for a simulation where inputs and output name one; `None` where both name a single
+    /// frame.
     ///
     /// # Errors
-    /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for several inputs and one output.
+    /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
+    /// several inputs and one output.
     pub fn if_several(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
         match (Inputs::of(inputs)?, Naming::of(output)?) {
             (None, None) => Ok(None),
@@ -103,14 +107,16 @@ impl Simulation {
         self
     }
 
-    /// Converts these frames of the simulation only, as one of several jobs; all jobs measure and keep the same.
+    /// Converts these frames of the simulation only, as one of several jobs; all jobs measure and
+    /// keep the same.
     pub fn frames(mut self, numbers: RangeInclusive<u64>) -> Self {
         self.frames = numbers.into_inner();
         self
     }
 
-    /// Goes on with a conversion that was begun: skips what is done, whole, and made of the same inputs. One with other settings is refused,
-    /// unless its outputs may be [replaced](Self::overwrite).
+    /// Goes on with a conversion that was begun: skips what is done, whole, and made of the same
+    /// inputs. One with other settings is refused, unless its outputs may be
+    /// [replaced](Self::overwrite).
     pub fn resume(mut self) -> Self {
         self.resume = true;
         self
@@ -122,7 +128,8 @@ impl Simulation {
         self
     }
 
-    /// Follows a simulation that runs, until its last frame, or until nothing has come for so many seconds.
+    /// Follows a simulation that runs, until its last frame, or until nothing has come for so many
+    /// seconds.
     pub fn watch(mut self, seconds: f64) -> Self {
         self.watch = Some(seconds);
         self
@@ -134,7 +141,8 @@ impl Simulation {
         self
     }
 
-    /// Names a file that the caller writes beside the meshes: refused where it is one of the conversion's own.
+    /// Names a file that the caller writes beside the meshes: refused where it is one of the
+    /// conversion's own.
     pub fn beside(mut self, file: impl Into<PathBuf>) -> Self {
         self.beside.push(file.into());
         self

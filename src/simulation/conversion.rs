@@ -53,8 +53,8 @@ struct Outcome<T> {
 }
 
 impl Conversion<'_> {
-    /// Settles what all frames have in common, while lanes may hold open frames. The frame that was measured is given on,
-    /// if it may stay open.
+    /// Settles what all frames have in common, while lanes may hold open frames. The frame that was
+    /// measured is given on, if it may stay open.
     fn settle(
         &self,
         known: Option<State>,
@@ -74,7 +74,8 @@ impl Conversion<'_> {
         Ok(open.map(|file| (number, file)))
     }
 
-    /// Gives the lanes all frames; where it is not settled yet what these have in common, the lanes open some meanwhile.
+    /// Gives the lanes all frames; where it is not settled yet what these have in common, the lanes
+    /// open some meanwhile.
     fn give(
         &self,
         todo: &[&FrameFile],
@@ -84,7 +85,8 @@ impl Conversion<'_> {
     ) -> Result<(), Error> {
         // The lanes live as long as they are sent to.
         let send = |job: Job| drop(to_lanes.send(job));
-        let mut jobs = todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
+        let mut jobs =
+            todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
         if self.settled.get().is_none() {
             // The first is most likely the one that is measured: a lane waits for it.
             let first = jobs.next();
@@ -100,7 +102,12 @@ impl Conversion<'_> {
         Ok(())
     }
 
-    fn run(&self, known: Option<State>, frames: &[FrameFile], series: &Series) -> Result<Summary, Error> {
+    fn run(
+        &self,
+        known: Option<State>,
+        frames: &[FrameFile],
+        series: &Series,
+    ) -> Result<Summary, Error> {
         let options = self.setup.simulation;
         let mut tally = Tally::new(self, series);
         // Where all frames are to be made, the first are opened while one of them is measured.
@@ -110,8 +117,11 @@ impl Conversion<'_> {
             tally.list(frames, |frame| options.resume && options.wants(frame.number));
         }
         let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
-        let todo: Vec<&FrameFile> =
-            wanted.iter().copied().filter(|frame| !(options.resume && tally.lists(frame))).collect();
+        let todo: Vec<&FrameFile> = wanted
+            .iter()
+            .copied()
+            .filter(|frame| !(options.resume && tally.lists(frame)))
+            .collect();
         let watch = options.watch.map(|idle| Watch::new(idle, options.selection));
         self.setup.tell(Event::Begins {
             frames: wanted.len(),
@@ -227,8 +237,8 @@ impl Conversion<'_> {
         jobs: &Mutex<Receiver<Job>>,
         to_disk: &SyncSender<Outcome<Filled>>,
     ) {
-        // On one of the pool's own threads, or every step of a frame would wait for another to wake up. This one could be of the pool, too,
-        // but rayon would keep that for ever.
+        // On one of the pool's own threads, or every step of a frame would wait for another to wake
+        // up. This one could be of the pool, too, but rayon would keep that for ever.
         pool.install(|| {
             while let Some(Job { frame, particles, again }) = next(jobs) {
                 if self.is_over() {
@@ -238,7 +248,8 @@ impl Conversion<'_> {
                 let (teller, checked) = (self.setup.teller, self.checked_in(lane, number));
                 let opened = self.open(&checked, &frame, particles, again);
                 let Some(settled) = self.settled.wait() else { return };
-                let result = opened.and_then(|opened| self.convert(&checked, &frame, opened, settled));
+                let result =
+                    opened.and_then(|opened| self.convert(&checked, &frame, opened, settled));
                 teller.tell(Event::Stage { lane, frame: number, progress: None });
                 if to_disk.send(Outcome { frame, result }).is_err() {
                     return;
@@ -269,7 +280,10 @@ impl Conversion<'_> {
 }
 
 /// Starts a thread.
-fn start<'scope>(scope: &'scope Scope<'scope, '_>, work: impl FnOnce() + Send + 'scope) -> Result<(), Error> {
+fn start<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    work: impl FnOnce() + Send + 'scope,
+) -> Result<(), Error> {
     let started = thread::Builder::new().spawn_scoped(scope, work);
     started.map(drop).map_err(|fault| Error::Threads(fault.to_string()))
 }
@@ -299,7 +313,8 @@ pub(super) struct Conversion<'a> {
     pub(super) division: Division,
     pub(super) gate: Gate,
     pub(super) stop: AtomicBool,
-    /// Whether the spacing is of a state that was kept, and no frame was looked at for doubts about it yet.
+    /// Whether the spacing is of a state that was kept, and no frame was looked at for doubts about
+    /// it yet.
     pub(super) unchecked: AtomicBool,
 }
 
@@ -310,7 +325,12 @@ pub(super) struct Settled {
 }
 
 impl<'a> Conversion<'a> {
-    pub(super) fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, frames: usize) -> Self {
+    pub(super) fn new(
+        setup: &'a Setup<'a>,
+        format: MeshFormat,
+        store: Store,
+        frames: usize,
+    ) -> Self {
         let division = setup.division(frames);
         let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes, setup.checked.threads));
         let [stop, unchecked] = [(); 2].map(|()| AtomicBool::new(false));
@@ -328,7 +348,11 @@ impl<'a> Conversion<'a> {
     }
 
     /// The record of a frame that need not be made again, as far as is known.
-    pub(super) fn current<'r>(&self, records: &'r Records, frame: &FrameFile) -> Option<&'r Record> {
+    pub(super) fn current<'r>(
+        &self,
+        records: &'r Records,
+        frame: &FrameFile,
+    ) -> Option<&'r Record> {
         let settled = self.settled.get()?.as_ref()?;
         records.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
     }

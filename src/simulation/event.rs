@@ -211,11 +211,13 @@ pub struct Summary {
     pub made: usize,
     /// Frames that could not be made, in order, and why.
     pub failed: Vec<Arc<FrameFailed>>,
-    /// The error for which no frame was made: of one of several simulations, whose others were converted.
+    /// The error for which no frame was made: of one of several simulations, whose others were
+    /// converted.
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
     pub missing: Vec<Missing>,
-    /// Numbers without a frame, where more are missing than there: a choice of frames, and not one with gaps.
+    /// Numbers without a frame, where more are missing than there: a choice of frames, and not one
+    /// with gaps.
     pub chosen: Option<Gaps>,
     /// Particles and drops that the surfaces leave out.
     pub left_out: LeftOut,
@@ -229,8 +231,10 @@ impl Summary {
     /// Frames that are not there: failed, or missing between others.
     #[must_use]
     pub fn lacking(&self) -> u64 {
-        let missing =
-            self.missing.iter().map(|missing| (missing.last - missing.first) / missing.step.max(1) + 1);
+        let missing = self
+            .missing
+            .iter()
+            .map(|missing| (missing.last - missing.first) / missing.step.max(1) + 1);
         missing.fold(self.failed.len() as u64, u64::saturating_add)
     }
 
@@ -255,7 +259,9 @@ impl fmt::Display for Event {
             Self::Anew { state, differing } => {
                 write!(f, "{}: of other settings ({differing}), made anew", state.display())
             }
-            Self::GoesOn { state, frozen } => write!(f, "going on with {}: {frozen}", state.display()),
+            Self::GoesOn { state, frozen } => {
+                write!(f, "going on with {}: {frozen}", state.display())
+            }
             Self::Measured { path, frozen, trust: Trust::Sound } => {
                 write!(f, "measured on {}: {frozen}", path.display())
             }
@@ -266,7 +272,9 @@ impl fmt::Display for Event {
                 };
                 write!(f, "warning: {what}; measured on frame {}: {frozen}", frozen.frame)
             }
-            Self::Begins { frames, done, .. } => write!(f, "{done} of {frames} frames are done already"),
+            Self::Begins { frames, done, .. } => {
+                write!(f, "{done} of {frames} frames are done already")
+            }
             Self::Came { bytes } => write!(f, "a further frame has come: {}", ByteSize(*bytes)),
             Self::Stage { frame, progress: Some(Progress { stage, .. }), .. } => {
                 write!(f, "frame {frame}: {stage}")
@@ -325,14 +333,19 @@ impl fmt::Display for Frozen {
             }
             Some(Calibration::Clouds { plateau }) => {
                 let nominal = Plateau::nominal(spacing.map_or(1.0, |spacing| spacing / cell_size));
-                write!(f, ", density {:.3} particles per cubed spacing", f64::from(*plateau) / nominal)
+                write!(
+                    f,
+                    ", density {:.3} particles per cubed spacing",
+                    f64::from(*plateau) / nominal
+                )
             }
             None => Ok(()),
         }
     }
 }
 
-/// Events that may wait to be heard. Beyond that the work waits, so that they take no memory without end.
+/// Events that may wait to be heard. Beyond that the work waits, so that they take no memory
+/// without end.
 const WAITING: usize = 1024;
 
 /// Tells the caller of events, from any thread.
@@ -346,10 +359,8 @@ impl Teller {
     }
 }
 
-/// Does `work` on a thread of its own, and calls `hear` with what that tells, on this one. If `hear` panics, the work is cancelled.
-///
-/// # Errors
-/// Those of `work`, and [`Error::Threads`].
+/// Does `work` on a thread of its own, and calls `hear` with what that tells, on this one. If
+/// `hear` panics, the work is cancelled.
 pub(super) fn hearing<T: Send>(
     cancel: &Cancel,
     hear: impl FnMut(Event),

@@ -114,7 +114,8 @@ impl Setup<'_> {
         let fingerprint = kept.as_ref().filter(|_| self.simulation.resume).map(State::fingerprint);
         let done = |frame: &&&FrameFile| {
             let output = self.output(frame);
-            let current = |fingerprint| records.current(frame.number, &frame.path, &output, fingerprint);
+            let current =
+                |fingerprint| records.current(frame.number, &frame.path, &output, fingerprint);
             fingerprint.and_then(current).is_some_and(|record| record.is_whole(&output))
         };
         let done = wanted.par_iter().filter(done).count();
@@ -138,28 +139,35 @@ impl Setup<'_> {
         done: usize,
         begun: Instant,
     ) -> Result<Option<Largest>, Error> {
-        let (checked, total) = (self.checked, wanted.iter().map(|frame| frame.bytes()).sum::<u64>());
-        let largest = wanted.iter().max_by_key(|frame| frame.bytes()).filter(|f| !is_packed(&f.path));
+        let (checked, total) =
+            (self.checked, wanted.iter().map(|frame| frame.bytes()).sum::<u64>());
+        let largest =
+            wanted.iter().max_by_key(|frame| frame.bytes()).filter(|f| !is_packed(&f.path));
         let Some(largest) = largest else { return Ok(None) };
         let path = &largest.path;
         let resources = &checked.resources;
-        let unpacking = Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch };
+        let unpacking =
+            Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch };
         let file = open_wanted(path, checked.settings.wanted(), unpacking)?;
-        let carried = checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
+        let carried =
+            checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let sampling = self.sampling(frozen, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
-        let counted =
-            Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None).map_err(in_file)?;
+        let counted = Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None)
+            .map_err(in_file)?;
         let (census, estimate) = (counted.census(), counted.estimate());
-        let frame = Frame::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
+        let frame =
+            Frame::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
         let drawn = frame.calibrate(&checked.surfacing, frozen.calibration.as_ref(), &mut timings);
         let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
-        // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and simplifying takes away.
+        // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and
+        // simplifying takes away.
         let bytes = 24 * mesh.vertex_count() + 13 * mesh.triangle_count();
         let share = largest.bytes().max(1) as f64;
-        let scale = (wanted.len() - done) as f64 * total as f64 / wanted.len().max(1) as f64 / share;
+        let scale =
+            (wanted.len() - done) as f64 * total as f64 / wanted.len().max(1) as f64 / share;
         Ok(Some(Largest {
             frame: largest.number,
             particles: census.binned,

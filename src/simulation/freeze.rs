@@ -15,7 +15,8 @@ use super::event::Event;
 use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
-/// Frames that are looked at for one that is deep enough to measure: of those that are there the first, and some from all over the rest.
+/// Frames that are looked at for one that is deep enough to measure: of those that are there the
+/// first, and some from all over the rest.
 const LOOKED_AT: usize = 64;
 
 /// Measurements on one frame.
@@ -27,7 +28,8 @@ struct OneMeasured {
 }
 
 impl Setup<'_> {
-    /// Measures what all frames have in common, and keeps it; the frame that it was measured on may still be open.
+    /// Measures what all frames have in common, and keeps it; the frame that it was measured on may
+    /// still be open.
     pub(super) fn state(
         &self,
         store: &Store,
@@ -42,7 +44,8 @@ impl Setup<'_> {
         Ok((state, file))
     }
 
-    /// Measures what holds for all frames on the first that can tell, whose particles may still be open.
+    /// Measures what holds for all frames on the first that can tell, whose particles may still be
+    /// open.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
@@ -75,19 +78,25 @@ impl Setup<'_> {
                         return Ok((found.frozen, file));
                     }
                     Ok((found, _)) => {
-                        // Spray is farther apart than fluid, whose spacing would be estimated too large by it.
+                        // Spray is farther apart than fluid, whose spacing would be estimated too
+                        // large by it.
                         let is_better = |(_, known): &(FrameFile, OneMeasured)| {
                             known.trust < found.trust
-                                || known.trust == found.trust && known.frozen.spacing > found.frozen.spacing
+                                || known.trust == found.trust
+                                    && known.frozen.spacing > found.frozen.spacing
                         };
                         if best.as_ref().is_none_or(is_better) {
                             best = Some((frame, found));
                         }
                     }
-                    // What is too fine for one frame, by its mu0 or where its lattice lies, need not be for another.
+                    // What is too fine for one frame, by its mu0 or where its lattice lies, need
+                    // not be for another.
                     Err(error)
                         if error.cause() == Cause::Input
-                            || matches!(error, Error::Frame { fault: FrameError::TooFine(_), .. }) =>
+                            || matches!(
+                                error,
+                                Error::Frame { fault: FrameError::TooFine(_), .. }
+                            ) =>
                     {
                         if let Some(watch) = &mut watch {
                             watch.done(frame.number);
@@ -123,7 +132,8 @@ impl Setup<'_> {
         self.tell(Event::Measured { path: frame.path.clone(), frozen, trust: found.trust });
     }
 
-    /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one did.
+    /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one
+    /// did.
     fn measure_on(
         &self,
         frame: &FrameFile,
@@ -135,7 +145,8 @@ impl Setup<'_> {
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
             self.checked.settings.refuse_of_packed(path)?;
-            let sampled = open_frame(path, resources.budget.0 / 4)?.with_scratch(&resources.scratch);
+            let sampled =
+                open_frame(path, resources.budget.0 / 4)?.with_scratch(&resources.scratch);
             self.checked.settings.refuse_of_others(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
@@ -151,10 +162,16 @@ impl Setup<'_> {
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
         let asked = request.method;
-        let known = lattice
-            .map(|first| Ok::<_, Error>((first.grid()?, asked.calibrated(first.calibration.as_ref()))));
-        let measured =
-            measure_in(&cells, known.transpose()?, &file.particles, self.checked, resources.clone());
+        let known = lattice.map(|first| {
+            Ok::<_, Error>((first.grid()?, asked.calibrated(first.calibration.as_ref())))
+        });
+        let measured = measure_in(
+            &cells,
+            known.transpose()?,
+            &file.particles,
+            self.checked,
+            resources.clone(),
+        );
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let mut frozen = frozen(frame.number, input, cells.spacing(), source, cells.slab, measured);

@@ -67,8 +67,8 @@ pub enum Trust {
     Sound,
 }
 
-/// Measures particles for their whole simulation, in cells that were chosen for them, or on the grid and by the field of a `lattice` that
-/// came before.
+/// Measures particles for their whole simulation, in cells that were chosen for them, or on the
+/// grid and by the field of a `lattice` that came before.
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
@@ -90,10 +90,11 @@ pub(super) fn measure_in(
 
 /// Measures a frame for its whole simulation.
 ///
-/// A first frame often is a lattice, and one that falls on the grid in a way that no later frame will. It is
-/// measured, and with a free origin all frames are sampled, on a grid that holds it as it will hold the fluid in
-/// disorder: see [`sound_origin`](crate::particles::lattice::sound_origin). That does for symmetry; for counting the isovalue has to come from disorder. Clouds are
-/// the same wherever they fall.
+/// A first frame often is a lattice, and one that falls on the grid in a way that no later frame
+/// will. It is measured, and with a free origin all frames are sampled, on a grid that holds it as
+/// it will hold the fluid in disorder: see
+/// [`sound_origin`](crate::particles::lattice::sound_origin). That does for symmetry; for counting
+/// the isovalue has to come from disorder. Clouds are the same wherever they fall.
 ///
 /// # Errors
 /// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Frame::sample`].
@@ -106,24 +107,27 @@ pub fn measure(
     sampling.refuse_unfit(surfacing)?;
     let given = sampling.grid;
     let lattice = origin_for_lattice(particles, sampling);
-    let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
+    let sound =
+        lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let grid = if origin == Origin::Free { sound.grid } else { given };
     let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
     if sound.method.indicator().is_none() {
         return Ok(nothing);
     }
-    let frame =
-        Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound }, &mut Timings::default())?;
+    let frame = Frame::sample(
+        particles,
+        &Sampling { carried: Vec::new(), ..sound },
+        &mut Timings::default(),
+    )?;
     match frame.dif() {
-        Some(sampled) => Ok(Measured { grid, ..measure_sampled(sampled, surfacing, lattice.is_some())? }),
+        Some(sampled) => {
+            Ok(Measured { grid, ..measure_sampled(sampled, surfacing, lattice.is_some())? })
+        }
         None => Ok(nothing),
     }
 }
 
 /// Measures a sampled frame for its whole simulation, by whether its particles stand on a lattice.
-///
-/// # Errors
-/// [`TooFine`].
 pub fn measure_sampled(
     frame: &SampledDif,
     surfacing: &Surfacing,

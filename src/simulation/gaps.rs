@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::inputs::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
-/// The numbers that are missing between others, by the greatest step that leads to all that are there.
-#[must_use]
+/// The numbers that are missing between others, by the greatest step that leads to all that are
+/// there.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
     let steps = neighbours(frames).map(|(a, b)| b.number - a.number);
     let step = steps.fold(0, greatest_common_divisor);
@@ -24,9 +24,8 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// The name that the file of a missing number would have, going by the one before it. `pattern` is that of the names; where there is
-/// none, names end with their numbers.
-#[must_use]
+/// The name that the file of a missing number would have, going by the one before it. `pattern` is
+/// that of the names; where there is none, names end with their numbers.
 pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: u64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
     let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
@@ -41,7 +40,8 @@ pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: u64
 pub struct Gaps {
     /// From one number to the next.
     pub step: u64,
-    /// The first and the last missing number of each gap: there may be any number of frames between two time stamps.
+    /// The first and the last missing number of each gap: there may be any number of frames between
+    /// two time stamps.
     pub ranges: Vec<(u64, u64)>,
     /// More is missing than there: a choice of frames, and not a simulation with gaps.
     pub sparse: bool,
@@ -49,19 +49,18 @@ pub struct Gaps {
 
 impl Gaps {
     /// Missing numbers in all.
-    #[must_use]
     pub fn count(&self) -> u64 {
         self.ranges.iter().map(|(first, last)| (last - first) / self.step.max(1) + 1).sum()
     }
 
     /// Keeps the gaps from `first` to `last`.
-    #[must_use]
     pub fn within(&self, first: u64, last: u64) -> Self {
         let step = self.step.max(1);
         let clipped = |&(lo, hi): &(u64, u64)| {
             let (below, above) =
                 (first.saturating_sub(lo).div_ceil(step), hi.saturating_sub(last).div_ceil(step));
-            (below.saturating_add(above) <= (hi - lo) / step).then(|| (lo + below * step, hi - above * step))
+            (below.saturating_add(above) <= (hi - lo) / step)
+                .then(|| (lo + below * step, hi - above * step))
         };
         Self { ranges: self.ranges.iter().filter_map(clipped).collect(), ..self.clone() }
     }
@@ -88,7 +87,8 @@ mod tests {
     use super::*;
 
     fn frames(numbers: &[u64]) -> Vec<FrameFile> {
-        let frame = |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
+        let frame =
+            |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
         numbers.iter().map(frame).collect()
     }
 

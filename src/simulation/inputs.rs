@@ -1,6 +1,7 @@
 //! The files that are the frames of a simulation, and their order.
 //!
-//! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern) says where the number is in a name.
+//! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern)
+//! says where the number is in a name.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -50,7 +51,8 @@ pub enum Inputs {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sequence {
     source: Inputs,
-    /// The pattern of the files' names; `None` for steps of a file, and for files without numbers, which are counted.
+    /// The pattern of the files' names; `None` for steps of a file, and for files without numbers,
+    /// which are counted.
     pattern: Option<Pattern>,
     /// How long an undecided file is waited for, where frames are still to come.
     patience: Option<Duration>,
@@ -79,25 +81,27 @@ impl Inputs {
     }
 
     /// Returns the inputs in the words of the request.
-    #[must_use]
     pub fn describe(&self) -> String {
         match self {
             Self::Pattern(pattern) => pattern.to_string(),
             Self::Folder(path) | Self::Steps(path) => path.display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
-            Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
+            Self::Files(files) => {
+                files.first().map_or(String::new(), |file| file.display().to_string())
+            }
         }
     }
 
-    /// The simulations whose frames are there now. Of a folder that holds particles, meshes are none, whoever made them.
+    /// The simulations whose frames are there now. Of a folder that holds particles, meshes are
+    /// none, whoever made them.
     ///
-    /// Where frames are still to come, `idle` is the number of seconds without news after which the simulation is over. A file of a
-    /// folder or a glob waits as long, and 5 minutes at most, if another file will tell whether it is a piece, or which of its
-    /// numbers is the frame's.
+    /// Where frames are still to come, `idle` is the number of seconds without news after which the
+    /// simulation is over. A file of a folder or a glob waits as long, and 5 minutes at most, if
+    /// another file will tell whether it is a piece, or which of its numbers is the frame's.
     ///
     /// # Errors
-    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`] where the names do not say which number is
-    /// the frame's.
+    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
+    /// where the names do not say which number is the frame's.
     pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
         let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
         let patience = idle
@@ -140,8 +144,8 @@ impl Inputs {
     /// The only simulation that is there, and its frames in order.
     ///
     /// # Errors
-    /// As [`simulations`](Self::simulations) and [`Sequence::list`], [`SimulationError::Several`] for several simulations, and
-    /// [`SimulationError::NoFrames`] where there is no frame.
+    /// As [`simulations`](Self::simulations) and [`Sequence::list`], [`SimulationError::Several`]
+    /// for several simulations, and [`SimulationError::NoFrames`] where there is no frame.
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
         let mut found = self.simulations(None)?;
         if found.len() > 1 {
@@ -153,7 +157,6 @@ impl Inputs {
     }
 
     /// The error of inputs that name no frame.
-    #[must_use]
     pub fn no_frames(&self) -> SimulationError {
         let folder = match self {
             Self::Pattern(pattern) => Some(pattern.folder()),
@@ -167,13 +170,18 @@ impl Inputs {
     }
 
     /// The refusal of several simulations, with the names of all.
-    #[must_use]
     pub fn several(&self, simulations: &[Sequence]) -> SimulationError {
         let each = simulations.iter().filter_map(|sequence| {
             let Pattern { prefix, suffix, .. } = sequence.pattern.as_ref()?;
-            Some(format!("{prefix}{{}}{suffix} ({})", sequence.list().map_or(0, |frames| frames.len())))
+            Some(format!(
+                "{prefix}{{}}{suffix} ({})",
+                sequence.list().map_or(0, |frames| frames.len())
+            ))
         });
-        SimulationError::Several { from: self.describe(), families: each.collect::<Vec<_>>().join(", ") }
+        SimulationError::Several {
+            from: self.describe(),
+            families: each.collect::<Vec<_>>().join(", "),
+        }
     }
 
     /// Whether a file would be found if it were there.
@@ -191,8 +199,10 @@ impl Inputs {
             Self::Pattern(pattern) => is_in(&pattern.folder),
             Self::Folder(folder) => is_in(folder) && is_known(path),
             Self::Glob(pattern) => {
-                // What stands for several letters stands for no folder, as where files are looked for.
-                let in_one_folder = MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
+                // What stands for several letters stands for no folder, as where files are looked
+                // for.
+                let in_one_folder =
+                    MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
                 glob::Pattern::new(pattern)
                     .is_ok_and(|pattern| pattern.matches_path_with(path, in_one_folder))
             }
@@ -204,8 +214,12 @@ impl Inputs {
     fn candidates(&self) -> Result<Vec<Candidate>, SimulationError> {
         Ok(match self {
             Self::Pattern(pattern) => {
-                let named = |path: PathBuf| pattern.folder.join(path.file_name().unwrap_or_default());
-                all_in(pattern.folder())?.into_iter().map(|path| Candidate::from(named(path))).collect()
+                let named =
+                    |path: PathBuf| pattern.folder.join(path.file_name().unwrap_or_default());
+                all_in(pattern.folder())?
+                    .into_iter()
+                    .map(|path| Candidate::from(named(path)))
+                    .collect()
             }
             Self::Folder(folder) => {
                 let known = all_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
@@ -215,7 +229,8 @@ impl Inputs {
                 files
             }
             Self::Glob(pattern) => {
-                let fail = |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
+                let fail =
+                    |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
                 glob::Pattern::new(pattern).map_err(fail)?;
                 let paths = glob::glob(&below(pattern)).map_err(fail)?.filter_map(Result::ok);
                 whole_frames(paths.filter(|path| path.is_file()).collect())
@@ -228,13 +243,11 @@ impl Inputs {
 
 impl Sequence {
     /// Returns the frames' pattern, else the inputs in the words of the request.
-    #[must_use]
     pub fn describe(&self) -> String {
         self.pattern.as_ref().map_or_else(|| self.source.describe(), Pattern::to_string)
     }
 
     /// The error where none of its frames is there.
-    #[must_use]
     pub fn no_frames(&self) -> SimulationError {
         match self.source.no_frames() {
             SimulationError::NoFrames(_) => SimulationError::NoFrames(self.describe()),
@@ -247,8 +260,8 @@ impl Sequence {
         &self.source
     }
 
-    /// The pattern of the files' names; `None` for steps of a file, and for files without numbers, which are counted.
-    #[must_use]
+    /// The pattern of the files' names; `None` for steps of a file, and for files without numbers,
+    /// which are counted.
     pub fn pattern(&self) -> Option<&Pattern> {
         self.pattern.as_ref()
     }
@@ -256,8 +269,9 @@ impl Sequence {
     /// The frames that are there now, in order.
     ///
     /// # Errors
-    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`] where two files are the same frame, or where
-    /// a file that came later shows that the frames are numbered otherwise.
+    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
+    /// where two files are the same frame, or where a file that came later shows that the frames
+    /// are numbered otherwise.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
         let counted = |number: u64, path| FrameFile { number, digits: number.to_string(), path };
         let mut frames: Vec<_> = match (&self.source, &self.pattern) {
@@ -266,9 +280,10 @@ impl Sequence {
                 let path = |number| PathBuf::from(format!("{}#{number}", file.display()));
                 steps.into_iter().map(|number| counted(number, path(number))).collect()
             }
-            (source, None) => {
-                (0..).zip(source.candidates()?).map(|(number, file)| counted(number, file.path)).collect()
-            }
+            (source, None) => (0..)
+                .zip(source.candidates()?)
+                .map(|(number, file)| counted(number, file.path))
+                .collect(),
             (source, Some(pattern)) => {
                 let files = source.candidates()?;
                 self.confirm(pattern, &files)?;
@@ -280,7 +295,9 @@ impl Sequence {
             }
         };
         frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
-        if let Some(pattern) = self.pattern.as_ref().filter(|_| !matches!(self.source, Inputs::Pattern(_))) {
+        if let Some(pattern) =
+            self.pattern.as_ref().filter(|_| !matches!(self.source, Inputs::Pattern(_)))
+        {
             refuse_decimals(pattern, &frames)?;
         }
         if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
@@ -294,7 +311,8 @@ impl Sequence {
         Ok(frames)
     }
 
-    /// The frame's number in the name of a file. A pattern that was typed is exact; one that was inferred includes `.gz`.
+    /// The frame's number in the name of a file. A pattern that was typed is exact; one that was
+    /// inferred includes `.gz`.
     fn digits<'a>(&self, pattern: &Pattern, file: &'a Candidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
@@ -309,7 +327,8 @@ impl Sequence {
         let Some(first) = files.iter().find(|file| is_frame(file)) else { return Ok(()) };
         let kind = first.skeleton();
         let is_alike = |file: &&Candidate| {
-            file.skeleton() == kind && (is_frame(file) || !may_be_piece(&file.path) || rests(file, patience))
+            file.skeleton() == kind
+                && (is_frame(file) || !may_be_piece(&file.path) || rests(file, patience))
         };
         let (mut alike, others): (Vec<_>, Vec<_>) =
             files.iter().filter(is_alike).cloned().partition(is_frame);
@@ -320,7 +339,10 @@ impl Sequence {
         }
         alike.extend(others);
         let patterns = infer(&alike)?;
-        if patterns.iter().any(|new| (&new.prefix, &new.suffix) == (&pattern.prefix, &pattern.suffix)) {
+        if patterns
+            .iter()
+            .any(|new| (&new.prefix, &new.suffix) == (&pattern.prefix, &pattern.suffix))
+        {
             return Ok(());
         }
         let patterns: Vec<_> = patterns.iter().map(|new| format!("\"{new}\"")).collect();
@@ -331,7 +353,6 @@ impl Sequence {
     }
 
     /// Whether a file would be taken for a frame if it were there.
-    #[must_use]
     pub fn takes(&self, path: &Path) -> bool {
         let file = Candidate::from(path.to_owned());
         self.source.takes(path)
@@ -339,8 +360,9 @@ impl Sequence {
     }
 }
 
-/// A glob that looks for names that begin with a dot without coming to `.` and `..`, which such a name would match, too: frames beside the
-/// folder are not asked for, and several such names one below the other would not come to an end.
+/// A glob that looks for names that begin with a dot without coming to `.` and `..`, which such a
+/// name would match, too: frames beside the folder are not asked for, and several such names one
+/// below the other would not come to an end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),
@@ -349,30 +371,34 @@ fn below(pattern: &str) -> String {
     pattern.split_inclusive(std::path::is_separator).map(name).collect()
 }
 
-/// Lists the frames that a request for a simulation names, in the order of their numbers: by a name with `{}`, a folder, a glob, a file
-/// of several steps, or files one by one.
+/// Lists the frames that a request for a simulation names, in the order of their numbers: by a name
+/// with `{}`, a folder, a glob, a file of several steps, or files one by one.
 ///
 /// # Errors
-/// [`Error::Simulation`] for a folder that cannot be read, names that cannot be those of frames, files of several simulations, and where
-/// there is no frame.
+/// [`Error::Simulation`] for a folder that cannot be read, names that cannot be those of frames,
+/// files of several simulations, and where there is no frame.
 pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     let inputs = Inputs::of(inputs)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
     Ok(inputs.only()?.1)
 }
 
-/// The files that arguments name which hold something: files themselves, those of a folder that are `wanted`, and those that a glob or a
-/// name with `{}` stands for; with their numbers in order.
+/// The files that arguments name which hold something: files themselves, those of a folder that are
+/// `wanted`, and those that a glob or a name with `{}` stands for; with their numbers in order.
 ///
 /// # Errors
-/// [`Error::Simulation`] for a folder that cannot be read, a pattern that cannot be one, and for arguments that name no file.
+/// [`Error::Simulation`] for a folder that cannot be read, a pattern that cannot be one, and for
+/// arguments that name no file.
 pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, Error> {
     let mut all = Vec::new();
     for argument in arguments {
         let mut found = match Inputs::of(std::slice::from_ref(argument))? {
             Some(Inputs::Folder(folder)) => files_in(&folder, &wanted)?,
             Some(inputs @ (Inputs::Pattern(_) | Inputs::Glob(_))) => {
-                let named =
-                    inputs.simulations(None)?.iter().map(Sequence::list).collect::<Result<Vec<_>, _>>()?;
+                let named = inputs.simulations(None)?.iter().map(Sequence::list).collect::<Result<
+                    Vec<_>,
+                    _,
+                >>(
+                )?;
                 named.into_iter().flatten().map(|frame| frame.path).collect()
             }
             Some(Inputs::Steps(_) | Inputs::Files(_)) | None => vec![argument.clone()],
@@ -403,7 +429,10 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     let mut parts = Vec::new();
     let mut begin = 0;
     for run in digit_runs(&name) {
-        parts.push((name[begin..run.start].to_owned(), name[run.clone()].parse().unwrap_or(u64::MAX)));
+        parts.push((
+            name[begin..run.start].to_owned(),
+            name[run.clone()].parse().unwrap_or(u64::MAX),
+        ));
         begin = run.end;
     }
     parts.push((name[begin..].to_owned(), 0));
@@ -451,7 +480,8 @@ fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SimulationError> {
     }
 }
 
-/// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in another order.
+/// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in
+/// another order.
 fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
     let before = pattern.prefix.strip_suffix('.').and_then(|before| before.chars().last());
     if !before.is_some_and(|last| last.is_ascii_digit()) {
@@ -510,12 +540,17 @@ impl Default for Selection {
 }
 
 impl Selection {
-    /// The frames that are wanted. Steps count from the first number asked for, else from the first there is.
-    #[must_use]
+    /// The frames that are wanted. Steps count from the first number asked for, else from the first
+    /// there is.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
-        let from = if self.start > 0 { self.start } else { frames.first().map_or(0, |frame| frame.number) };
+        let from = if self.start > 0 {
+            self.start
+        } else {
+            frames.first().map_or(0, |frame| frame.number)
+        };
         let wanted = |number: u64| {
-            (self.start..=self.end).contains(&number) && (number - from).is_multiple_of(self.step.max(1))
+            (self.start..=self.end).contains(&number)
+                && (number - from).is_multiple_of(self.step.max(1))
         };
         frames.into_iter().filter(|frame| wanted(frame.number)).collect()
     }
@@ -526,14 +561,19 @@ mod tests {
     use super::*;
 
     fn frames(numbers: &[u64]) -> Vec<FrameFile> {
-        let frame = |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
+        let frame =
+            |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
         numbers.iter().map(frame).collect()
     }
 
     #[test]
     fn a_selection_takes_both_ends_and_steps_from_the_first() {
         let numbers = |selection: Selection| {
-            selection.of(frames(&[1, 2, 3, 4, 5, 6, 7])).iter().map(|f| f.number).collect::<Vec<_>>()
+            selection
+                .of(frames(&[1, 2, 3, 4, 5, 6, 7]))
+                .iter()
+                .map(|f| f.number)
+                .collect::<Vec<_>>()
         };
         assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
         assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
@@ -543,7 +583,9 @@ mod tests {
     #[test]
     fn a_glob_takes_no_files_of_folders_below_its_own() {
         let inputs = Inputs::Glob("sim/*_?.[xp]*".to_owned());
-        assert!(inputs.takes(Path::new("sim/f_1.xyz")) && inputs.takes(Path::new("sim/mesh_1.ply")));
+        assert!(
+            inputs.takes(Path::new("sim/f_1.xyz")) && inputs.takes(Path::new("sim/mesh_1.ply"))
+        );
         for below in ["sim/mesh/f_1.ply", "sim/a_b/c_1.ply", "sim/a_1.p/c", "sim/a_/.ply"] {
             assert!(!inputs.takes(Path::new(below)), "{below}");
         }
@@ -553,8 +595,8 @@ mod tests {
     #[test]
     fn a_glob_of_names_that_begin_with_a_dot_does_not_leave_its_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let names =
-            ["f_1.xyz", ".a/f_2.xyz", ".a/.b/f_3.xyz", "a/f_4.xyz"].map(|name| folder.path().join(name));
+        let names = ["f_1.xyz", ".a/f_2.xyz", ".a/.b/f_3.xyz", "a/f_4.xyz"]
+            .map(|name| folder.path().join(name));
         for name in &names {
             std::fs::create_dir_all(name.parent().unwrap()).unwrap();
             std::fs::write(name, "").unwrap();

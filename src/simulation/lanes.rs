@@ -21,8 +21,8 @@ pub(super) struct Division {
 }
 
 impl Division {
-    /// For so many frames, with `chunk` bytes for each thread that are no frame's: one for each thread, and one more
-    /// that makes up for uneven ones and for reading.
+    /// For so many frames, with `chunk` bytes for each thread that are no frame's: one for each
+    /// thread, and one more that makes up for uneven ones and for reading.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // A lane has a thread at the least, and a frame that is alone has all.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
@@ -65,9 +65,15 @@ mod tests {
                     let Division { lanes, opening, share, alone, .. } = division;
                     if lanes > 1 {
                         let beside = (lanes * division.threads) as u64 * chunk;
-                        assert!(lanes as u64 * (opening.0 + share.0) + beside <= budget, "{division:?}");
+                        assert!(
+                            lanes as u64 * (opening.0 + share.0) + beside <= budget,
+                            "{division:?}"
+                        );
                         let beside = threads as u64 * chunk;
-                        assert!(lanes as u64 * opening.0 + alone.0 + beside <= budget, "{division:?}");
+                        assert!(
+                            lanes as u64 * opening.0 + alone.0 + beside <= budget,
+                            "{division:?}"
+                        );
                     }
                     assert!(lanes <= frames);
                     assert!(division.threads >= 1);

@@ -18,9 +18,10 @@ use super::frozen::{Measured, Trust, measure_in};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
-/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters reach, for the counting indicator
-/// also in disorder, and frozen: the frames from then on are alike. Until then [`is_settled`](Self::is_settled) is false, and each frame is measured anew
-/// and drawn by what it says itself, such as single drops.
+/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters
+/// reach, for the counting indicator also in disorder, and frozen: the frames from then on are
+/// alike. Until then [`is_settled`](Self::is_settled) is false, and each frame is measured anew and
+/// drawn by what it says itself, such as single drops.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};
@@ -59,7 +60,8 @@ impl LiveSimulation {
     /// Starts threads for a simulation, of which nothing is known yet.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and [`Error::Threads`].
+    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
+    /// [`Error::Threads`].
     pub fn new(request: &Reconstruction) -> Result<Self, Error> {
         let checked = request.checked()?;
         checked.refuse_of_indicator()?;
@@ -72,7 +74,8 @@ impl LiveSimulation {
         self.settled
     }
 
-    /// Gives the frames to come into the hands of another request: what ends them early, and whoever is told of their progress.
+    /// Gives the frames to come into the hands of another request: what ends them early, and
+    /// whoever is told of their progress.
     ///
     /// ```
     /// use meniscus::{Cancel, LiveSimulation, Reconstruction};
@@ -91,7 +94,8 @@ impl LiveSimulation {
 
     /// Reconstructs the surface of the next frame, from particles that are borrowed.
     ///
-    /// A frame without particles, or without a surface, is an empty mesh: a tank may be dry at times.
+    /// A frame without particles, or without a surface, is an empty mesh: a tank may be dry at
+    /// times.
     ///
     /// # Errors
     /// Those of [`Reconstruction::run`] but for that; the next frame may do better.
@@ -129,7 +133,8 @@ impl LiveSimulation {
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
-        let mut drawn = checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
+        let mut drawn =
+            checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
         drawn.report.warnings.splice(0..0, doubts.into_iter().map(Warning::Spacing));
         Ok(drawn)
@@ -150,16 +155,22 @@ impl LiveSimulation {
     }
 
     /// The mesh of a frame without a surface, with what vertices would carry.
-    fn empty(&self, particles: &(impl Particles + ?Sized), facts: FrameFacts) -> Result<Drawn, Error> {
+    fn empty(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        facts: FrameFacts,
+    ) -> Result<Drawn, Error> {
         let checked = &self.ready.checked;
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let mesh = checked.empty_mesh(carried_infos(particles.attributes(), &carried));
-        let report = Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
+        let report =
+            Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
         Ok(Drawn { mesh, precision: SinglePrecision::Enough, report })
     }
 }
 
-/// Measures a frame for all, on the grid of a lattice that came before, if one did. With it come doubts about its spacing.
+/// Measures a frame for all, on the grid of a lattice that came before, if one did. With it come
+/// doubts about its spacing.
 fn measured(
     ready: &Ready,
     particles: &(impl Particles + ?Sized),

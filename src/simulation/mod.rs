@@ -1,10 +1,11 @@
-//! The frames of a simulation: which files they are, what is measured once for all of them, and what is known of
-//! each that is done.
+//! The frames of a simulation: which files they are, what is measured once for all of them, and
+//! what is known of each that is done.
 //!
-//! What the surface depends on besides a frame's own particles is measured on the first frame that can tell,
-//! frozen, and kept in a state file beside the outputs. From then on frames are independent: whoever converts one,
-//! when and where, gets the same bytes. A frame that is done leaves a record beside the state; the record is
-//! written after the output has got its name, so an output with a record is whole.
+//! What the surface depends on besides a frame's own particles is measured on the first frame that
+//! can tell, frozen, and kept in a state file beside the outputs. From then on frames are
+//! independent: whoever converts one, when and where, gets the same bytes. A frame that is done
+//! leaves a record beside the state; the record is written after the output has got its name, so an
+//! output with a record is whole.
 //!
 //! How simulations are converted is said in `guide.md`, a page of the docs.
 

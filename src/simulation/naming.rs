@@ -36,7 +36,6 @@ impl Naming {
     }
 
     /// The folder of all outputs.
-    #[must_use]
     pub fn folder(&self) -> &Path {
         match self {
             Self::Pattern(pattern) => pattern.folder(),
@@ -44,17 +43,18 @@ impl Naming {
         }
     }
 
-    /// The pattern of the outputs of a simulation. In a folder they keep the names of the inputs, but for the extension.
-    #[must_use]
+    /// The pattern of the outputs of a simulation. In a folder they keep the names of the inputs,
+    /// but for the extension.
     pub fn outputs(&self, inputs: &Sequence) -> Pattern {
         let folder = match self {
             Self::Pattern(pattern) => return pattern.clone(),
             Self::Folder(folder) => folder.clone(),
         };
         let (prefix, tail) = match (inputs.source(), inputs.pattern()) {
-            (Inputs::Steps(file), _) => {
-                (format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()), String::new())
-            }
+            (Inputs::Steps(file), _) => (
+                format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()),
+                String::new(),
+            ),
             // Frames that are counted have only their number.
             (_, None) => Default::default(),
             (_, Some(Pattern { prefix, suffix, .. })) => (prefix.clone(), tail(suffix)),
@@ -63,11 +63,13 @@ impl Naming {
     }
 }
 
-/// The text between a frame's number and its extension; the number of a snapshot's piece is none of it.
+/// The text between a frame's number and its extension; the number of a snapshot's piece is none of
+/// it.
 fn tail(suffix: &str) -> String {
     // The stem of a name whose number is 0.
     let name = format!("0{suffix}");
-    let whole = snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
+    let whole =
+        snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
     stem(&whole.unwrap_or(name))[1..].to_owned()
 }
 
@@ -79,7 +81,8 @@ pub(super) fn without_number(stem: &str) -> &str {
     }
 }
 
-/// The name of the simulation whose meshes have these names, without any number: its state and series are called by it.
+/// The name of the simulation whose meshes have these names, without any number: its state and
+/// series are called by it.
 #[must_use]
 pub fn simulation(outputs: &Pattern) -> PathBuf {
     outputs.folder().join(format!("{}{}", without_number(&outputs.prefix), outputs.suffix))
@@ -91,7 +94,10 @@ mod tests {
 
     fn outputs(naming: &str, input: &str) -> Pattern {
         let inputs = Inputs::of(&[input.into()]).unwrap().unwrap();
-        Naming::of(Path::new(naming)).unwrap().unwrap().outputs(&inputs.simulations(None).unwrap()[0])
+        Naming::of(Path::new(naming))
+            .unwrap()
+            .unwrap()
+            .outputs(&inputs.simulations(None).unwrap()[0])
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! One frame on its way: read and counted beside others, meshed beside them too where it fits, else alone.
+//! One frame on its way: read and counted beside others, meshed beside them too where it fits, else
+//! alone.
 
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -70,8 +71,8 @@ struct Ready<'a> {
 }
 
 impl Conversion<'_> {
-    /// Makes sure that a frame's mesh can be written, in place of one that was made before if it is made `again`, and opens the frame,
-    /// unless its particles are open already.
+    /// Makes sure that a frame's mesh can be written, in place of one that was made before if it is
+    /// made `again`, and opens the frame, unless its particles are open already.
     pub(super) fn open(
         &self,
         checked: &Checked,
@@ -87,7 +88,8 @@ impl Conversion<'_> {
         let replace = if allowed { Replace::Allow } else { Replace::Refuse };
         let target = self.output(frame);
         refuse_same_file(&target, file_and_step(path).0)?;
-        let orientation = checked.settings.orientation(checked.settings.usual_up(path), self.format);
+        let orientation =
+            checked.settings.orientation(checked.settings.usual_up(path), self.format);
         let output = Output::prepare(&checked.settings, &target, replace, self.cancel())?;
         let output = output.with_layout(checked.settings.layout(orientation));
         let open = || {
@@ -97,8 +99,8 @@ impl Conversion<'_> {
             }
             let scratch = &checked.resources.scratch;
             let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch };
-            let file =
-                particles.map_or_else(|| open_wanted(path, checked.settings.wanted(), unpacking), Ok)?;
+            let file = particles
+                .map_or_else(|| open_wanted(path, checked.settings.wanted(), unpacking), Ok)?;
             timings.done("open");
             Ok::<_, Error>(Some(file))
         };
@@ -142,7 +144,8 @@ impl Conversion<'_> {
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
-        let (file, unfinished) = permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
+        let (file, unfinished) =
+            permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if Stamp::of(path).ok() != Some(input) {
             return Err(ReadError::new(path, ReadFault::Changed).into());
         }
@@ -163,7 +166,8 @@ impl Conversion<'_> {
             normals: mesh.has_normals(),
             attributes: mesh.attributes(),
         };
-        let (time, seconds) = (time.or(simulation.fps.map(|fps| frame.number as f64 / fps)), timings.total());
+        let (time, seconds) =
+            (time.or(simulation.fps.map(|fps| frame.number as f64 / fps)), timings.total());
         if let Some(report) = &mut report {
             report.timings = timings;
             report.threads = checked.threads;
@@ -184,7 +188,12 @@ impl Conversion<'_> {
     }
 
     /// Reads a frame that was sampled before.
-    fn unpack(&self, checked: &Checked, path: &Path, timings: &mut Timings) -> Result<Ready<'_>, Error> {
+    fn unpack(
+        &self,
+        checked: &Checked,
+        path: &Path,
+        timings: &mut Timings,
+    ) -> Result<Ready<'_>, Error> {
         let budget = self.frame_budget(self.division.share);
         let permit = self.gate.enter();
         let scratch = &checked.resources.scratch;
@@ -193,7 +202,13 @@ impl Conversion<'_> {
         checked.settings.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
         let frame = Frame::from_sampled(sampled, &checked.surfacing, resources);
-        Ok(Ready { frame: Some(frame), left_out: LeftOut::default(), infos: Vec::new(), time: None, permit })
+        Ok(Ready {
+            frame: Some(frame),
+            left_out: LeftOut::default(),
+            infos: Vec::new(),
+            time: None,
+            permit,
+        })
     }
 
     /// Samples the particles of a frame.
@@ -208,15 +223,20 @@ impl Conversion<'_> {
         let Checked { settings, surfacing, resources, .. } = checked;
         let control = &resources.control;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
-        let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
+        let [share, alone] =
+            [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
-        if let Some(spacing) = frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
+        if let Some(spacing) =
+            frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
+        {
             let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
-            doubts.iter().for_each(|doubt| self.setup.tell(Event::Doubted(Box::new(doubt.clone()))));
+            doubts
+                .iter()
+                .for_each(|doubt| self.setup.tell(Event::Doubted(Box::new(doubt.clone()))));
         }
         control.begin(Stage::Counting);
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
@@ -248,8 +268,8 @@ impl Conversion<'_> {
         Ok(Ready { frame, left_out: census.into(), infos, time: file.time, permit })
     }
 
-    /// The part of a lane's memory that is left for the frame, where as much as its surface takes is needed beside it: for the
-    /// triangles that are left, or for a writer that holds them all.
+    /// The part of a lane's memory that is left for the frame, where as much as its surface takes
+    /// is needed beside it: for the triangles that are left, or for a writer that holds them all.
     fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
         let Checked { settings, reduction, .. } = self.setup.checked;
         let holds = settings.holds_whole_mesh(self.format);

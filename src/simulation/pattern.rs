@@ -1,7 +1,8 @@
 //! The pattern of the names of a simulation's files: which digits are the frame's number.
 //!
-//! `{}` in a name says where the number is. Without it, [`infer`] finds the pattern from all names together: the number that varies
-//! is the frame's. Names that leave a choice are refused, with the patterns to choose from.
+//! `{}` in a name says where the number is. Without it, [`infer`] finds the pattern from all names
+//! together: the number that varies is the frame's. Names that leave a choice are refused, with the
+//! patterns to choose from.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -33,7 +34,8 @@ impl Pattern {
     /// Reads `{}` or `{:04}` in the name of `path`; `None` where there is none.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for more than one, one in a folder's name, or braces that say something else.
+    /// [`SimulationError::Names`] for more than one, one in a folder's name, or braces that say
+    /// something else.
     pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
         let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
@@ -50,7 +52,11 @@ impl Pattern {
             "" => None,
             _ => match inside.strip_prefix(":0").and_then(|width| width.parse().ok()) {
                 Some(width @ 1..=20) => Some(width),
-                _ => return wrong("a frame's number is written {} or, padded to four digits, {:04}"),
+                _ => {
+                    return wrong(
+                        "a frame's number is written {} or, padded to four digits, {:04}",
+                    );
+                }
             },
         };
         let (prefix, suffix) = (prefix.to_owned(), suffix.to_owned());
@@ -60,19 +66,19 @@ impl Pattern {
     /// The digits of a name that fits.
     pub(super) fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
         let digits = name.strip_prefix(&*self.prefix)?.strip_suffix(&*self.suffix)?;
-        let padded = |width: usize| digits.len() == width || digits.len() > width && !digits.starts_with('0');
+        let padded = |width: usize| {
+            digits.len() == width || digits.len() > width && !digits.starts_with('0')
+        };
         let fits = all_digits(digits) && self.width.is_none_or(padded);
         fits.then_some(digits)
     }
 
     /// The folder of the files, where no name means the current one.
-    #[must_use]
     pub fn folder(&self) -> &Path {
         if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder }
     }
 
     /// The name for a number, spelled `digits` where no width is given.
-    #[must_use]
     pub fn path(&self, number: u64, digits: &str) -> PathBuf {
         let Self { folder, prefix, suffix, width } = self;
         folder.join(match width {
@@ -98,7 +104,8 @@ pub(super) fn digit_runs(text: &str) -> Vec<Range<usize>> {
     runs
 }
 
-/// A text without the digits of these runs: two texts have the same skeleton if they differ in those digits only.
+/// A text without the digits of these runs: two texts have the same skeleton if they differ in
+/// those digits only.
 pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     let mut skeleton = text.to_owned();
     // No file's name has a zero byte.
@@ -155,9 +162,9 @@ impl Candidate {
 
 /// Infers the patterns of files, one for each simulation. Files without a number are ignored.
 ///
-/// Names that differ in text besides numbers belong to different simulations. Among the others the number that varies is the
-/// frame's; of a single file it is the last one. Where several numbers vary, the last is the frame's if the others tell simulations
-/// apart that ran side by side.
+/// Names that differ in text besides numbers belong to different simulations. Among the others the
+/// number that varies is the frame's; of a single file it is the last one. Where several numbers
+/// vary, the last is the frame's if the others tell simulations apart that ran side by side.
 ///
 /// # Errors
 /// [`SimulationError::Names`] where several numbers could be the frame's.
@@ -188,13 +195,15 @@ fn frame_run(files: &[&Candidate]) -> Result<usize, SimulationError> {
     // The digits of 0.95 or 1e-05 are one number in two runs.
     let is_joint = |text: &str| matches!(text, "." | "e" | "E" | "e-" | "E-" | "e+" | "E+");
     let joins = |&&run: &&usize| {
-        varying.contains(&(run + 1)) && is_joint(&first.name[first.runs[run].end..first.runs[run + 1].start])
+        varying.contains(&(run + 1))
+            && is_joint(&first.name[first.runs[run].end..first.runs[run + 1].start])
     };
     let decimal = others.iter().find(joins);
     if others.is_empty() || decimal.is_none() && side_by_side(files, others, last) {
         return Ok(last);
     }
-    let patterns: Vec<_> = varying.iter().map(|&run| format!("\"{}\"", first.pattern(run))).collect();
+    let patterns: Vec<_> =
+        varying.iter().map(|&run| format!("\"{}\"", first.pattern(run))).collect();
     let patterns = patterns.join(" or ");
     Err(SimulationError::Names(match decimal {
         Some(&run) => {
@@ -212,8 +221,9 @@ fn frame_run(files: &[&Candidate]) -> Result<usize, SimulationError> {
     }))
 }
 
-/// Whether the runs in `others` tell simulations apart whose frames are numbered by the run `last`: fewer simulations than frames, and
-/// at least half of the numbers of each are also those of the longest.
+/// Whether the runs in `others` tell simulations apart whose frames are numbered by the run `last`:
+/// fewer simulations than frames, and at least half of the numbers of each are also those of the
+/// longest.
 fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
@@ -222,7 +232,8 @@ fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     }
     let longest = simulations.values().max_by_key(|numbers| numbers.len());
     longest.is_some_and(|longest| {
-        let is_beside = |numbers: &BTreeSet<&str>| 2 * numbers.intersection(longest).count() >= numbers.len();
+        let is_beside =
+            |numbers: &BTreeSet<&str>| 2 * numbers.intersection(longest).count() >= numbers.len();
         simulations.len() < longest.len() && simulations.values().all(is_beside)
     })
 }
@@ -275,19 +286,24 @@ mod tests {
     fn names_of_a_random_pattern_give_that_pattern_in_any_order() {
         let mut state = 1_u64;
         let mut pick = |below: usize| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) as usize % below
         };
         let texts = ["a", "run2024_", "é", "_v", "-", " ", "水3.", ".", "x1y22z", "_07_", "e-"];
         for _ in 0..2000 {
-            let mut text = |from: &[&str]| (0..pick(4)).map(|_| from[pick(from.len())]).collect::<String>();
+            let mut text =
+                |from: &[&str]| (0..pick(4)).map(|_| from[pick(from.len())]).collect::<String>();
             // The number is a run of its own.
             let prefix = text(&texts).trim_end_matches(|c: char| c.is_ascii_digit()).to_owned();
             let middle = text(&texts).trim_start_matches(|c: char| c.is_ascii_digit()).to_owned();
             let suffix = middle + [".ply", ".bi4", ".h5", ".xyz"][pick(4)];
             let (width, first, step) = (pick(6), pick(100), 1 + pick(10));
             let mut names: Vec<String> = (0..2 + pick(12))
-                .map(|i| format!("{prefix}{:0width$}{suffix}{}", first + i * step, ["", ".gz"][pick(2)]))
+                .map(|i| {
+                    format!("{prefix}{:0width$}{suffix}{}", first + i * step, ["", ".gz"][pick(2)])
+                })
                 .collect();
             for i in 0..names.len() {
                 names.swap(i, pick(i + 1));
@@ -299,8 +315,9 @@ mod tests {
     #[test]
     fn another_number_tells_simulations_apart_that_ran_side_by_side() {
         let fluids = |name: fn(u32, u32) -> String, frames: [u32; 2]| {
-            let names: Vec<_> =
-                (0..2).flat_map(|fluid| (frames[fluid as usize]..9).map(move |i| name(fluid, i))).collect();
+            let names: Vec<_> = (0..2)
+                .flat_map(|fluid| (frames[fluid as usize]..9).map(move |i| name(fluid, i)))
+                .collect();
             patterns(&names)
         };
         let split = ["fluid0_{}.xyz", "fluid1_{}.xyz"];
@@ -318,7 +335,10 @@ mod tests {
             (&["a1_1.xyz", "a1_2.xyz", "a2_1.xyz", "a2_2.xyz"], ["\"a{}_1.xyz\"", "\"a1_{}.xyz\""]),
             (&["p_1_0.vtu", "p_1_1.vtu", "p_2_0.vtu"], ["\"p_{}_0.vtu\"", "\"p_1_{}.vtu\""]),
             (&["f_0.90.xyz", "f_0.95.xyz", "f_1.00.xyz"], ["\"f_{}.90.xyz\"", "\"f_0.{}.xyz\""]),
-            (&["f_1e-05.xyz", "f_1e-04.xyz", "f_5e-05.xyz"], ["\"f_{}e-04.xyz\"", "\"f_1e-{}.xyz\""]),
+            (
+                &["f_1e-05.xyz", "f_1e-04.xyz", "f_5e-05.xyz"],
+                ["\"f_{}e-04.xyz\"", "\"f_1e-{}.xyz\""],
+            ),
         ] {
             let refused = patterns(names).unwrap_err().to_string();
             assert!(choices.iter().all(|choice| refused.contains(choice)), "{refused}");
@@ -337,7 +357,10 @@ mod tests {
         assert_eq!((padded.digits("x_42.ply"), padded.digits("x_01234567.ply")), (None, None));
         let plain = Pattern::parse(Path::new("x{}")).unwrap().unwrap();
         assert_eq!(plain.path(42, "0042"), Path::new("x0042"));
-        assert_eq!((plain.digits("x"), plain.digits("x4a"), plain.digits("x007")), (None, None, Some("007")));
+        assert_eq!(
+            (plain.digits("x"), plain.digits("x4a"), plain.digits("x007")),
+            (None, None, Some("007"))
+        );
         for wrong in ["x_{}_{}.ply", "x_{:4}.ply", "x_{n}.ply", "a_{}/x_{}.ply"] {
             Pattern::parse(Path::new(wrong)).unwrap_err();
         }

@@ -1,4 +1,5 @@
-//! Pictures of meshes in files: of one, of each of a simulation, of all on a sheet, or an animation; through one camera.
+//! Pictures of meshes in files: of one, of each of a simulation, of all on a sheet, or an
+//! animation; through one camera.
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,7 @@ use std::thread::available_parallelism;
 use crate::error::{Error, SimulationError};
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::stamp::is_same_file;
-use crate::io::whole::{Replace, WholeFile, make_folder_of};
+use crate::io::whole::{MadeFolders, Replace, WholeFile};
 use crate::io::{UpAxis, WriteError, WriteFault};
 use crate::reconstruction::Threads;
 use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
@@ -31,8 +32,9 @@ const FPS: f64 = 24.0;
 
 /// A request for pictures of meshes in files.
 ///
-/// One mesh gives one picture. Of several, a folder or a name with `{}` for the number takes a picture of each, `.apng` an animation,
-/// and `.png` a sheet of all. All are seen from one place, which sees all of them, with one range of values.
+/// One mesh gives one picture. Of several, a folder or a name with `{}` for the number takes a
+/// picture of each, `.apng` an animation, and `.png` a sheet of all. All are seen from one place,
+/// which sees all of them, with one range of values.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Pictures {
@@ -49,7 +51,10 @@ pub struct Pictures {
 
 /// A file that is ready to take a picture: a `.png` that appears whole or not at all.
 #[derive(Debug)]
-pub struct PictureFile(WholeFile);
+pub struct PictureFile(
+    WholeFile,
+    #[expect(dead_code, reason = "dropped after the file")] MadeFolders,
+);
 
 impl PictureFile {
     /// Makes sure, before the work, that a picture can be written.
@@ -58,15 +63,18 @@ impl PictureFile {
     /// [`Error::Write`].
     pub fn prepare(path: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
         let path = path.as_ref();
-        make_folder_of(path)?;
+        let folders = MadeFolders::of(path)?;
         let file = WholeFile::prepare(path, replace)?;
         match extension(path) == PNG || file.is_direct() {
-            true => Ok(Self(file)),
-            false => Err(WriteError::new(path, WriteFault::UnknownExtension { known: ".png" }).into()),
+            true => Ok(Self(file, folders)),
+            false => {
+                Err(WriteError::new(path, WriteFault::UnknownExtension { known: ".png" }).into())
+            }
         }
     }
 
-    /// Makes sure, before the work, that a picture can be written beside a mesh, under its name with `.png`.
+    /// Makes sure, before the work, that a picture can be written beside a mesh, under its name
+    /// with `.png`.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -134,7 +142,8 @@ impl Pictures {
         }
     }
 
-    /// Sets the width and height in pixels: 1920 x 1080 otherwise, 960 x 540 in an animation, 640 x 360 on a sheet.
+    /// Sets the width and height in pixels: 1920 x 1080 otherwise, 960 x 540 in an animation, 640 x
+    /// 360 on a sheet.
     pub fn size(mut self, width: usize, height: usize) -> Self {
         self.picture = self.picture.size(width, height);
         self.sized = true;
@@ -159,8 +168,8 @@ impl Pictures {
         self
     }
 
-    /// Sets the bytes of memory that a mesh and its picture may take. A .ply as this library writes it is drawn from its file, in a stream,
-    /// where it would take more than half of them.
+    /// Sets the bytes of memory that a mesh and its picture may take. A .ply as this library writes
+    /// it is drawn from its file, in a stream, where it would take more than half of them.
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
         self
@@ -175,16 +184,18 @@ impl Pictures {
     /// Draws and writes them, and tells of each.
     ///
     /// # Errors
-    /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`], [`Error::Write`], [`Error::TwoPurposes`],
-    /// [`Error::Threads`] and [`Error::Cancelled`].
+    /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`],
+    /// [`Error::Write`], [`Error::TwoPurposes`], [`Error::Threads`] and [`Error::Cancelled`].
     pub fn run(mut self, tell: impl FnMut(PictureDone<'_>) + Send) -> Result<(), Error> {
         self.picture.check().map_err(|fault| Error::Picture { path: None, fault })?;
         if !RATES.contains(&self.fps) {
             return Err(SimulationError::Rate { rate: self.fps, range: RATES }.into());
         }
-        let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
+        let threads =
+            self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         let pool = Threads::start(threads).map_err(Error::Threads)?;
         let (sequence, mut frames) = self.frames()?;
+        let _folders = MadeFolders::of(&self.output)?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
             Target::Sheet(_) => {
@@ -212,7 +223,11 @@ impl Pictures {
             // Beside meshes lie other files.
             let files = files_in(mesh, |file| MeshFormat::of(file).is_some())?;
             match &files[..] {
-                [] => return Err(SimulationError::NoFrames(format!("{}: no mesh", mesh.display())).into()),
+                [] => {
+                    return Err(
+                        SimulationError::NoFrames(format!("{}: no mesh", mesh.display())).into()
+                    );
+                }
                 [file] => return Ok((None, vec![alone(file)])),
                 _ => Inputs::Files(files),
             }
@@ -244,9 +259,13 @@ impl Pictures {
             }
             let named = |frame: &FrameFile| {
                 let picture = match (&naming, sequence) {
-                    (_, Some(sequence)) => naming.outputs(sequence).path(frame.number, &frame.digits),
+                    (_, Some(sequence)) => {
+                        naming.outputs(sequence).path(frame.number, &frame.digits)
+                    }
                     (Naming::Pattern(pattern), None) => pattern.path(frame.number, &frame.digits),
-                    (Naming::Folder(folder), None) => folder.join(frame.path.file_name().unwrap_or_default()),
+                    (Naming::Folder(folder), None) => {
+                        folder.join(frame.path.file_name().unwrap_or_default())
+                    }
                 };
                 picture.with_extension(PNG)
             };
@@ -259,22 +278,26 @@ impl Pictures {
             return Ok(Target::Each(files));
         }
         self.refuse_inputs(frames, output)?;
-        make_folder_of(output)?;
         let file = WholeFile::prepare(output, self.replace)?;
         match extension(output) {
             APNG if frames.len() > 1 => Ok(Target::Animation(file)),
-            APNG => Err(Error::Request(format!("{}: an animation takes several meshes", output.display()))),
+            APNG => Err(Error::Request(format!(
+                "{}: an animation takes several meshes",
+                output.display()
+            ))),
             _ if extension(output) != PNG && !file.is_direct() => {
                 Err(fail(output, WriteFault::UnknownExtension { known: KNOWN }))
             }
             _ if frames.len() > 1 => Ok(Target::Sheet(file)),
-            _ => Ok(Target::One(PictureFile(file))),
+            _ => Ok(Target::One(PictureFile(file, MadeFolders::of(output)?))),
         }
     }
 
     fn refuse_inputs(&self, frames: &[FrameFile], output: &Path) -> Result<(), Error> {
         match frames.iter().find(|frame| is_same_file(&frame.path, output)) {
-            Some(frame) => Err(Error::TwoPurposes { path: output.to_owned(), other: frame.path.clone() }),
+            Some(frame) => {
+                Err(Error::TwoPurposes { path: output.to_owned(), other: frame.path.clone() })
+            }
             None => Ok(()),
         }
     }
@@ -364,7 +387,8 @@ impl Pictures {
         let mut scope = Scope::default();
         for frame in frames {
             let mesh = self.read(frame)?;
-            let of_mesh = self.picture.scope_of(mesh.source()).map_err(|fault| of_file(frame, fault))?;
+            let of_mesh =
+                self.picture.scope_of(mesh.source()).map_err(|fault| of_file(frame, fault))?;
             scope = scope.joined(of_mesh);
         }
         Ok(scope)
@@ -415,8 +439,9 @@ pub struct Sheet {
 }
 
 impl Simulation {
-    /// Makes sure, before the work, that a sheet of the frames can be written beside the meshes: called as they are, without their numbers,
-    /// or `frames.png`. One that is there already is replaced where the simulation replaces its outputs, or goes on.
+    /// Makes sure, before the work, that a sheet of the frames can be written beside the meshes:
+    /// called as they are, without their numbers, or `frames.png`. One that is there already is
+    /// replaced where the simulation replaces its outputs, or goes on.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -437,7 +462,9 @@ impl Simulation {
             )));
         }
         let settings = &self.request.settings;
-        let first = || self.names().ok()?.0.simulations(None).ok()?.first()?.list().ok()?.into_iter().next();
+        let first = || {
+            self.names().ok()?.0.simulations(None).ok()?.first()?.list().ok()?.into_iter().next()
+        };
         let usual = || first().map_or(UpAxis::Y, |frame| settings.usual_up(&frame.path));
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);

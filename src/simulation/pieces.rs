@@ -1,10 +1,11 @@
 //! Telling files that are frames from their pieces.
 //!
-//! Pieces are told by what names them: a .pvtp or .pvtu beside them, their own names as DualSPHysics spells them, or the header of a
-//! snapshot whose files are `base.0.hdf5`, `base.1.hdf5` and so on. These are one frame, numbered as `base.hdf5` is.
+//! Pieces are told by what names them: a .pvtp or .pvtu beside them, their own names as
+//! DualSPHysics spells them, or the header of a snapshot whose files are `base.0.hdf5`,
+//! `base.1.hdf5` and so on. These are one frame, numbered as `base.hdf5` is.
 //!
-//! A .pvtp or .pvtu is written after its pieces. Until then they are told by their names, if there is another frame: `pool_2_0.vtp` is a
-//! piece where `pool_1.pvtp` names `pool_1_0.vtp`.
+//! A .pvtp or .pvtu is written after its pieces. Until then they are told by their names, if there
+//! is another frame: `pool_2_0.vtp` is a piece where `pool_1.pvtp` names `pool_1_0.vtp`.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -40,10 +41,13 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
         if named.contains(&path) || is_later_piece(&path) || is_to_come() {
             return None;
         }
-        match snapshot_piece(&path).and_then(|(base, number)| Some((number, snapshots.get(&base)?, base))) {
+        match snapshot_piece(&path)
+            .and_then(|(base, number)| Some((number, snapshots.get(&base)?, base)))
+        {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
                 let stands = !snapshot.has_base && number == snapshot.first;
-                // The frame's number is in the name of the snapshot, and that begins the names of its pieces.
+                // The frame's number is in the name of the snapshot, and that begins the names of
+                // its pieces.
                 stands.then(|| Candidate { runs: Candidate::from(base).runs, ..path.into() })
             }
             _ => Some(path.into()),
@@ -52,8 +56,8 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
     paths.into_iter().filter_map(whole).collect()
 }
 
-/// The names of a frame's pieces, whatever their numbers: the folder, and the skeleton of a name. `None` where the pieces are not named
-/// like the frame, with a number of their own.
+/// The names of a frame's pieces, whatever their numbers: the folder, and the skeleton of a name.
+/// `None` where the pieces are not named like the frame, with a number of their own.
 fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     let stem = index.file_stem()?.to_str()?;
     let own = piece.file_name()?.to_str()?.strip_prefix(stem)?;
@@ -67,8 +71,8 @@ fn named_like(path: &Path) -> Option<(PathBuf, String)> {
     Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
 }
 
-/// Whether a file may be a piece of a frame that is not there yet: VTK's writers call that `pool_1_0.vtp` or `pool_1_0.vtu` whose frame
-/// is going to be `pool_1.pvtp` or `pool_1.pvtu`.
+/// Whether a file may be a piece of a frame that is not there yet: VTK's writers call that
+/// `pool_1_0.vtp` or `pool_1_0.vtu` whose frame is going to be `pool_1.pvtp` or `pool_1.pvtu`.
 pub(super) fn may_be_piece(path: &Path) -> bool {
     let is_vtk = path.extension().is_some_and(|extension| extension == "vtp" || extension == "vtu");
     let stem = path.file_stem().and_then(|stem| stem.to_str()).filter(|_| is_vtk);

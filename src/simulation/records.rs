@@ -1,8 +1,9 @@
 //! Records of the frames that are done, a line of JSON each.
 //!
-//! Every process writes a log of its own, `frames.1.jsonl`, `frames.2.jsonl` and so on, and holds a lock on it while it
-//! lives. Whoever is done moves all logs that nobody writes any more into `frames.jsonl`, in the frames' order: at the
-//! end there is that file alone, and it is the same whoever did what.
+//! Every process writes a log of its own, `frames.1.jsonl`, `frames.2.jsonl` and so on, and holds a
+//! lock on it while it lives. Whoever is done moves all logs that nobody writes any more into
+//! `frames.jsonl`, in the frames' order: at the end there is that file alone, and it is the same
+//! whoever did what.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -38,7 +39,6 @@ pub struct Record {
 
 impl Record {
     /// Whether `output` holds the bytes that were written, which takes as long as to read them.
-    #[must_use]
     pub fn is_whole(&self, output: &Path) -> bool {
         crc(output).is_ok_and(|crc| crc == self.crc)
     }
@@ -66,10 +66,10 @@ pub struct Records(BTreeMap<u64, Record>);
 
 impl Records {
     /// Reads the records in `folder`. One that cannot be read is none: the frame is made again.
-    #[must_use]
     pub fn read(folder: &Path) -> Self {
         // A log that is moved meanwhile is in the merged file, which is why that one is read last.
-        let logs: Vec<Vec<u8>> = logs(folder).into_values().filter_map(|path| fs::read(path).ok()).collect();
+        let logs: Vec<Vec<u8>> =
+            logs(folder).into_values().filter_map(|path| fs::read(path).ok()).collect();
         let mut records = Self::default();
         records.add(&fs::read(folder.join(MERGED)).unwrap_or_default());
         logs.iter().for_each(|log| records.add(log));
@@ -78,18 +78,26 @@ impl Records {
 
     /// Adds records; later ones replace earlier ones.
     fn add(&mut self, lines: &[u8]) {
-        let records = lines.split(|&byte| byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok());
+        let records =
+            lines.split(|&byte| byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok());
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
     }
 
     /// The record of a frame whose output has its size, and would have it if it were made now.
-    #[must_use]
-    pub fn current(&self, frame: u64, input: &Path, output: &Path, fingerprint: u32) -> Option<&Record> {
+    pub fn current(
+        &self,
+        frame: u64,
+        input: &Path,
+        output: &Path,
+        fingerprint: u32,
+    ) -> Option<&Record> {
         let record = self.0.get(&frame)?;
         let same = record.fingerprint == fingerprint
             && Stamp::of(input).is_ok_and(|stamp| stamp == record.input)
             && output.file_name().is_some_and(|name| *name == *record.mesh.file)
-            && output.metadata().is_ok_and(|found| found.is_file() && found.len() == record.mesh.bytes);
+            && output
+                .metadata()
+                .is_ok_and(|found| found.is_file() && found.len() == record.mesh.bytes);
         same.then_some(record)
     }
 }
@@ -103,30 +111,25 @@ pub struct Log {
 
 impl Log {
     /// Records in a folder that may not be there yet.
-    #[must_use]
     pub fn new(folder: PathBuf) -> Self {
         Self { folder, file: Mutex::new(None) }
     }
 
     /// Where it is.
-    #[must_use]
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
     /// Opens the log, which tells others that somebody is at work.
-    ///
-    /// # Errors
-    /// [`SimulationError::Io`].
     pub fn open(&self) -> Result<(), SimulationError> {
         let opened = create(&self.folder);
-        let opened = opened.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })?;
+        let opened =
+            opened.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })?;
         self.file.lock().unwrap_or_else(PoisonError::into_inner).replace(opened);
         Ok(())
     }
 
     /// Whether another process writes a log of its own, as far as the file system's locks tell.
-    #[must_use]
     pub fn others_are_open(&self) -> bool {
         let is_open = |path: PathBuf| {
             let Ok(file) = options().open(path) else { return false };
@@ -136,14 +139,12 @@ impl Log {
     }
 
     /// Keeps the record of a frame.
-    ///
-    /// # Errors
-    /// [`SimulationError::Io`].
     pub fn keep(&self, record: &Record) -> Result<(), SimulationError> {
         let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
         line.push(b'\n');
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        // Where locks do not reach from one machine to another, someone may have taken the log for an ended one.
+        // Where locks do not reach from one machine to another, someone may have taken the log for
+        // an ended one.
         let named = file.take().filter(has_name);
         let written = named.map_or_else(|| create(&self.folder), Ok).and_then(|mut named| {
             named.write_all(&line)?;
@@ -153,11 +154,8 @@ impl Log {
         written.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })
     }
 
-    /// Ends this log, and moves all that are not written any more into one file. Of several processes only one may do so
-    /// at a time.
-    ///
-    /// # Errors
-    /// Those of [`WholeFile`].
+    /// Ends this log, and moves all that are not written any more into one file. Of several
+    /// processes only one may do so at a time.
     pub fn merge(&self) -> Result<(), WriteError> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
         // What cannot be locked or read stays as it is.
@@ -186,7 +184,8 @@ impl Log {
             }
             Ok(())
         })?;
-        // The locks are held until the names are gone: who just created a log will find that, and begin again.
+        // The locks are held until the names are gone: who just created a log will find that, and
+        // begin again.
         ended.iter().for_each(|(path, ..)| drop(fs::remove_file(path)));
         Ok(())
     }
@@ -293,7 +292,11 @@ mod tests {
         assert_eq!(current(5), Some(&record));
         assert_eq!(current(6), None, "other settings");
         assert_eq!(records.current(2, &input, &output, 5), None, "another frame");
-        assert_eq!(records.current(1, &input, &folder.path().join("b.ply"), 5), None, "another output");
+        assert_eq!(
+            records.current(1, &input, &folder.path().join("b.ply"), 5),
+            None,
+            "another output"
+        );
         assert!(record.is_whole(&output));
         fs::write(&output, "mess").unwrap();
         assert!(!record.is_whole(&output), "other bytes of the same number");
@@ -310,9 +313,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let [first, second, alive] = [(); 3].map(|()| Log::new(folder.path().to_owned()));
         let keep = |log: &Log, records: &[(u64, u32)]| {
-            records.iter().for_each(|&(frame, fingerprint)| log.keep(&record(frame, fingerprint)).unwrap());
+            records
+                .iter()
+                .for_each(|&(frame, fingerprint)| log.keep(&record(frame, fingerprint)).unwrap());
         };
-        let all = || Records::read(folder.path()).0.into_values().map(|r| (r.mesh.frame, r.fingerprint));
+        let all =
+            || Records::read(folder.path()).0.into_values().map(|r| (r.mesh.frame, r.fingerprint));
         keep(&first, &[(12, 1), (3, 1)]);
         keep(&second, &[(3, 2), (7, 2)]);
         keep(&alive, &[(5, 3)]);
@@ -323,7 +329,11 @@ mod tests {
 
         drop(first);
         second.merge().unwrap();
-        assert_eq!(names(folder.path()), ["frames.3.jsonl", "frames.jsonl"], "what is written to stays");
+        assert_eq!(
+            names(folder.path()),
+            ["frames.3.jsonl", "frames.jsonl"],
+            "what is written to stays"
+        );
         assert!(all().eq(before));
         keep(&alive, &[(12, 3)]);
         alive.merge().unwrap();
@@ -333,7 +343,10 @@ mod tests {
         keep(&alive, &[(9, 5)]);
         fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
         keep(&alive, &[(9, 6)]);
-        assert!(all().any(|record| record == (9, 6)), "what is written to a file without a name is lost");
+        assert!(
+            all().any(|record| record == (9, 6)),
+            "what is written to a file without a name is lost"
+        );
         fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
 
         let whole = fs::read(folder.path().join("frames.jsonl")).unwrap();
@@ -341,7 +354,10 @@ mod tests {
         let log = folder.path().join("frames.1.jsonl");
         let bytes = fs::read(&log).unwrap();
         fs::write(&log, &bytes[..bytes.len() - 2]).unwrap();
-        assert!(all().eq([(3, 2), (4, 4), (5, 3), (7, 2), (12, 3)]), "a line that was cut off is none");
+        assert!(
+            all().eq([(3, 2), (4, 4), (5, 3), (7, 2), (12, 3)]),
+            "a line that was cut off is none"
+        );
         drop(alive);
         fs::write(&log, "").unwrap();
         second.merge().unwrap();

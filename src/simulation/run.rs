@@ -37,14 +37,17 @@ struct Begun<'a> {
 }
 
 impl Simulation {
-    /// Converts all frames, and calls `hear` with each event, on the caller's thread. Returns a summary of each simulation that there is.
+    /// Converts all frames, and calls `hear` with each event, on the caller's thread. Returns a
+    /// summary of each simulation that there is.
     ///
-    /// A frame that cannot be made does not stop the others: [`Summary::failed`] lists it. The work waits for a `hear` that is slow, which
-    /// therefore must not wait for the threads of the request's [pool](crate::Reconstruction::pool).
+    /// A frame that cannot be made does not stop the others: [`Summary::failed`] lists it. The work
+    /// waits for a `hear` that is slow, which therefore must not wait for the threads of the
+    /// request's [pool](crate::Reconstruction::pool).
     ///
     /// # Errors
-    /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames, [`Error::Simulation`], [`Error::TwoPurposes`],
-    /// [`Error::Write`] as soon as nothing can be written, [`Error::Vulkan`], and [`Error::Cancelled`].
+    /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
+    /// [`Error::Simulation`], [`Error::TwoPurposes`], [`Error::Write`] as soon as nothing can be
+    /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| {
             let Begun { setup, series, store, frames, found } = begun;
@@ -57,13 +60,17 @@ impl Simulation {
             convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
         })?;
         let summed = |(inputs, converted): (String, Result<Summary, Arc<Error>>)| {
-            converted.unwrap_or_else(|error| Summary { inputs, error: Some(error), ..Summary::default() })
+            converted.unwrap_or_else(|error| Summary {
+                inputs,
+                error: Some(error),
+                ..Summary::default()
+            })
         };
         Ok(converted.into_iter().map(summed).collect())
     }
 
-    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers of the frames: for several jobs, each
-    /// of which converts [some](Self::frames).
+    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers
+    /// of the frames: for several jobs, each of which converts [some](Self::frames).
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
@@ -76,7 +83,8 @@ impl Simulation {
                 Some(state) => setup.tell(goes_on(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
-            let wanted = frames.iter().map(|frame| frame.number).filter(|&number| plan.wants(number));
+            let wanted =
+                frames.iter().map(|frame| frame.number).filter(|&number| plan.wants(number));
             Ok(wanted.collect::<Vec<_>>())
         })?;
         // Several simulations are not planned at once.
@@ -96,7 +104,8 @@ impl Simulation {
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
 
-    /// Bytes of all frames that are wanted; `None` where more are waited for, or files do not tell how much their particles are.
+    /// Bytes of all frames that are wanted; `None` where more are waited for, or files do not tell
+    /// how much their particles are.
     #[must_use]
     pub fn input_bytes(&self) -> Option<u64> {
         if self.watch.is_some() {
@@ -104,7 +113,8 @@ impl Simulation {
         }
         let mut frames = Vec::new();
         for sequence in self.names().ok()?.0.simulations(None).ok()? {
-            frames.extend(sequence.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
+            frames
+                .extend(sequence.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
         }
         let files: HashSet<&Path> = frames.iter().map(|frame| frame.path.as_path()).collect();
         crate::backend::choice::bytes_of(files)
@@ -138,7 +148,8 @@ impl Simulation {
         Ok((inputs, naming, checked))
     }
 
-    /// The simulations that are there, and the selected frames of each; once there are some where a simulation is followed.
+    /// The simulations that are there, and the selected frames of each; once there are some where a
+    /// simulation is followed.
     fn found(
         &self,
         inputs: &Inputs,
@@ -166,8 +177,9 @@ impl Simulation {
         Ok(found)
     }
 
-    /// Does something with each simulation that is there, on threads of its own, while `hear` is called on this one. Returns what came
-    /// of each, beside its inputs; fails with an error that concerns them all.
+    /// Does something with each simulation that is there, on threads of its own, while `hear` is
+    /// called on this one. Returns what came of each, beside its inputs; fails with an error that
+    /// concerns them all.
     fn each<T: Send>(
         &self,
         hear: impl FnMut(Event),
@@ -197,7 +209,8 @@ impl Simulation {
             let mut results = Vec::new();
             for (sequence, frames) in simulations.iter().zip(frames) {
                 let outputs = naming.outputs(sequence);
-                let setup = Setup { simulation: self, sequence, outputs, checked: &ready.checked, teller };
+                let setup =
+                    Setup { simulation: self, sequence, outputs, checked: &ready.checked, teller };
                 let result = match self.begin(&setup, frames).and_then(act) {
                     // What is wrong with one fluid's files does not concern the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
@@ -231,7 +244,8 @@ impl Simulation {
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoneWanted(setup.sequence.describe()).into());
         }
-        // Looked for before the state: a state is there before the first output of its conversion is.
+        // Looked for before the state: a state is there before the first output of its conversion
+        // is.
         let output = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
         let listing = series.files().into_iter().find(|path| path.exists());
         let found = setup.kept_state(&store, &frames)?;

@@ -55,7 +55,8 @@ impl Setup<'_> {
         Ok(self.sequence.list()?)
     }
 
-    /// The mesh's file of a frame: its number padded as it is in the input's name, unless the pattern says how.
+    /// The mesh's file of a frame: its number padded as it is in the input's name, unless the
+    /// pattern says how.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.outputs.path(frame.number, &frame.digits)
     }
@@ -65,8 +66,8 @@ impl Setup<'_> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The way to sample a frame by what all have in common. A slab is only for frames that lie in it: the first layer of an
-    /// emitter does, and the second does not.
+    /// The way to sample a frame by what all have in common. A slab is only for frames that lie in
+    /// it: the first layer of an emitter does, and the second does not.
     pub(super) fn sampling(
         &self,
         frozen: &Frozen,
@@ -77,7 +78,13 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let method = request.method.calibrated(frozen.calibration.as_ref());
         let slab = frozen.slab.filter(|slab| slab.holds(particles));
-        request.in_slab(slab).sampling_on(frozen.grid()?, method, frozen.spacing, carried, resources)
+        request.in_slab(slab).sampling_on(
+            frozen.grid()?,
+            method,
+            frozen.spacing,
+            carried,
+            resources,
+        )
     }
 
     /// The division of the machine among so many frames.
@@ -91,7 +98,8 @@ impl Setup<'_> {
     /// The format that the outputs' names say, able to hold what is asked for.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.output(first);
-        let unknown = || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
+        let unknown =
+            || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(&path).ok_or_else(unknown)?;
         self.checked.settings.refuse_of_format(&self.simulation.output, format)?;
         Ok(format)
@@ -104,10 +112,14 @@ impl Setup<'_> {
         series: &Series,
         store: &Store,
     ) -> Result<(), Error> {
-        let two_purposes =
-            |path: &Path, other: &Path| Error::TwoPurposes { path: path.to_owned(), other: other.to_owned() };
-        let inputs: HashMap<Identity, &Path> =
-            frames.iter().map(|frame| (Identity::of(file_and_step(&frame.path).0), &*frame.path)).collect();
+        let two_purposes = |path: &Path, other: &Path| Error::TwoPurposes {
+            path: path.to_owned(),
+            other: other.to_owned(),
+        };
+        let inputs: HashMap<Identity, &Path> = frames
+            .iter()
+            .map(|frame| (Identity::of(file_and_step(&frame.path).0), &*frame.path))
+            .collect();
         for frame in frames {
             let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
@@ -126,7 +138,8 @@ impl Setup<'_> {
             let outputs = frames.iter().map(|frame| self.output(frame));
             let others = outputs.chain(series.files()).chain([store.state_path()]);
             let taken = inputs.get(&own).map(|input| input.to_path_buf());
-            if let Some(other) = taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))
+            if let Some(other) =
+                taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))
             {
                 return Err(two_purposes(beside, &other));
             }
@@ -134,7 +147,8 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// The state that is there, if it is of these settings and of these inputs. Where only an input has changed it is made anew.
+    /// The state that is there, if it is of these settings and of these inputs. Where only an input
+    /// has changed it is made anew.
     pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Found, Error> {
         let Some(text) = store.text()? else { return Ok(Found::Nothing) };
         let anew = self.simulation.overwrite;
@@ -145,7 +159,9 @@ impl Setup<'_> {
         let mut differing = state.differing(&self.checked.settings.kept());
         let of_others = !differing.is_empty();
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
-        if measured_on.and_then(|frame| Stamp::of(&frame.path).ok()).is_some_and(|s| s != state.frozen.input)
+        if measured_on
+            .and_then(|frame| Stamp::of(&frame.path).ok())
+            .is_some_and(|s| s != state.frozen.input)
         {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);
@@ -156,7 +172,11 @@ impl Setup<'_> {
             }
             let what = "what was measured is missing, or of another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
-            return if anew { Ok(Found::Stale { text, of_others: true }) } else { Err(damaged.into()) };
+            return if anew {
+                Ok(Found::Stale { text, of_others: true })
+            } else {
+                Err(damaged.into())
+            };
         }
         if anew || self.simulation.resume && !of_others {
             self.tell(Event::Anew { state: store.state_path(), differing });
@@ -165,7 +185,8 @@ impl Setup<'_> {
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }
 
-    /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of their own.
+    /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of
+    /// their own.
     fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
         let Method::Indicator { kind, .. } = self.checked.sampling.method else { return true };
         let Some(known) = &state.frozen.calibration else { return false };

@@ -1,5 +1,6 @@
-//! Files beside the outputs, in a folder named as the simulation with `.meniscus` appended: `state.json`, what
-//! all frames have in common, and the [records](super::records) of those that are done.
+//! Files beside the outputs, in a folder named as the simulation with `.meniscus` appended:
+//! `state.json`, what all frames have in common, and the [records](super::records) of those that
+//! are done.
 
 use std::fs::{self, File};
 use std::io;
@@ -28,19 +29,16 @@ pub struct State {
 
 impl State {
     /// By this version.
-    #[must_use]
     pub fn new(settings: Kept, frozen: Frozen) -> Self {
         Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, frozen }
     }
 
     /// A number that differs where anything does.
-    #[must_use]
     pub fn fingerprint(&self) -> u32 {
         crc32fast::hash(&json(self))
     }
 
     /// The names of the settings that differ from `wanted`, for people; empty where none does.
-    #[must_use]
     pub fn differing(&self, wanted: &Kept) -> String {
         differing(&self.meniscus, &self.settings, wanted)
     }
@@ -82,7 +80,6 @@ pub struct Store {
 
 impl Store {
     /// Beside the outputs of a simulation; nothing is created yet.
-    #[must_use]
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
@@ -90,13 +87,11 @@ impl Store {
     }
 
     /// Where it is.
-    #[must_use]
     pub fn folder(&self) -> &Path {
         self.log.folder()
     }
 
     /// The state's file.
-    #[must_use]
     pub fn state_path(&self) -> PathBuf {
         self.folder().join("state.json")
     }
@@ -110,9 +105,6 @@ impl Store {
     }
 
     /// The bytes of the state's file, if there is one.
-    ///
-    /// # Errors
-    /// [`SimulationError::Io`].
     pub fn text(&self) -> Result<Option<Vec<u8>>, SimulationError> {
         let path = self.state_path();
         match fs::read(&path) {
@@ -128,9 +120,6 @@ impl Store {
     }
 
     /// The state that some bytes of its file hold.
-    ///
-    /// # Errors
-    /// [`SimulationError::State`].
     pub fn parsed(&self, text: &[u8]) -> Result<State, SimulationError> {
         let path = self.state_path();
         let state: State = serde_json::from_slice(text)
@@ -141,11 +130,9 @@ impl Store {
         }
     }
 
-    /// Begins a conversion by the state that was found, which is returned if it is kept. A stale one is removed, unless another process
-    /// is at work by its settings, or has made it anew meanwhile.
-    ///
-    /// # Errors
-    /// [`SimulationError::Busy`] and [`SimulationError::Io`].
+    /// Begins a conversion by the state that was found, which is returned if it is kept. A stale
+    /// one is removed, unless another process is at work by its settings, or has made it anew
+    /// meanwhile.
     pub fn begin(&self, found: Found) -> Result<Option<State>, SimulationError> {
         let (text, of_others) = match found {
             Found::Nothing => return Ok(None),
@@ -161,18 +148,19 @@ impl Store {
             return Err(SimulationError::Busy(path));
         }
         match fs::remove_file(&path) {
-            Err(fault) if fault.kind() != io::ErrorKind::NotFound => Err(SimulationError::Io { path, fault }),
+            Err(fault) if fault.kind() != io::ErrorKind::NotFound => {
+                Err(SimulationError::Io { path, fault })
+            }
             _ => Ok(None),
         }
     }
 
-    /// Keeps a state, unless another process has kept one meanwhile: then returns that, if it is of the same settings.
-    ///
-    /// # Errors
-    /// [`SimulationError::Settings`], [`SimulationError::Io`] and those of [`load`](Self::load).
+    /// Keeps a state, unless another process has kept one meanwhile: then returns that, if it is of
+    /// the same settings.
     pub fn add(&self, state: &State) -> Result<State, SimulationError> {
         let (folder, path) = (self.folder(), self.state_path());
-        make_folder(folder).map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
+        make_folder(folder)
+            .map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
         let added = WholeFile::prepare(&path, Replace::Refuse)
             .and_then(|file| file.write(|out| out.write_all(&json(state))));
         match added {
@@ -189,13 +177,15 @@ impl Store {
                     Err(SimulationError::Settings { path, differing })
                 }
             }
-            Err(WriteError { fault: WriteFault::Io(fault), .. }) => Err(SimulationError::Io { path, fault }),
+            Err(WriteError { fault: WriteFault::Io(fault), .. }) => {
+                Err(SimulationError::Io { path, fault })
+            }
             Err(error) => Err(SimulationError::Io { path, fault: io::Error::other(error) }),
         }
     }
 
-    /// Keeps other processes that ask for the same from going on until this is dropped, where the file system has locks.
-    #[must_use]
+    /// Keeps other processes that ask for the same from going on until this is dropped, where the
+    /// file system has locks.
     pub fn locked(&self) -> Option<File> {
         let file = File::open(self.state_path()).ok()?;
         file.lock().ok()?;
@@ -236,7 +226,8 @@ mod tests {
         assert_eq!(store.load().unwrap(), None);
         for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
             let (mean, iso) = (MeanCount::new(7.0 / 3.0).ok(), Isovalue::of_plateau(theta));
-            for calibration in [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
+            for calibration in
+                [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
                 let state = State::new(Kept::new(), frozen(calibration));
                 assert_eq!(store.add(&state).unwrap(), state);
@@ -244,15 +235,18 @@ mod tests {
                 assert_eq!(loaded, state);
                 assert_eq!(loaded.fingerprint(), state.fingerprint());
                 // Whoever measures at the same time goes by the state that is there.
-                let late = State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
+                let late =
+                    State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
                 assert_eq!(store.add(&late).unwrap(), state);
-                let other = State { settings: Kept::from_iter([("cell".to_owned(), 1.into())]), ..late };
+                let other =
+                    State { settings: Kept::from_iter([("cell".to_owned(), 1.into())]), ..late };
                 assert!(matches!(store.add(&other), Err(SimulationError::Settings { .. })));
                 assert_eq!(store.load().unwrap(), Some(state));
                 // Another state replaces it only while nobody is at work.
                 let busy = Store::beside(&folder.path().join("fluid.ply"));
                 busy.log.open().unwrap();
-                let stale = || Found::Stale { text: store.text().unwrap().unwrap(), of_others: true };
+                let stale =
+                    || Found::Stale { text: store.text().unwrap().unwrap(), of_others: true };
                 assert!(matches!(store.begin(stale()), Err(SimulationError::Busy(_))));
                 drop(busy);
                 let outdated = Found::Stale { text: b"{}".to_vec(), of_others: true };

@@ -1,4 +1,5 @@
-//! The outcome of all frames: noted one by one, listed for other programs, and summed up at the end.
+//! The outcome of all frames: noted one by one, listed for other programs, and summed up at the
+//! end.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -56,8 +57,13 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Lists what else is done already. Those whose bytes are looked at are done if these are as they were written.
-    pub(super) fn list(&mut self, frames: &[FrameFile], is_looked_at: impl Fn(&FrameFile) -> bool + Sync) {
+    /// Lists what else is done already. Those whose bytes are looked at are done if these are as
+    /// they were written.
+    pub(super) fn list(
+        &mut self,
+        frames: &[FrameFile],
+        is_looked_at: impl Fn(&FrameFile) -> bool + Sync,
+    ) {
         let records = Records::read(self.conversion.store.folder());
         let Self { conversion, listed, failed, .. } = self;
         let done = |frame: &FrameFile| {
@@ -77,7 +83,11 @@ impl<'a> Tally<'a> {
     }
 
     /// Notes a frame; true where it makes no sense to go on with any other.
-    pub(super) fn take(&mut self, frame: &FrameFile, result: Result<Done, Error>) -> Result<bool, Error> {
+    pub(super) fn take(
+        &mut self,
+        frame: &FrameFile,
+        result: Result<Done, Error>,
+    ) -> Result<bool, Error> {
         let setup = self.conversion.setup;
         let result = match result {
             Err(error) if ends_all(&error) => {
@@ -123,7 +133,12 @@ impl<'a> Tally<'a> {
     }
 
     fn tallied(&self, frame: &FrameFile) -> Tallied {
-        Tallied { done: self.done, total: self.total, failed: self.failed.len(), bytes: frame.bytes() }
+        Tallied {
+            done: self.done,
+            total: self.total,
+            failed: self.failed.len(),
+            bytes: frame.bytes(),
+        }
     }
 
     fn write_series(&mut self) -> Result<(), Error> {
@@ -140,7 +155,8 @@ impl<'a> Tally<'a> {
         let alone = self.conversion.store.locked();
         self.list(&self.conversion.setup.all_frames()?, |_| false);
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
-        let (listed, merged) = rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
+        let (listed, merged) =
+            rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
         listed?;
         merged?;
         drop(alone);
@@ -149,9 +165,11 @@ impl<'a> Tally<'a> {
         }
         let (first, last) = simulation.frames;
         let missing = gaps(frames).within(first, last);
-        let chosen = Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
+        let chosen =
+            Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
         let each = |&(first, last): &(u64, u64)| {
-            let paths = [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
+            let paths =
+                [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
             Missing { first, last, step: missing.step, paths }
         };
         let indicator = checked.sampling.method.indicator();
@@ -161,7 +179,11 @@ impl<'a> Tally<'a> {
             made: self.done - self.failed.len().min(self.done),
             failed: self.failed.into_values().collect(),
             error: None,
-            missing: if chosen.is_some() { Vec::new() } else { missing.ranges.iter().map(each).collect() },
+            missing: if chosen.is_some() {
+                Vec::new()
+            } else {
+                missing.ranges.iter().map(each).collect()
+            },
             chosen,
             left_out: self.left_out,
             smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),

@@ -1,5 +1,6 @@
-//! Finding the complete frames of a running simulation: those whose file has not changed for a while. One that turns out
-//! not to be, because it grows after a pause or is written once more, is given again.
+//! Finding the complete frames of a running simulation: those whose file has not changed for a
+//! while. One that turns out not to be, because it grows after a pause or is written once more, is
+//! given again.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -39,8 +40,8 @@ impl Watch {
         Self { idle, selection, seen: BTreeMap::new(), last_news: Instant::now() }
     }
 
-    /// The frames that have become complete since the last call, of those that are there now. Each is under way until it is
-    /// [`done`](Self::done).
+    /// The frames that have become complete since the last call, of those that are there now. Each
+    /// is under way until it is [`done`](Self::done).
     pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<Ready> {
         let now = Instant::now();
         let mut ready = Vec::new();
@@ -63,7 +64,8 @@ impl Watch {
         ready
     }
 
-    /// Nothing more is done with a frame that was given until its file changes: it was made, or could not be read.
+    /// Nothing more is done with a frame that was given until its file changes: it was made, or
+    /// could not be read.
     pub(super) fn done(&mut self, number: u64) {
         if let Some(seen) = self.seen.get_mut(&number) {
             seen.under_way = false;

@@ -1,9 +1,10 @@
 //! Particle attributes carried to the vertices.
 //!
-//! A cell's value is blur(sum of values) / blur(N), both blurred as the DIF is; a vertex takes the mean
-//! of the two ends of its edge, weighted as its position is. Sums over particles are integers: values are
-//! rounded to a step that is a power of two, 2^-30 of the greatest magnitude among the particles that a block
-//! of vertices sees, or finer. Values that are not finite count as if the particle did not have the attribute.
+//! A cell's value is blur(sum of values) / blur(N), both blurred as the DIF is; a vertex takes the
+//! mean of the two ends of its edge, weighted as its position is. Sums over particles are integers:
+//! values are rounded to a step that is a power of two, 2^-30 of the greatest magnitude among the
+//! particles that a block of vertices sees, or finer. Values that are not finite count as if the
+//! particle did not have the attribute.
 //!
 //! Reaches as far as the smoothing.
 
@@ -17,8 +18,8 @@ use crate::grid::{BIN, CellBox, MortonKey};
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::BlockMesh;
 
-/// Bytes of a cell while an attribute of so many components is smoothed: sums of it and of the particles, in two fields.
-#[must_use]
+/// Bytes of a cell while an attribute of so many components is smoothed: sums of it and of the
+/// particles, in two fields.
 pub fn cell_bytes(components: usize) -> u64 {
     ((components + 3) * size_of::<f64>()) as u64
 }
@@ -32,7 +33,8 @@ struct FixedPoint {
 impl FixedPoint {
     /// The finest step at which magnitudes up to `greatest` take no more than 30 bits.
     fn for_magnitude(greatest: f32) -> Self {
-        let exponent = if greatest > 0.0 { 29 - f64::from(greatest).log2().floor() as i32 } else { 0 };
+        let exponent =
+            if greatest > 0.0 { 29 - f64::from(greatest).log2().floor() as i32 } else { 0 };
         Self { steps_per_unit: 2f64.powi(exponent) }
     }
 
@@ -45,7 +47,8 @@ impl FixedPoint {
     }
 }
 
-/// An attribute of the particles on the vertices of a block, all components of one vertex after the other.
+/// An attribute of the particles on the vertices of a block, all components of one vertex after the
+/// other.
 ///
 /// # Errors
 /// Where particles are in a scratch file that cannot be read.
@@ -97,7 +100,12 @@ pub fn vertex_values(
 }
 
 /// Per cell the sum of each component over its particles, and last the number of particles.
-fn sums(bins: &Bins, attribute: usize, components: usize, cells: CellBox) -> io::Result<Vec<Block<f64>>> {
+fn sums(
+    bins: &Bins,
+    attribute: usize,
+    components: usize,
+    cells: CellBox,
+) -> io::Result<Vec<Block<f64>>> {
     let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); components + 1];
     let mut seen: Vec<usize> = Vec::new();
     let mut values: Vec<f32> = Vec::new();
@@ -107,14 +115,16 @@ fn sums(bins: &Bins, attribute: usize, components: usize, cells: CellBox) -> io:
         let tuples = contents.attributes[attribute].chunks_exact(components);
         for ((local, _), tuple) in contents.particles().zip(tuples) {
             let local = local as i32;
-            let cell = coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
+            let cell =
+                coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
             if cells.contains(cell) && tuple.iter().all(|x| x.is_finite()) {
                 seen.push(sums[0].index(cell));
                 values.extend_from_slice(tuple);
             }
         }
     }
-    let fixed = FixedPoint::for_magnitude(values.iter().fold(0.0, |greatest, x| x.abs().max(greatest)));
+    let fixed =
+        FixedPoint::for_magnitude(values.iter().fold(0.0, |greatest, x| x.abs().max(greatest)));
     for (&index, tuple) in seen.iter().zip(values.chunks_exact(components)) {
         for (sum, steps) in sums.iter_mut().zip(tuple.iter().map(|&x| fixed.steps(x)).chain([1])) {
             sum.samples_mut()[index] += steps;

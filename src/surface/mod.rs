@@ -1,4 +1,5 @@
-//! From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and what a mesh is checked, compared and looked at by.
+//! From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and what a
+//! mesh is checked, compared and looked at by.
 
 pub mod attribute;
 pub mod dual_mc;

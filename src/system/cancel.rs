@@ -48,7 +48,8 @@ impl Cancel {
         Self::default()
     }
 
-    /// Asks all work with this handle to end soon, by an error whose cause is that. Every stage of a frame looks for it as it goes.
+    /// Asks all work with this handle to end soon, by an error whose cause is that. Every stage of
+    /// a frame looks for it as it goes.
     pub fn cancel(&self) {
         self.0.asked.store(true, Ordering::Relaxed);
     }
@@ -67,9 +68,11 @@ impl Cancel {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Removes all half-written outputs, for a process that exits now: whoever would create another waits for ever.
+    /// Removes all half-written outputs, for a process that exits now: whoever would create another
+    /// waits for ever.
     ///
-    /// Files that have their names already stay; records of frames that are being kept are kept first.
+    /// Files that have their names already stay; records of frames that are being kept are kept
+    /// first.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         for path in &*self.unfinished() {
@@ -93,7 +96,8 @@ impl Cancel {
         act()
     }
 
-    /// Prepares an output whose `temporary` file is removed when all is abandoned, also if that comes right after.
+    /// Prepares an output whose `temporary` file is removed when all is abandoned, also if that
+    /// comes right after.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
@@ -107,7 +111,8 @@ impl Cancel {
     }
 }
 
-/// Endings of the names of folders that belong to a temporary file: one that is filled, and one that it replaces.
+/// Endings of the names of folders that belong to a temporary file: one that is filled, and one
+/// that it replaces.
 pub(crate) const BELONGINGS: [&str; 2] = [".new", ".old"];
 
 /// The folder of this ending that belongs to a temporary file.
@@ -124,7 +129,8 @@ pub(crate) fn remove_belongings(temporary: &Path) {
     }
 }
 
-/// An output in progress: as long as this lives, its temporary file is removed when all is abandoned.
+/// An output in progress: as long as this lives, its temporary file is removed when all is
+/// abandoned.
 #[derive(Debug)]
 pub(crate) struct Unfinished {
     of: Cancel,

@@ -71,8 +71,8 @@ pub struct Control {
 }
 
 impl Control {
-    /// Runs a stage, and reports to the caller when it begins and when it succeeds. A stage during which the caller cancels fails with
-    /// [`Cancelled`], whatever `work` returned.
+    /// Runs a stage, and reports to the caller when it begins and when it succeeds. A stage during
+    /// which the caller cancels fails with [`Cancelled`], whatever `work` returned.
     pub(crate) fn during<T, E: From<Cancelled>>(
         &self,
         stage: Stage,
@@ -95,7 +95,6 @@ impl Control {
     }
 
     /// Returns a meter for a stage of `parts` parts.
-    #[must_use]
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
         let done = AtomicUsize::new(0);
         Meter { control: self, stage, span: [0.0, 1.0], parts, done, told: Mutex::new(0) }
@@ -112,7 +111,8 @@ impl Control {
 /// Steps that a stage is told of at the most.
 const STEPS: usize = 128;
 
-/// Counts the finished parts of a stage over all threads, reports progress to the caller, and says whether to go on.
+/// Counts the finished parts of a stage over all threads, reports progress to the caller, and says
+/// whether to go on.
 #[derive(Debug)]
 pub struct Meter<'a> {
     control: &'a Control,
@@ -127,21 +127,16 @@ pub struct Meter<'a> {
 
 impl Meter<'_> {
     /// Makes all parts together the share of the stage between `from` and `to`.
-    #[must_use]
     pub fn between(self, from: f64, to: f64) -> Self {
         Self { span: [from, to], ..self }
     }
 
     /// Refuses to go on once the caller has asked for an early end.
-    ///
-    /// # Errors
-    /// [`Cancelled`].
     pub fn go_on(&self) -> Result<(), Cancelled> {
         self.control.cancel.go_on()
     }
 
     /// Whether the caller has not asked for an early end.
-    #[must_use]
     pub fn goes_on(&self) -> bool {
         !self.control.cancel.is_cancelled()
     }

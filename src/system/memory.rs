@@ -9,12 +9,14 @@ use memmap2::MmapMut;
 
 use crate::grid::units::MemoryBudget;
 
-/// Three quarters of what is available: the system's own estimate, and no more than a control group or `ulimit` allows.
+/// Three quarters of what is available: the system's own estimate, and no more than a control group
+/// or `ulimit` allows.
 ///
 /// Where the system tells nothing, there is no limit.
 #[must_use]
 pub fn default_memory() -> MemoryBudget {
-    let available = [system_available(), group_available(), limit_available()].into_iter().flatten().min();
+    let available =
+        [system_available(), group_available(), limit_available()].into_iter().flatten().min();
     MemoryBudget(available.map_or(u64::MAX, |bytes| bytes / 4 * 3))
 }
 
@@ -40,7 +42,8 @@ fn group_available() -> Option<u64> {
     })
 }
 
-/// Bytes that this process's limits on data and on addresses leave: files that are mapped later take of the addresses too.
+/// Bytes that this process's limits on data and on addresses leave: files that are mapped later
+/// take of the addresses too.
 fn limit_available() -> Option<u64> {
     let limits = read_to_string("/proc/self/limits").ok()?;
     let left = |limit: &str, used: &str| {
@@ -58,8 +61,8 @@ pub fn peak_memory() -> Option<u64> {
     kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
 }
 
-/// A vector of zeros, in huge pages where the system has them: whoever writes all over it looks up fewer pages, and the
-/// system hands out fewer.
+/// A vector of zeros, in huge pages where the system has them: whoever writes all over it looks up
+/// fewer pages, and the system hands out fewer.
 pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
     let zeros = zeroed_vec(len);
     advise_huge_pages(&zeros);
@@ -73,7 +76,8 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     empty
 }
 
-/// Zeros in a mapping of their own, in huge pages where the system has them and so many bytes fill some.
+/// Zeros in a mapping of their own, in huge pages where the system has them and so many bytes fill
+/// some.
 ///
 /// # Errors
 /// Where the system has no memory left.
@@ -92,8 +96,8 @@ fn advise_huge_pages<T>(memory: &[T]) {
     let first = bytes.align_offset(HUGE).min(size_of_val(memory));
     let whole = (size_of_val(memory) - first) / HUGE * HUGE;
     if whole > 0 {
-        // SAFETY: the pages are all within the memory, whose contents stay as they are. Where there are no huge pages, it
-        // refuses, and all stays as it was.
+        // SAFETY: the pages are all within the memory, whose contents stay as they are. Where there
+        // are no huge pages, it refuses, and all stays as it was.
         unsafe { libc::madvise(bytes.add(first).cast_mut().cast(), whole, libc::MADV_HUGEPAGE) };
     }
 }

@@ -1,4 +1,5 @@
-//! Resources of the machine: memory and its budget, scratch files, time, an early end, and bits of its words.
+//! Resources of the machine: memory and its budget, scratch files, time, an early end, and bits of
+//! its words.
 
 pub(crate) mod bits;
 pub mod cancel;

@@ -1,7 +1,8 @@
 //! Writing a large file past the system's cache.
 //!
-//! Whoever writes gigabytes and waits until they are on disk gains nothing by the cache: the system looks for as much memory, copies
-//! all into it, and drops for it what was worth keeping, such as the particles of the next frame.
+//! Whoever writes gigabytes and waits until they are on disk gains nothing by the cache: the system
+//! looks for as much memory, copies all into it, and drops for it what was worth keeping, such as
+//! the particles of the next frame.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
@@ -12,7 +13,8 @@ use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 const CACHED: u64 = 64 << 20;
 /// Bytes that are written past the cache at once.
 const PIECE: usize = 1 << 20;
-/// The multiple at which pieces that are written past the cache begin and end, in memory and in the file, in bytes.
+/// The multiple at which pieces that are written past the cache begin and end, in memory and in the
+/// file, in bytes.
 const PAGE: usize = 4096;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -65,7 +67,8 @@ impl<'a> PastCache<'a> {
 
     /// Keeps to the cache from byte `from` of the piece on.
     fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
-        let Way::Past { piece, filled } = std::mem::replace(&mut self.way, Way::Cached(u64::MAX)) else {
+        let Way::Past { piece, filled } = std::mem::replace(&mut self.way, Way::Cached(u64::MAX))
+        else {
             return Ok(());
         };
         past_cache(self.file, false)?;
@@ -145,7 +148,8 @@ mod tests {
 
     use super::*;
 
-    /// A new file, in which some bytes are already, after others were written to it so many at once.
+    /// A new file, in which some bytes are already, after others were written to it so many at
+    /// once.
     fn written(folder: &Path, before: &[u8], bytes: &[u8], at_once: usize) -> Vec<u8> {
         let mut file = tempfile::NamedTempFile::new_in(folder).unwrap();
         file.write_all(before).unwrap();
@@ -163,18 +167,31 @@ mod tests {
     }
 
     fn bytes(count: usize) -> Vec<u8> {
-        (0..count as u32).flat_map(|i| i.wrapping_mul(0x9e37_79b9).to_le_bytes()).take(count).collect()
+        (0..count as u32)
+            .flat_map(|i| i.wrapping_mul(0x9e37_79b9).to_le_bytes())
+            .take(count)
+            .collect()
     }
 
     #[test]
     fn files_of_all_sizes_hold_what_was_written_in_order() {
         let cached = 2 * PAGE;
         for folder in folders() {
-            for size in [0, 1, cached - 1, cached, cached + 1, cached + PIECE, cached + 3 * PIECE + PAGE + 5]
-            {
+            for size in [
+                0,
+                1,
+                cached - 1,
+                cached,
+                cached + 1,
+                cached + PIECE,
+                cached + 3 * PIECE + PAGE + 5,
+            ] {
                 for at_once in [777, PAGE, PIECE - 1, 5 * PIECE] {
                     let bytes = bytes(size);
-                    assert!(written(folder.path(), b"", &bytes, at_once) == bytes, "{size} by {at_once}");
+                    assert!(
+                        written(folder.path(), b"", &bytes, at_once) == bytes,
+                        "{size} by {at_once}"
+                    );
                 }
             }
         }

@@ -1,5 +1,6 @@
-//! Files that are read by position, of which only those that were read last are open: a frame may be in more pieces than a process may
-//! have open files. Whichever is opened again is made sure to be the file that it was.
+//! Files that are read by position, of which only those that were read last are open: a frame may
+//! be in more pieces than a process may have open files. Whichever is opened again is made sure to
+//! be the file that it was.
 
 use std::fs::{File, Metadata};
 use std::io;
@@ -13,7 +14,8 @@ use quick_cache::{OptionsBuilder, UnitWeighter};
 #[cfg(target_os = "linux")]
 use std::num::NonZeroU64;
 
-/// Files that stay open, at the most: more than threads read at once, and far fewer than any system allows.
+/// Files that stay open, at the most: more than threads read at once, and far fewer than any system
+/// allows.
 pub const MOST_OPEN: usize = 96;
 
 /// Files that are open, by their numbers.
@@ -21,7 +23,8 @@ static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
     let options = OptionsBuilder::new()
         .estimated_items_capacity(MOST_OPEN)
         .weight_capacity(MOST_OPEN as u64)
-        // They are read one after the other, so that those that were read often before are worth no more than those of the moment.
+        // They are read one after the other, so that those that were read often before are worth no
+        // more than those of the moment.
         .hot_allocation(0.5)
         // So that the number is exact.
         .shards(1)
@@ -44,7 +47,6 @@ pub struct FileStamp {
 
 impl FileStamp {
     /// Stamps a file by what the system says of it.
-    #[must_use]
     pub fn of(metadata: &Metadata) -> Self {
         #[cfg(unix)]
         use std::os::unix::fs::MetadataExt;
@@ -102,13 +104,11 @@ impl ReopenedFile {
     }
 
     /// A number that no other has.
-    #[must_use]
     pub fn number(&self) -> u64 {
         self.number
     }
 
     /// The file as it was when it was taken.
-    #[must_use]
     pub fn stamp(&self) -> FileStamp {
         self.stamp
     }
@@ -116,7 +116,8 @@ impl ReopenedFile {
     /// The file, open.
     ///
     /// # Errors
-    /// [`Lost::Changed`] where it has to be opened again and is not what it was, and the system's refusal to open it.
+    /// [`Lost::Changed`] where it has to be opened again and is not what it was, and the system's
+    /// refusal to open it.
     pub fn file(&self) -> Result<Arc<File>, Lost> {
         OPEN.get_or_insert_with(&self.number, || {
             let file = File::open(&self.path)?;
@@ -136,10 +137,8 @@ impl ReopenedFile {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }
 
-    /// Makes sure that the file is what it was: if it is open still, whatever has its name meanwhile.
-    ///
-    /// # Errors
-    /// [`Lost`].
+    /// Makes sure that the file is what it was: if it is open still, whatever has its name
+    /// meanwhile.
     pub fn check(&self) -> Result<(), Lost> {
         let metadata = match OPEN.get(&self.number) {
             Some(file) => file.metadata()?,
@@ -177,7 +176,8 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     return serial::at(file, at, |file| io::Write::write_all(file, bytes));
 }
 
-/// Tells the system that `bytes` from position `at` on are wanted soon, so that it reads them meanwhile.
+/// Tells the system that `bytes` from position `at` on are wanted soon, so that it reads them
+/// meanwhile.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
     // A refusal is no matter.
     #[cfg(target_os = "linux")]
@@ -195,7 +195,11 @@ mod serial {
 
     static TURN: Mutex<()> = Mutex::new(());
 
-    pub fn at(mut file: &File, at: u64, work: impl FnOnce(&mut &File) -> io::Result<()>) -> io::Result<()> {
+    pub fn at(
+        mut file: &File,
+        at: u64,
+        work: impl FnOnce(&mut &File) -> io::Result<()>,
+    ) -> io::Result<()> {
         let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         file.seek(SeekFrom::Start(at))?;
         work(&mut file)
@@ -227,12 +231,18 @@ mod tests {
             assert_eq!(read(number).unwrap(), format!("{number:04}").as_bytes());
             taken[number].check().unwrap();
         }
-        // What is not open any more is seen to have changed, or to be another file, by whoever reads or asks.
+        // What is not open any more is seen to have changed, or to be another file, by whoever
+        // reads or asks.
         assert!(OPEN.len() <= MOST_OPEN);
         let closed = |number: &usize| OPEN.get(&taken[*number].number).is_none();
-        let [gone, longer, other, ..] = (0..files).filter(closed).collect::<Vec<_>>()[..] else { panic!() };
+        let [gone, longer, other, ..] = (0..files).filter(closed).collect::<Vec<_>>()[..] else {
+            panic!()
+        };
         fs::remove_file(path(gone)).unwrap();
-        assert!(matches!(taken[gone].check(), Err(Lost::Io(_))) && matches!(read(gone), Err(Lost::Io(_))));
+        assert!(
+            matches!(taken[gone].check(), Err(Lost::Io(_)))
+                && matches!(read(gone), Err(Lost::Io(_)))
+        );
         fs::write(path(longer), "12345").unwrap();
         assert!(matches!(taken[longer].check(), Err(Lost::Changed)));
         assert!(matches!(read(longer), Err(Lost::Changed)));

@@ -9,7 +9,9 @@ use ash::vk;
 use bytemuck::Pod;
 
 use super::device::{QueueState, Shared};
-use super::{Buffer, ComputePipeline, Device, Faults, MOST_BUFFERS, Place, Queue, View, VulkanError};
+use super::{
+    Buffer, ComputePipeline, Device, Faults, MOST_BUFFERS, Place, Queue, View, VulkanError,
+};
 
 /// Dispatches that a batch holds at the most.
 const DISPATCHES: u32 = 128;
@@ -34,7 +36,8 @@ pub struct Moment {
 
 /// Commands to be recorded, submitted and waited for, again and again.
 ///
-/// Every command sees the results of those before it. What the commands use is held until they are done.
+/// Every command sees the results of those before it. What the commands use is held until they are
+/// done.
 pub struct Batch {
     device: Arc<Shared>,
     queue: Queue,
@@ -43,7 +46,8 @@ pub struct Batch {
     sets: vk::DescriptorPool,
     /// Null where the queue has no timestamps.
     queries: vk::QueryPool,
-    /// Where the device writes the number of the submission when it is done: a lost device may say that it is.
+    /// Where the device writes the number of the submission when it is done: a lost device may say
+    /// that it is.
     stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
     pipelines: Vec<Arc<ComputePipeline>>,
@@ -81,10 +85,14 @@ impl Device {
         unsafe {
             batch.pool = shared
                 .raw
-                .create_command_pool(&vk::CommandPoolCreateInfo::default().queue_family_index(family), None)
+                .create_command_pool(
+                    &vk::CommandPoolCreateInfo::default().queue_family_index(family),
+                    None,
+                )
                 .map_err(shared.noting("vkCreateCommandPool"))?;
-            let info =
-                vk::CommandBufferAllocateInfo::default().command_pool(batch.pool).command_buffer_count(1);
+            let info = vk::CommandBufferAllocateInfo::default()
+                .command_pool(batch.pool)
+                .command_buffer_count(1);
             batch.commands = shared
                 .raw
                 .allocate_command_buffers(&info)
@@ -93,7 +101,8 @@ impl Device {
                 ty: vk::DescriptorType::STORAGE_BUFFER,
                 descriptor_count: MOST_BUFFERS * DISPATCHES,
             }];
-            let info = vk::DescriptorPoolCreateInfo::default().max_sets(DISPATCHES).pool_sizes(&sizes);
+            let info =
+                vk::DescriptorPoolCreateInfo::default().max_sets(DISPATCHES).pool_sizes(&sizes);
             batch.sets = shared
                 .raw
                 .create_descriptor_pool(&info, None)
@@ -102,8 +111,10 @@ impl Device {
                 let info = vk::QueryPoolCreateInfo::default()
                     .query_type(vk::QueryType::TIMESTAMP)
                     .query_count(STAGES + 1);
-                batch.queries =
-                    shared.raw.create_query_pool(&info, None).map_err(shared.noting("vkCreateQueryPool"))?;
+                batch.queries = shared
+                    .raw
+                    .create_query_pool(&info, None)
+                    .map_err(shared.noting("vkCreateQueryPool"))?;
             }
         }
         Ok(batch)
@@ -124,8 +135,8 @@ impl Batch {
                 .map_err(self.device.noting("vkResetCommandPool"))?;
             raw.reset_descriptor_pool(self.sets, vk::DescriptorPoolResetFlags::empty())
                 .map_err(self.device.noting("vkResetDescriptorPool"))?;
-            let info =
-                vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+            let info = vk::CommandBufferBeginInfo::default()
+                .flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
             raw.begin_command_buffer(self.commands, &info)
                 .map_err(self.device.noting("vkBeginCommandBuffer"))?;
             if self.queries != vk::QueryPool::null() {
@@ -139,8 +150,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Names what follows, up to the next stage or the end, for [`Device::take_timings`]: it will read and write
-    /// so many bytes at the least.
+    /// Names what follows, up to the next stage or the end, for [`Device::take_timings`]: it will
+    /// read and write so many bytes at the least.
     pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
         self.stages.push((name, bytes));
@@ -152,11 +163,14 @@ impl Batch {
             assert!(number <= STAGES, "a batch times {STAGES} stages");
             let when = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
             // SAFETY: the commands are being recorded, and the query was reset.
-            unsafe { self.device.raw.cmd_write_timestamp(self.commands, when, self.queries, number) };
+            unsafe {
+                self.device.raw.cmd_write_timestamp(self.commands, when, self.queries, number)
+            };
         }
     }
 
-    /// Runs a shader on `buffers`, in the order of its bindings, with so many work groups along each axis.
+    /// Runs a shader on `buffers`, in the order of its bindings, with so many work groups along
+    /// each axis.
     ///
     /// # Errors
     /// [`VulkanError::OutOfMemory`] where a buffer is larger than a shader can see.
@@ -181,11 +195,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Runs a shader with as many work groups along each axis as three words of a buffer say by then.
-    /// They must not say more than the device allows.
-    ///
-    /// # Errors
-    /// Those of [`dispatch`](Self::dispatch).
+    /// Runs a shader with as many work groups along each axis as three words of a buffer say by
+    /// then. They must not say more than the device allows.
     ///
     /// # Panics
     /// If the arguments are not those of the shader, or there are no three words.
@@ -219,7 +230,10 @@ impl Batch {
         assert_eq!(push.len(), pipeline.shader.push_bytes as usize, "push block of {pipeline:?}");
         let limits = self.device.limits;
         assert!(Arc::ptr_eq(&pipeline.device, &self.device), "{pipeline:?} is of another device");
-        assert!(buffers.iter().all(|view| self.owns(view)), "a buffer of {pipeline:?} is of another device");
+        assert!(
+            buffers.iter().all(|view| self.owns(view)),
+            "a buffer of {pipeline:?} is of another device"
+        );
         assert!(
             buffers.iter().all(|view| view.offset.is_multiple_of(limits.alignment)),
             "buffers of {pipeline:?}"
@@ -230,8 +244,8 @@ impl Batch {
         self.barrier();
         let set = [self.bound(pipeline, buffers)?];
         let raw = &self.device.raw;
-        // SAFETY: the handles are this device's, the commands are being recorded, and buffers and shader are held
-        // until they are done.
+        // SAFETY: the handles are this device's, the commands are being recorded, and buffers and
+        // shader are held until they are done.
         unsafe {
             let compute = vk::PipelineBindPoint::COMPUTE;
             raw.cmd_bind_pipeline(self.commands, compute, pipeline.pipeline);
@@ -247,15 +261,25 @@ impl Batch {
     }
 
     /// Returns a new descriptor set that binds `buffers` to a shader.
-    fn bound(&self, pipeline: &ComputePipeline, buffers: &[View]) -> Result<vk::DescriptorSet, VulkanError> {
+    fn bound(
+        &self,
+        pipeline: &ComputePipeline,
+        buffers: &[View],
+    ) -> Result<vk::DescriptorSet, VulkanError> {
         let raw = &self.device.raw;
         let layouts = [pipeline.sets];
-        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.sets).set_layouts(&layouts);
+        let info = vk::DescriptorSetAllocateInfo::default()
+            .descriptor_pool(self.sets)
+            .set_layouts(&layouts);
         // SAFETY: the pool and the layout are this device's.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }
             .map_err(self.device.noting("vkAllocateDescriptorSets"))?[0];
         let info = |view: &View| {
-            [vk::DescriptorBufferInfo { buffer: view.buffer.raw(), offset: view.offset, range: view.bytes }]
+            [vk::DescriptorBufferInfo {
+                buffer: view.buffer.raw(),
+                offset: view.offset,
+                range: view.bytes,
+            }]
         };
         let infos: Vec<_> = buffers.iter().map(info).collect();
         let writes: Vec<_> = (0..)
@@ -284,10 +308,16 @@ impl Batch {
             return;
         }
         self.barrier();
-        let region = [vk::BufferCopy { src_offset: from.offset, dst_offset: to.offset, size: from.bytes }];
+        let region =
+            [vk::BufferCopy { src_offset: from.offset, dst_offset: to.offset, size: from.bytes }];
         // SAFETY: the commands are being recorded, and both buffers are held until they are done.
         unsafe {
-            self.device.raw.cmd_copy_buffer(self.commands, from.buffer.raw(), to.buffer.raw(), &region);
+            self.device.raw.cmd_copy_buffer(
+                self.commands,
+                from.buffer.raw(),
+                to.buffer.raw(),
+                &region,
+            );
         }
         self.buffers.extend([Arc::clone(&from.buffer), Arc::clone(&to.buffer)]);
     }
@@ -360,14 +390,15 @@ impl Batch {
         unsafe { self.submit_between(after, &[], &[]) }
     }
 
-    /// Submits the commands like [`submit`](Self::submit), but waits for `wait` first, and signals `signal` when done.
-    /// What is submitted later on the same queue waits for the former, too.
+    /// Submits the commands like [`submit`](Self::submit), but waits for `wait` first, and signals
+    /// `signal` when done. What is submitted later on the same queue waits for the former, too.
     ///
     /// # Errors
     /// [`VulkanError::Lost`] and others of the driver; nothing is signalled then.
     ///
     /// # Safety
-    /// The semaphores are the device's, and alive until the device has passed them. What is waited for is submitted already.
+    /// The semaphores are the device's, and alive until the device has passed them. What is waited
+    /// for is submitted already.
     pub unsafe fn submit_between(
         &mut self,
         after: &[Ticket],
@@ -381,7 +412,8 @@ impl Batch {
         self.device.check_alive()?;
         let raw = &self.device.raw;
         let state = self.device.queue(self.queue);
-        // SAFETY: all handles are this device's. The queue is locked, so that values go up in order of submission.
+        // SAFETY: all handles are this device's. The queue is locked, so that values go up in order
+        // of submission.
         unsafe {
             let queue = state.raw.lock().unwrap_or_else(PoisonError::into_inner);
             let value = state.last.load(Ordering::Relaxed) + 1;
@@ -395,14 +427,16 @@ impl Batch {
                 vk::PipelineStageFlags::HOST,
                 vk::AccessFlags::HOST_READ,
             );
-            raw.end_command_buffer(self.commands).map_err(self.device.noting("vkEndCommandBuffer"))?;
+            raw.end_command_buffer(self.commands)
+                .map_err(self.device.noting("vkEndCommandBuffer"))?;
             let moment = |ticket: &Ticket| Moment {
                 semaphore: self.device.queue(ticket.queue).timeline,
                 value: ticket.value,
             };
             let own = Moment { semaphore: state.timeline, value };
             let (waits, wait_values) = parts(after.iter().map(moment).chain(wait.iter().copied()));
-            let (signals, signal_values) = parts(std::iter::once(own).chain(signal.iter().copied()));
+            let (signals, signal_values) =
+                parts(std::iter::once(own).chain(signal.iter().copied()));
             let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; waits.len()];
             let commands = [self.commands];
             let mut timeline = vk::TimelineSemaphoreSubmitInfo::default()
@@ -450,9 +484,6 @@ impl Batch {
     }
 
     /// Copies values to the device, into a new buffer there.
-    ///
-    /// # Errors
-    /// Those of [`Device::buffer`].
     pub fn store<T: Pod>(&mut self, values: &[T]) -> Result<View, VulkanError> {
         let device = Device { shared: Arc::clone(&self.device) };
         let staged = device.uploaded(values)?;
@@ -462,7 +493,6 @@ impl Batch {
     }
 
     /// The last submission, for batches that go on from it.
-    #[must_use]
     pub fn last(&self) -> &[Ticket] {
         self.last.as_slice()
     }

@@ -76,12 +76,13 @@ impl Device {
     /// Makes a buffer of `bytes`, rounded up to whole words and never empty.
     ///
     /// # Errors
-    /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do not allow it.
+    /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do
+    /// not allow it.
     pub fn buffer(&self, place: Place, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         let location = match place {
             Place::Device => MemoryLocation::GpuOnly,
-            // What is staged is the host's, in either direction: the allocator's place for uploads is a window into the device's
-            // memory, which is small, and slow to write.
+            // What is staged is the host's, in either direction: the allocator's place for uploads
+            // is a window into the device's memory, which is small, and slow to write.
             Place::Upload | Place::Download => MemoryLocation::GpuToCpu,
         };
         let shared = &self.shared;
@@ -100,7 +101,9 @@ impl Device {
                 linear: true,
                 allocation_scheme: AllocationScheme::GpuAllocatorManaged,
             })
-            .map_err(|_| if shared.check_alive().is_err() { VulkanError::Lost } else { exhausted })?;
+            .map_err(
+                |_| if shared.check_alive().is_err() { VulkanError::Lost } else { exhausted },
+            )?;
         // SAFETY: the allocation is kept as long as the buffer.
         unsafe {
             let (memory, offset) = (allocation.memory(), allocation.offset());
@@ -124,8 +127,9 @@ impl Device {
         self.shared_buffer(bytes, None)
     }
 
-    /// Makes a buffer of the memory that another device with the same [UUID](Self::uuid), perhaps of another process, has
-    /// [exported](Buffer::export) of one of as many bytes. What one writes the other sees once it waits for it.
+    /// Makes a buffer of the memory that another device with the same [UUID](Self::uuid), perhaps
+    /// of another process, has [exported](Buffer::export) of one of as many bytes. What one writes
+    /// the other sees once it waits for it.
     ///
     /// # Errors
     /// Those of [`buffer`](Self::buffer).
@@ -141,7 +145,11 @@ impl Device {
         self.shared_buffer(bytes, Some(memory))
     }
 
-    fn shared_buffer(&self, bytes: u64, import: Option<Descriptor>) -> Result<Arc<Buffer>, VulkanError> {
+    fn shared_buffer(
+        &self,
+        bytes: u64,
+        import: Option<Descriptor>,
+    ) -> Result<Arc<Buffer>, VulkanError> {
         let shared = &self.shared;
         assert!(shared.exports.is_some(), "exports were asked for");
         let mut buffer = self.unbound(bytes, HANDLE)?;
@@ -150,15 +158,16 @@ impl Device {
             let requirements = shared.raw.get_buffer_memory_requirements(buffer.raw);
             let kinds = shared.memory_types.memory_types_as_slice().iter().enumerate();
             let fitting = kinds.filter(|(i, _)| requirements.memory_type_bits >> i & 1 != 0);
-            let local =
-                |kind: &vk::MemoryType| kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
+            let local = |kind: &vk::MemoryType| {
+                kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
+            };
             // The first of the best: so it is that of whoever exported it.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
             let mut dedicated = vk::MemoryDedicatedAllocateInfo::default().buffer(buffer.raw);
-            let mut flags =
-                vk::MemoryAllocateFlagsInfo::default().flags(vk::MemoryAllocateFlags::DEVICE_ADDRESS);
+            let mut flags = vk::MemoryAllocateFlagsInfo::default()
+                .flags(vk::MemoryAllocateFlags::DEVICE_ADDRESS);
             let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(HANDLE);
             let mut imported = vk::ImportMemoryFdInfoKHR::default().handle_type(HANDLE);
             let mut info = vk::MemoryAllocateInfo::default()
@@ -175,8 +184,10 @@ impl Device {
             if shared.addresses {
                 info = info.push_next(&mut flags);
             }
-            let memory =
-                shared.raw.allocate_memory(&info, None).map_err(shared.noting("vkAllocateMemory"))?;
+            let memory = shared
+                .raw
+                .allocate_memory(&info, None)
+                .map_err(shared.noting("vkAllocateMemory"))?;
             // The driver has taken the descriptor.
             std::mem::forget(import);
             buffer.memory = Memory::Own(memory);
@@ -189,7 +200,11 @@ impl Device {
     }
 
     /// A buffer that has no memory yet, if there may be one; with it goes what was made of it.
-    fn unbound(&self, bytes: u64, handles: vk::ExternalMemoryHandleTypeFlags) -> Result<Buffer, VulkanError> {
+    fn unbound(
+        &self,
+        bytes: u64,
+        handles: vk::ExternalMemoryHandleTypeFlags,
+    ) -> Result<Buffer, VulkanError> {
         let shared = &self.shared;
         shared.check_alive()?;
         let bytes = bytes.next_multiple_of(4).max(4);
@@ -197,8 +212,12 @@ impl Device {
         let before = shared.allocated.fetch_add(bytes, Ordering::Relaxed);
         shared.counters.allocations.fetch_add(1, Ordering::Relaxed);
         // From here on what is made is dropped with `buffer` if a later step fails.
-        let mut buffer =
-            Buffer { device: Arc::clone(shared), raw: vk::Buffer::null(), memory: Memory::None, bytes };
+        let mut buffer = Buffer {
+            device: Arc::clone(shared),
+            raw: vk::Buffer::null(),
+            memory: Memory::None,
+            bytes,
+        };
         if before.saturating_add(bytes) > limit
             || bytes > shared.limits.allocation
             || Faults::strikes(&shared.faults.allocation)
@@ -222,8 +241,8 @@ impl Device {
             info = info.push_next(&mut external);
         }
         // SAFETY: the device is alive; memory is bound before anything uses the buffer.
-        buffer.raw =
-            unsafe { shared.raw.create_buffer(&info, None) }.map_err(shared.noting("vkCreateBuffer"))?;
+        buffer.raw = unsafe { shared.raw.create_buffer(&info, None) }
+            .map_err(shared.noting("vkCreateBuffer"))?;
         Ok(buffer)
     }
 
@@ -241,10 +260,11 @@ impl Device {
     /// Refers to a buffer that the caller has made on the same device, and destroys.
     ///
     /// # Safety
-    /// The buffer must be bound to memory, hold `bytes`, be usable as a storage buffer and as the source of copies,
-    /// belong to the queue's family or be shared concurrently, and outlive what is returned. While a call into this
-    /// crate works on it nobody may write it, and what was written before must be done, or submitted before on the same
-    /// queue with a dependency on compute shaders and transfers.
+    /// The buffer must be bound to memory, hold `bytes`, be usable as a storage buffer and as the
+    /// source of copies, belong to the queue's family or be shared concurrently, and outlive what
+    /// is returned. While a call into this crate works on it nobody may write it, and what was
+    /// written before must be done, or submitted before on the same queue with a dependency on
+    /// compute shaders and transfers.
     #[must_use]
     pub unsafe fn foreign_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
         Arc::new(Buffer { device: Arc::clone(&self.shared), raw, memory: Memory::Foreign, bytes })
@@ -265,7 +285,8 @@ impl Buffer {
     }
 
     /// A file descriptor by which another interface or process imports the memory of an
-    /// [exported buffer](Device::exported_buffer), a new one each time: an opaque one, of a dedicated allocation. It is the caller's.
+    /// [exported buffer](Device::exported_buffer), a new one each time: an opaque one, of a
+    /// dedicated allocation. It is the caller's.
     ///
     /// # Errors
     /// Those of the driver.
@@ -281,7 +302,8 @@ impl Buffer {
         let info = vk::MemoryGetFdInfoKHR::default().memory(*memory).handle_type(HANDLE);
         // SAFETY: the memory is this device's, which can export it, and the descriptor is new.
         unsafe {
-            let descriptor = exports.get_memory_fd(&info).map_err(self.device.noting("vkGetMemoryFdKHR"))?;
+            let descriptor =
+                exports.get_memory_fd(&info).map_err(self.device.noting("vkGetMemoryFdKHR"))?;
             Ok(std::os::fd::OwnedFd::from_raw_fd(descriptor))
         }
     }
@@ -305,8 +327,8 @@ impl Buffer {
     /// Writes into an upload buffer.
     ///
     /// # Safety
-    /// What is written no batch in flight may read or write, from its submission until it was waited for, and no other thread meanwhile:
-    /// neither the device nor this knows of the other.
+    /// What is written no batch in flight may read or write, from its submission until it was
+    /// waited for, and no other thread meanwhile: neither the device nor this knows of the other.
     ///
     /// # Panics
     /// If the buffer ends before the values do, or is not visible to the host.
@@ -321,7 +343,8 @@ impl Buffer {
     /// Reads from a download buffer.
     ///
     /// # Safety
-    /// What is read no batch in flight may write, from its submission until it was waited for, and no other thread meanwhile.
+    /// What is read no batch in flight may write, from its submission until it was waited for, and
+    /// no other thread meanwhile.
     ///
     /// # Panics
     /// If the buffer ends before `count` values, or is not visible to the host.
@@ -339,7 +362,8 @@ impl Buffer {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
         assert!(from.cast::<T>().is_aligned(), "{offset} is within a value");
-        // SAFETY: `mapped` checked the range, any bits are a value, and the caller says that nobody writes there.
+        // SAFETY: `mapped` checked the range, any bits are a value, and the caller says that nobody
+        // writes there.
         unsafe { std::slice::from_raw_parts(from.cast(), count) }
     }
 
@@ -374,7 +398,8 @@ impl View {
         self.offset
     }
 
-    /// Where the device has it, if buffers [have addresses](super::DeviceOptions::addresses) and this is not a caller's.
+    /// Where the device has it, if buffers [have addresses](super::DeviceOptions::addresses) and
+    /// this is not a caller's.
     #[must_use]
     pub fn address(&self) -> Option<vk::DeviceAddress> {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
@@ -394,7 +419,8 @@ impl View {
         self.buffer.part(self.offset + offset, bytes)
     }
 
-    /// [`part`](Self::part), from the multiple of `alignment` before it on, and the words that this adds in front.
+    /// [`part`](Self::part), from the multiple of `alignment` before it on, and the words that this
+    /// adds in front.
     ///
     /// # Panics
     /// If the view ends before that, or the part begins within a word.
@@ -445,7 +471,8 @@ impl Drop for Buffer {
         unsafe { self.device.raw.destroy_buffer(self.raw, None) };
         match std::mem::replace(&mut self.memory, Memory::None) {
             Memory::Part(allocation) => {
-                let mut allocator = self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut allocator =
+                    self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
                 allocator.free(allocation).expect("the allocation is this allocator's");
             }
             // SAFETY: it was bound to this buffer alone.

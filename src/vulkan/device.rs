@@ -17,7 +17,8 @@ use super::families;
 use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
-/// Bytes of the pieces in which memory is taken from the driver; larger buffers have pieces of their own.
+/// Bytes of the pieces in which memory is taken from the driver; larger buffers have pieces of
+/// their own.
 pub const PIECE: u64 = 16 << 20;
 
 /// Options of an open device: what it may take, keep and use.
@@ -27,21 +28,25 @@ pub struct DeviceOptions {
     pub memory: Option<u64>,
     /// The folder in which compiled pipelines are kept from run to run.
     pub pipeline_cache: Option<PathBuf>,
-    /// Bytes of a storage buffer that shaders are shown at the most, where the device would allow more.
+    /// Bytes of a storage buffer that shaders are shown at the most, where the device would allow
+    /// more.
     pub storage_range: Option<u64>,
     /// The queues to use.
     pub queues: Queues,
     /// Whether its memory is taken to be the host's; by the kind of device where it is `None`.
     pub shares_host_memory: Option<bool>,
-    /// Whether buffers have [addresses](super::View::address), for which the device has to have `bufferDeviceAddress`: an adopted one
-    /// with that enabled.
+    /// Whether buffers have [addresses](super::View::address), for which the device has to have
+    /// `bufferDeviceAddress`: an adopted one with that enabled.
     pub addresses: bool,
-    /// Whether buffers can be made that [other interfaces and processes](Device::exported_buffer) see, for which the device has to have
-    /// `VK_KHR_external_memory_fd`: an adopted one with that enabled.
+    /// Whether buffers can be made that [other interfaces and processes](Device::exported_buffer)
+    /// see, for which the device has to have `VK_KHR_external_memory_fd`: an adopted one with that
+    /// enabled.
     pub exports: bool,
-    /// Further usages of the buffers of an adopted device, such as the building of acceleration structures.
+    /// Further usages of the buffers of an adopted device, such as the building of acceleration
+    /// structures.
     pub usage: vk::BufferUsageFlags,
-    /// SPIR-V that stands in for that of some shaders, by their names: of the same sources, compiled otherwise.
+    /// SPIR-V that stands in for that of some shaders, by their names: of the same sources,
+    /// compiled otherwise.
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
@@ -53,7 +58,8 @@ pub enum Queues {
     All,
     /// One for everything.
     One,
-    /// One for everything that is used as if it were two: copies wait for shaders, and shaders for copies.
+    /// One for everything that is used as if it were two: copies wait for shaders, and shaders for
+    /// copies.
     OneAsTwo,
 }
 
@@ -196,14 +202,17 @@ impl Device {
     ) -> Result<Self, VulkanError> {
         let info = instance.choose(choice)?;
         // SAFETY: the device is one of the instance's.
-        let families = unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
+        let families =
+            unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
         let (family, transfer) = families::to_use(&families);
         let family = family.expect("a device without compute is refused");
         let transfer = transfer.filter(|_| options.queues == Queues::All);
         let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
         let queue_infos: Vec<_> = used
             .iter()
-            .map(|&f| vk::DeviceQueueCreateInfo::default().queue_family_index(f).queue_priorities(&[1.0]))
+            .map(|&f| {
+                vk::DeviceQueueCreateInfo::default().queue_family_index(f).queue_priorities(&[1.0])
+            })
             .collect();
         let mut features = vk::PhysicalDeviceVulkan12Features::default()
             .timeline_semaphore(true)
@@ -231,7 +240,8 @@ impl Device {
         let raw = unsafe { instance.raw.create_device(info.physical, &create, None) }
             .map_err(VulkanError::of("vkCreateDevice"))?;
         // SAFETY: the device was made with a queue of each of these families.
-        let mut queues: Vec<_> = used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
+        let mut queues: Vec<_> =
+            used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
         if options.queues == Queues::OneAsTwo {
             queues.push(queues[0]);
         }
@@ -242,17 +252,18 @@ impl Device {
     /// Works on a device that the caller has opened.
     ///
     /// # Errors
-    /// [`VulkanError::Unfit`] for a device that lacks what is needed; others where memory for the first few objects
-    /// is refused.
+    /// [`VulkanError::Unfit`] for a device that lacks what is needed; others where memory for the
+    /// first few objects is refused.
     ///
     /// # Safety
-    /// - All handles must belong together, made for Vulkan 1.2 or later, with `timelineSemaphore` enabled, and stay
-    ///   alive as long as what is returned and everything made with it.
-    /// - A queue may be adopted once at a time. During a call into this crate nobody else may submit to it, and
-    ///   nothing submitted before may wait for what the calling thread is still to do.
-    /// - Buffers made here belong to the queue's family: other families need a transfer of ownership, and every
-    ///   reader on the device a dependency on compute shaders and transfers. A buffer must not be dropped before
-    ///   the caller's own commands are done with it.
+    /// - All handles must belong together, made for Vulkan 1.2 or later, with `timelineSemaphore`
+    ///   enabled, and stay alive as long as what is returned and everything made with it.
+    /// - A queue may be adopted once at a time. During a call into this crate nobody else may
+    ///   submit to it, and nothing submitted before may wait for what the calling thread is still
+    ///   to do.
+    /// - Buffers made here belong to the queue's family: other families need a transfer of
+    ///   ownership, and every reader on the device a dependency on compute shaders and transfers. A
+    ///   buffer must not be dropped before the caller's own commands are done with it.
     pub unsafe fn adopt(foreign: Foreign, options: &DeviceOptions) -> Result<Self, VulkanError> {
         let Foreign { instance, physical, device, family, queue } = foreign;
         // SAFETY: the device is one of the instance's.
@@ -262,11 +273,13 @@ impl Device {
                 instance.get_physical_device_queue_family_properties(physical),
             )
         };
-        let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
-        let of_queue =
-            (!families.get(family as usize).is_some_and(computes)).then_some("its queue does not compute");
+        let computes =
+            |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+        let of_queue = (!families.get(family as usize).is_some_and(computes))
+            .then_some("its queue does not compute");
         if let Some(lacks) = lacks(&instance, physical, &properties).or(of_queue) {
-            let device = properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
+            let device =
+                properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
             return Err(VulkanError::Unfit { device, lacks });
         }
         Self::around(&instance, None, physical, device, vec![(family, queue)], options)
@@ -282,7 +295,8 @@ impl Device {
     ) -> Result<Self, VulkanError> {
         let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
         let mut id = vk::PhysicalDeviceIDProperties::default();
-        let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance).push_next(&mut id);
+        let mut all =
+            vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance).push_next(&mut id);
         // SAFETY: the device is one of the instance's.
         let (families, properties, memory_types) = unsafe {
             instance.get_physical_device_properties2(physical, &mut all);
@@ -311,7 +325,8 @@ impl Device {
             }
         };
         let cache_file = options.pipeline_cache.as_deref().map(|folder| {
-            let id: String = properties.pipeline_cache_uuid.iter().map(|b| format!("{b:02x}")).collect();
+            let id: String =
+                properties.pipeline_cache_uuid.iter().map(|b| format!("{b:02x}")).collect();
             folder.join(format!("pipelines-{id}"))
         });
         // From here on everything that is made is dropped with `shared` if a later step fails.
@@ -396,12 +411,13 @@ impl Device {
         &self.shared.faults
     }
 
-    /// Returns the counters since the last call, or since the device was opened, and sets them to zero.
+    /// Returns the counters since the last call, or since the device was opened, and sets them to
+    /// zero.
     #[must_use]
     pub fn take_counters(&self) -> Counters {
         let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;
-        let [submissions, allocations, sent, received] =
-            [submissions, allocations, sent, received].map(|count| count.swap(0, Ordering::Relaxed));
+        let [submissions, allocations, sent, received] = [submissions, allocations, sent, received]
+            .map(|count| count.swap(0, Ordering::Relaxed));
         Counters { submissions, allocations, sent, received }
     }
 
@@ -458,10 +474,11 @@ impl Shared {
             .initial_value(0);
         let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
         // SAFETY: the device is alive, and what is pointed to outlives the call.
-        let timeline =
-            unsafe { self.raw.create_semaphore(&info, None) }.map_err(self.noting("vkCreateSemaphore"))?;
+        let timeline = unsafe { self.raw.create_semaphore(&info, None) }
+            .map_err(self.noting("vkCreateSemaphore"))?;
         let known = self.queues.iter().map(|known| &known.raw);
-        let same = known.clone().find(|raw| *raw.lock().unwrap_or_else(PoisonError::into_inner) == queue);
+        let same =
+            known.clone().find(|raw| *raw.lock().unwrap_or_else(PoisonError::into_inner) == queue);
         let raw = same.map_or_else(|| Arc::new(Mutex::new(queue)), Arc::clone);
         self.queues.push(QueueState {
             raw,
@@ -493,7 +510,11 @@ impl Shared {
         move |result| {
             let error = VulkanError::of(call)(result);
             // A lost device stays lost, whatever it says later.
-            if error == VulkanError::Lost || self.lost.load(Ordering::Relaxed) { self.lose() } else { error }
+            if error == VulkanError::Lost || self.lost.load(Ordering::Relaxed) {
+                self.lose()
+            } else {
+                error
+            }
         }
     }
 
@@ -520,7 +541,10 @@ impl Shared {
     }
 
     fn save_cache(&self) -> Option<()> {
-        let file = self.cache_file.as_deref().filter(|_| self.pipeline_cache != vk::PipelineCache::null())?;
+        let file = self
+            .cache_file
+            .as_deref()
+            .filter(|_| self.pipeline_cache != vk::PipelineCache::null())?;
         // SAFETY: the cache is this device's.
         let data = unsafe { self.raw.get_pipeline_cache_data(self.pipeline_cache) }.ok()?;
         if read_cache(file).as_deref() != Some(&data) {
@@ -546,7 +570,8 @@ impl Drop for Shared {
     fn drop(&mut self) {
         // A cache that cannot be kept costs time in the next run, and nothing else.
         let _ = self.save_cache();
-        // SAFETY: buffers, shaders and batches hold this, so none is left. The allocator goes before its device.
+        // SAFETY: buffers, shaders and batches hold this, so none is left. The allocator goes
+        // before its device.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             for queue in &self.queues {

@@ -2,8 +2,8 @@
 
 use ash::vk;
 
-/// The family of queues that computes, apart from graphics where it can be, and one that does nothing but copy, if there is one: those
-/// for videos may copy, too, but are for something else.
+/// The family of queues that computes, apart from graphics where it can be, and one that does
+/// nothing but copy, if there is one: those for videos may copy, too, but are for something else.
 pub(super) fn to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
     let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
         let fits = |f: &vk::QueueFamilyProperties| {
@@ -12,7 +12,8 @@ pub(super) fn to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Optio
         known.iter().position(fits).map(|i| i as u32)
     };
     let (compute, copy) = (vk::QueueFlags::COMPUTE, vk::QueueFlags::TRANSFER);
-    let computes = find(compute, vk::QueueFlags::GRAPHICS).or(find(compute, vk::QueueFlags::empty()));
+    let computes =
+        find(compute, vk::QueueFlags::GRAPHICS).or(find(compute, vk::QueueFlags::empty()));
     let harmless = vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
     (computes, find(copy, !(copy | harmless)))
 }
@@ -37,7 +38,8 @@ mod tests {
             (&[shaders], (Some(0), None)),
             (&[graphics], (None, None)),
         ] {
-            let family = |&flags| vk::QueueFamilyProperties { queue_flags: flags, ..Default::default() };
+            let family =
+                |&flags| vk::QueueFamilyProperties { queue_flags: flags, ..Default::default() };
             let families: Vec<_> = flags.iter().map(family).collect();
             assert_eq!(to_use(&families), expected, "{flags:?}");
         }

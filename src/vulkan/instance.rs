@@ -25,7 +25,6 @@ pub struct ValidationLog(Arc<Mutex<Vec<String>>>);
 
 impl ValidationLog {
     /// All warnings and errors, in order.
-    #[must_use]
     pub fn messages(&self) -> Vec<String> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -37,8 +36,8 @@ pub enum DeviceChoice {
     /// The first of the best kind.
     #[default]
     Best,
-    /// By its number in [`Instance::devices`], by its [`uuid`](DeviceInfo::uuid) in hexadecimal digits, or by a part of its name in any
-    /// case.
+    /// By its number in [`Instance::devices`], by its [`uuid`](DeviceInfo::uuid) in hexadecimal
+    /// digits, or by a part of its name in any case.
     Named(String),
 }
 
@@ -81,11 +80,13 @@ pub struct DeviceInfo {
     pub api: [u32; 3],
     /// The name and version of the driver.
     pub driver: String,
-    /// The version of the conformance tests that its driver passes: major, minor, subminor, patch. All are 0 where it passes none.
+    /// The version of the conformance tests that its driver passes: major, minor, subminor, patch.
+    /// All are 0 where it passes none.
     pub conformance: [u8; 4],
     /// Bytes of its own memory: of the largest heap.
     pub memory: u64,
-    /// Bytes of that heap that nobody uses, as far as the driver tells; all of it where it does not.
+    /// Bytes of that heap that nobody uses, as far as the driver tells; all of it where it does
+    /// not.
     pub free: u64,
     /// The queue families of the device.
     pub families: Vec<vk::QueueFamilyProperties>,
@@ -105,7 +106,8 @@ impl DeviceInfo {
         self.uuid.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Whether its driver passes the conformance tests of any version. Those that translate to other interfaces may not.
+    /// Whether its driver passes the conformance tests of any version. Those that translate to
+    /// other interfaces may not.
     #[must_use]
     pub fn is_conformant(&self) -> bool {
         self.conformance != [0; 4]
@@ -113,14 +115,15 @@ impl DeviceInfo {
 }
 
 impl Instance {
-    /// Connects to the loader; with `validation`, through the Khronos validation layer, synchronisation
-    /// checks included.
+    /// Connects to the loader; with `validation`, through the Khronos validation layer,
+    /// synchronisation checks included.
     ///
     /// # Errors
     /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] where they are not installed.
     pub fn connect(validation: bool) -> Result<Arc<Self>, VulkanError> {
         // SAFETY: the library that is loaded is the system's Vulkan loader.
-        let entry = unsafe { ash::Entry::load() }.map_err(|e| VulkanError::NoLoader(e.to_string()))?;
+        let entry =
+            unsafe { ash::Entry::load() }.map_err(|e| VulkanError::NoLoader(e.to_string()))?;
         // SAFETY: no instance is needed to ask.
         let layers = unsafe { entry.enumerate_instance_layer_properties() }.unwrap_or_default();
         if validation && !layers.iter().any(|layer| layer.layer_name_as_c_str() == Ok(VALIDATION)) {
@@ -132,25 +135,35 @@ impl Instance {
             .api_version(vk::API_VERSION_1_2);
         let layers = [VALIDATION.as_ptr()];
         // SAFETY: no instance is needed to ask.
-        let known = unsafe { entry.enumerate_instance_extension_properties(None) }.unwrap_or_default();
-        // Devices that are Vulkan but for a few features, such as MoltenVK, are hidden from who does not ask for them.
+        let known =
+            unsafe { entry.enumerate_instance_extension_properties(None) }.unwrap_or_default();
+        // Devices that are Vulkan but for a few features, such as MoltenVK, are hidden from who
+        // does not ask for them.
         let portability = names(&known, khr::portability_enumeration::NAME);
         let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
-        // Layers of 2024 and later have settings, and look at what shaders read and write only if told to.
-        // SAFETY: no instance is needed to ask.
+        // Layers of 2024 and later have settings, and look at what shaders read and write only if
+        // told to. SAFETY: no instance is needed to ask.
         let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
-        let has_settings = names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
+        let has_settings =
+            names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
         if validation {
-            let checked_by =
-                if has_settings { ext::layer_settings::NAME } else { ext::validation_features::NAME };
+            let checked_by = if has_settings {
+                ext::layer_settings::NAME
+            } else {
+                ext::validation_features::NAME
+            };
             extensions.extend([ext::debug_utils::NAME.as_ptr(), checked_by.as_ptr()]);
         }
         let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
-        let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+        let mut features =
+            vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
         let on = vk::TRUE.to_ne_bytes();
         let settings = [c"validate_sync", c"syncval_shader_accesses_heuristic"].map(|name| {
             let setting = vk::LayerSettingEXT::default().layer_name(VALIDATION).setting_name(name);
-            vk::LayerSettingEXT { value_count: 1, ..setting.ty(vk::LayerSettingTypeEXT::BOOL32).values(&on) }
+            vk::LayerSettingEXT {
+                value_count: 1,
+                ..setting.ty(vk::LayerSettingTypeEXT::BOOL32).values(&on)
+            }
         });
         let mut settings = vk::LayerSettingsCreateInfoEXT::default().settings(&settings);
         let log = ValidationLog::default();
@@ -163,7 +176,11 @@ impl Instance {
         }
         if validation {
             info = info.enabled_layer_names(&layers).push_next(&mut messages);
-            info = if has_settings { info.push_next(&mut settings) } else { info.push_next(&mut features) };
+            info = if has_settings {
+                info.push_next(&mut settings)
+            } else {
+                info.push_next(&mut features)
+            };
         }
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }
@@ -174,7 +191,8 @@ impl Instance {
         if validation {
             let debug = ext::debug_utils::Instance::new(&instance.entry, &instance.raw);
             // SAFETY: the log that the messenger writes to lives as long as this instance.
-            let made = unsafe { debug.create_debug_utils_messenger(&messenger_info(&instance.log), None) };
+            let made =
+                unsafe { debug.create_debug_utils_messenger(&messenger_info(&instance.log), None) };
             let made = made.map_err(VulkanError::of("vkCreateDebugUtilsMessengerEXT"))?;
             instance.messenger = Some((debug, made));
         }
@@ -187,7 +205,8 @@ impl Instance {
         self.log.clone()
     }
 
-    /// Whether everything goes through a validation layer that sees what shaders read and write: those of 2024 and later do.
+    /// Whether everything goes through a validation layer that sees what shaders read and write:
+    /// those of 2024 and later do.
     #[must_use]
     pub fn sees_shaders(&self) -> bool {
         self.sees_shaders
@@ -213,13 +232,16 @@ impl Instance {
         let found = match choice {
             DeviceChoice::Best => {
                 let usable = devices.iter().filter(|device| device.lacks.is_none());
-                usable.min_by_key(|device| (!device.is_conformant(), device.kind)).or(devices.first())
+                usable
+                    .min_by_key(|device| (!device.is_conformant(), device.kind))
+                    .or(devices.first())
             }
             DeviceChoice::Named(wanted) => {
                 let numbered = wanted.parse().ok().and_then(|index: usize| devices.get(index));
                 let wanted = wanted.to_lowercase();
                 // Names hold numbers, too.
-                let named = || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
+                let named =
+                    || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
                 let digits = wanted.replace('-', "");
                 let known = devices.iter().find(|device| device.uuid_digits() == digits);
                 known.or(numbered).or_else(named)
@@ -228,7 +250,8 @@ impl Instance {
         let Some(found) = found else {
             return Err(match choice {
                 DeviceChoice::Named(wanted) if !devices.is_empty() => {
-                    let known: Vec<_> = devices.iter().map(|d| format!("{} {}", d.index, d.name)).collect();
+                    let known: Vec<_> =
+                        devices.iter().map(|d| format!("{} {}", d.index, d.name)).collect();
                     VulkanError::NotFound { wanted: wanted.clone(), known: known.join(", ") }
                 }
                 _ => VulkanError::NoDevice,
@@ -296,32 +319,44 @@ impl Instance {
     }
 
     /// A device's heaps, bytes of the largest of its own, and how many of them nobody uses.
-    fn heaps(&self, physical: vk::PhysicalDevice) -> (vk::PhysicalDeviceMemoryProperties, u64, u64) {
+    fn heaps(
+        &self,
+        physical: vk::PhysicalDevice,
+    ) -> (vk::PhysicalDeviceMemoryProperties, u64, u64) {
         // SAFETY: the device is one of this instance's.
-        let known = unsafe { self.raw.enumerate_device_extension_properties(physical) }.unwrap_or_default();
+        let known =
+            unsafe { self.raw.enumerate_device_extension_properties(physical) }.unwrap_or_default();
         let tells = names(&known, ext::memory_budget::NAME).is_some();
         let mut budgets = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
         let mut memory = vk::PhysicalDeviceMemoryProperties2::default();
         if tells {
             memory = memory.push_next(&mut budgets);
         }
-        // SAFETY: the device is one of this instance's, and offers the extension if it is asked for.
+        // SAFETY: the device is one of this instance's, and offers the extension if it is asked
+        // for.
         unsafe { self.raw.get_physical_device_memory_properties2(physical, &mut memory) };
         let memory = memory.memory_properties;
         let heaps = memory.memory_heaps_as_slice().iter().enumerate();
-        let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
-        let Some((i, heap)) = local.max_by_key(|(_, heap)| heap.size) else { return (memory, 0, 0) };
+        let local =
+            heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
+        let Some((i, heap)) = local.max_by_key(|(_, heap)| heap.size) else {
+            return (memory, 0, 0);
+        };
         let free = budgets.heap_budget[i].saturating_sub(budgets.heap_usage[i]);
         (memory, heap.size, if tells { free.min(heap.size) } else { heap.size })
     }
 }
 
 /// A name, if it is among those of extensions.
-pub(super) fn names(extensions: &[vk::ExtensionProperties], name: &'static CStr) -> Option<&'static CStr> {
+pub(super) fn names(
+    extensions: &[vk::ExtensionProperties],
+    name: &'static CStr,
+) -> Option<&'static CStr> {
     extensions.iter().any(|known| known.extension_name_as_c_str() == Ok(name)).then_some(name)
 }
 
-/// Returns why a device cannot be used: a requirement that it does not meet, or `None` if it meets all.
+/// Returns why a device cannot be used: a requirement that it does not meet, or `None` if it meets
+/// all.
 pub(super) fn lacks(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
@@ -343,16 +378,22 @@ pub(super) fn lacks(
         () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
         () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
         () if !families.iter().any(computes) => Some("it has no queue for compute"),
-        () if limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0])
+        () if limits
+            .max_compute_work_group_invocations
+            .min(limits.max_compute_work_group_size[0])
             < MOST_THREADS =>
         {
             Some("its work groups are too small")
         }
-        () if limits.max_compute_shared_memory_size < MOST_SHARED => Some("its shared memory is too small"),
+        () if limits.max_compute_shared_memory_size < MOST_SHARED => {
+            Some("its shared memory is too small")
+        }
         () if limits.max_per_stage_descriptor_storage_buffers < MOST_BUFFERS => {
             Some("it binds too few buffers")
         }
-        () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
+        () if limits.max_storage_buffer_range < 1 << 27 => {
+            Some("its storage buffers are too small")
+        }
         () => None,
     }
 }
@@ -378,11 +419,14 @@ impl fmt::Debug for Instance {
 fn messenger_info(log: &ValidationLog) -> vk::DebugUtilsMessengerCreateInfoEXT<'static> {
     vk::DebugUtilsMessengerCreateInfoEXT::default()
         .message_severity(
-            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
+            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR
+                | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
         )
         .message_type(
-            // What the loader has to say (GENERAL), of drivers that it cannot open and the like, is no mistake of ours.
-            vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
+            // What the loader has to say (GENERAL), of drivers that it cannot open and the like, is
+            // no mistake of ours.
+            vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
+                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
         )
         .pfn_user_callback(Some(note))
         .user_data(Arc::as_ptr(&log.0).cast_mut().cast())
@@ -396,8 +440,9 @@ unsafe extern "system" fn note(
     log: *mut c_void,
 ) -> vk::Bool32 {
     // SAFETY: the layer gives a valid message, and the log lives as long as its instance.
-    let (message, log) =
-        unsafe { (CStr::from_ptr((*data).p_message), &*log.cast::<Mutex<Vec<String>>>().cast_const()) };
+    let (message, log) = unsafe {
+        (CStr::from_ptr((*data).p_message), &*log.cast::<Mutex<Vec<String>>>().cast_const())
+    };
     log.lock().unwrap_or_else(PoisonError::into_inner).push(message.to_string_lossy().into_owned());
     vk::FALSE
 }

@@ -41,7 +41,6 @@ impl fmt::Debug for ComputePipeline {
 
 impl ComputePipeline {
     /// Returns the number of work groups, in a row, that have at least `threads` threads.
-    #[must_use]
     pub fn groups(&self, threads: u32) -> u32 {
         threads.div_ceil(self.shader.group)
     }
@@ -79,7 +78,8 @@ impl Device {
             .stage_flags(vk::ShaderStageFlags::COMPUTE)
             .size(shader.push_bytes)];
         let binary = self.shared.binaries.get(shader.name).map_or(shader.code, Vec::as_slice);
-        let code = read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
+        let code =
+            read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
         // From here on what is made is dropped with `shader` if a later step fails.
         let mut pipeline = ComputePipeline {
             device: Arc::clone(&self.shared),
@@ -88,7 +88,8 @@ impl Device {
             layout: vk::PipelineLayout::null(),
             pipeline: vk::Pipeline::null(),
         };
-        // SAFETY: all handles are this device's, and everything that is pointed to outlives each call.
+        // SAFETY: all handles are this device's, and everything that is pointed to outlives each
+        // call.
         unsafe {
             pipeline.sets = raw
                 .create_descriptor_set_layout(
@@ -112,11 +113,12 @@ impl Device {
                 .stage(vk::ShaderStageFlags::COMPUTE)
                 .module(module)
                 .name(&entry);
-            let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(pipeline.layout)];
+            let info =
+                [vk::ComputePipelineCreateInfo::default().stage(stage).layout(pipeline.layout)];
             let made = raw.create_compute_pipelines(self.shared.pipeline_cache, &info, None);
             raw.destroy_shader_module(module, None);
-            pipeline.pipeline =
-                made.map_err(|(_, result)| self.shared.noting("vkCreateComputePipelines")(result))?[0];
+            pipeline.pipeline = made
+                .map_err(|(_, result)| self.shared.noting("vkCreateComputePipelines")(result))?[0];
         }
         Ok(pipeline)
     }

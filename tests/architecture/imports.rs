@@ -1,9 +1,10 @@
 //! Which file of a source tree imports from which, as its syntax says.
 //!
-//! A path leads to the file in which what it names is written: a re-export is followed, and is itself no import. Neither is
-//! `mod child;`. So a `mod.rs` that only declares and re-exports imports from nobody, one that uses what is in its children
-//! imports from them, and so do they from it if they use what is written there. What only tests and comments name does not
-//! count. In macros a path is any names with `::` between them.
+//! A path leads to the file in which what it names is written: a re-export is followed, and is
+//! itself no import. Neither is `mod child;`. So a `mod.rs` that only declares and re-exports
+//! imports from nobody, one that uses what is in its children imports from them, and so do they
+//! from it if they use what is written there. What only tests and comments name does not count. In
+//! macros a path is any names with `::` between them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -11,12 +12,15 @@ use std::path::{Path, PathBuf};
 
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use syn::visit::{self, Visit};
-use syn::{Attribute, Expr, ExprCall, ExprPath, Item, ItemMod, ItemUse, Macro, UseTree, Visibility};
+use syn::{
+    Attribute, Expr, ExprCall, ExprPath, Item, ItemMod, ItemUse, Macro, UseTree, Visibility,
+};
 
 /// The crate that programs under `bin` name the library by.
 const LIBRARY: &str = "meniscus";
 
-/// A module by the names of those around it: none for the library's root, `bin` and the program's name for a program's.
+/// A module by the names of those around it: none for the library's root, `bin` and the program's
+/// name for a program's.
 type Module = Vec<String>;
 
 /// A file that names something that is written in another.
@@ -36,14 +40,16 @@ pub fn imports(folder: &Path) -> BTreeSet<Import> {
     let tree = Tree::read(folder);
     let mut imports = BTreeSet::new();
     for (module, file) in &tree.modules {
-        let mut names = Names { tree: &tree, file, module: module.clone(), imports: BTreeSet::new() };
+        let mut names =
+            Names { tree: &tree, file, module: module.clone(), imports: BTreeSet::new() };
         names.visit_file(&file.syntax);
         imports.append(&mut names.imports);
     }
     imports
 }
 
-/// The texts in the code of all files below a folder, with their files: those of messages, but neither of comments nor of tests.
+/// The texts in the code of all files below a folder, with their files: those of messages, but
+/// neither of comments nor of tests.
 pub fn texts(folder: &Path) -> Vec<(String, String)> {
     let mut texts = Vec::new();
     for path in files(folder) {
@@ -95,7 +101,8 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
 struct File {
     name: String,
     syntax: syn::File,
-    /// By the name under which it is known here, the path of what is used, and whether others may use it from here.
+    /// By the name under which it is known here, the path of what is used, and whether others may
+    /// use it from here.
     uses: BTreeMap<String, (Vec<String>, bool)>,
 }
 
@@ -128,8 +135,8 @@ impl Tree {
         Self { modules: modules.map(file).collect() }
     }
 
-    /// The module in which what a path names is written, and the one by which the path names it; `None` where it is not of
-    /// this tree.
+    /// The module in which what a path names is written, and the one by which the path names it;
+    /// `None` where it is not of this tree.
     fn find(&self, here: &[String], path: &[String]) -> Option<[Module; 2]> {
         let (first, rest) = path.split_first()?;
         let of_program = here.first().is_some_and(|first| first == "bin");
@@ -144,7 +151,11 @@ impl Tree {
             name => {
                 let (used, _) = self.modules.get(here)?.uses.get(name)?;
                 // Of its own name is what a crate or a macro of the file is called.
-                return if used[0] == *name { None } else { self.find(here, &[used, rest].concat()) };
+                return if used[0] == *name {
+                    None
+                } else {
+                    self.find(here, &[used, rest].concat())
+                };
             }
         };
         let (mut by, mut rest) = (start, rest);
@@ -163,7 +174,8 @@ impl Tree {
             by.pop()?;
         }
         let written = rest.first().filter(|name| self.modules[&by].uses.contains_key(*name));
-        let written = written.and_then(|_| self.find(&by, rest)).map_or(by.clone(), |[written, _]| written);
+        let written =
+            written.and_then(|_| self.find(&by, rest)).map_or(by.clone(), |[written, _]| written);
         Some([written, by])
     }
 }
@@ -185,7 +197,9 @@ fn leaves(tree: &UseTree) -> Vec<(String, Vec<String>)> {
             })
             .collect(),
         UseTree::Name(name) => vec![(name.ident.to_string(), vec![name.ident.to_string()])],
-        UseTree::Rename(rename) => vec![(rename.rename.to_string(), vec![rename.ident.to_string()])],
+        UseTree::Rename(rename) => {
+            vec![(rename.rename.to_string(), vec![rename.ident.to_string()])]
+        }
         UseTree::Glob(_) => vec![("*".to_owned(), vec!["*".to_owned()])],
         UseTree::Group(group) => group.items.iter().flat_map(leaves).collect(),
     }
@@ -246,7 +260,8 @@ impl<'ast> Visit<'ast> for Names<'_> {
     }
 
     fn visit_path(&mut self, path: &'ast syn::Path) {
-        let names: Vec<String> = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+        let names: Vec<String> =
+            path.segments.iter().map(|segment| segment.ident.to_string()).collect();
         // A small name alone is a variable, unless it is called.
         if names.len() > 1 || !starts_small(&names[0]) {
             self.mention(&names);

@@ -1,6 +1,8 @@
-//! Imports run one way: every room uses only those before it. Within a room, files may use each other.
+//! Imports run one way: every room uses only those before it. Within a room, files may use each
+//! other.
 //!
-//! `cargo test --test architecture -- --nocapture` prints every import. What is one, `architecture/imports.rs` says.
+//! `cargo test --test architecture -- --nocapture` prints every import. What is one,
+//! `architecture/imports.rs` says.
 #![allow(clippy::unwrap_used)]
 
 mod imports;
@@ -93,12 +95,13 @@ fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
 
 /// Words with which a line goes on from another, and does not stand alone.
 const GOING_ON: [&str; 18] = [
-    "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So", "Whose",
-    "Who", "Which", "There", "Another", "Such",
+    "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So",
+    "Whose", "Who", "Which", "There", "Another", "Such",
 ];
 
 /// Beginnings with which a public item says too little where its line stands alone.
-const TOO_LITTLE: [&str; 6] = ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
+const TOO_LITTLE: [&str; 6] =
+    ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
 
 /// Whether the item is public that the documentation before `lines` is of.
 fn is_public<'a>(lines: impl IntoIterator<Item = &'a str>) -> bool {
@@ -126,7 +129,9 @@ fn first_lines_of_docs_stand_alone() {
                 };
                 seen += 1;
                 let says_little = TOO_LITTLE.iter().any(|words| first.starts_with(words));
-                if GOING_ON.iter().any(begins) || says_little && is_public(text.lines().skip(number)) {
+                if GOING_ON.iter().any(begins)
+                    || says_little && is_public(text.lines().skip(number))
+                {
                     going_on.push(format!("{}:{}: {first}", file.display(), number + 1));
                 }
             }

@@ -5,9 +5,12 @@ use std::sync::Arc;
 use bytemuck::Pod;
 use glam::{DVec3, IVec3};
 use meniscus::internals::brick::vulkan::{
-    BinPipelines, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
+    BinPipelines, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin,
+    reciprocal,
 };
-use meniscus::internals::brick::{BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles};
+use meniscus::internals::brick::{
+    BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles,
+};
 use meniscus::internals::grid::units::Isovalue;
 use meniscus::internals::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use meniscus::internals::particles::Particles;
@@ -100,7 +103,8 @@ fn arithmetic(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 ";
 
-/// Numbers of all kinds: any bits; few bits; near others, and near the middle between two; tiny, huge, special.
+/// Numbers of all kinds: any bits; few bits; near others, and near the middle between two; tiny,
+/// huge, special.
 fn number(random: &mut Random) -> f64 {
     const SPECIAL: [f64; 10] = [
         0.0,
@@ -122,7 +126,9 @@ fn number(random: &mut Random) -> f64 {
         3 => SPECIAL[(bits % 10) as usize],
         4 => f64::from(f32::from_bits(bits as u32)),
         5 => f64::from(bits as i32 >> (bits >> 59)) / 1024.0,
-        6 => f64::from_bits(bits & 0x800f_ffff_f000_0000 | (0x3fd8_0000_1000_0000 + (bits >> 58 << 52))),
+        6 => f64::from_bits(
+            bits & 0x800f_ffff_f000_0000 | (0x3fd8_0000_1000_0000 + (bits >> 58 << 52)),
+        ),
         _ => f64::from_bits(bits & 0x803f_ffff_ffff_ffff | 0x3fc0_0000_0000_0000),
     }
 }
@@ -233,7 +239,11 @@ fn on_host(
         records.sort_unstable();
         records
     };
-    Ok(Sorted { keys: bins.keys().to_vec(), census, records: (0..bins.keys().len()).map(records).collect() })
+    Ok(Sorted {
+        keys: bins.keys().to_vec(),
+        census,
+        records: (0..bins.keys().len()).map(records).collect(),
+    })
 }
 
 fn from_device(device: &Device, bins: DeviceBins) -> Sorted {
@@ -243,7 +253,8 @@ fn from_device(device: &Device, bins: DeviceBins) -> Sorted {
         assert_eq!(run.start, records.len());
         let all: Vec<u64> = download(device, &buffer, first[run.end] - first[run.start]);
         for bin in run.clone() {
-            let mut of_bin = all[first[bin] - first[run.start]..first[bin + 1] - first[run.start]].to_vec();
+            let mut of_bin =
+                all[first[bin] - first[run.start]..first[bin + 1] - first[run.start]].to_vec();
             of_bin.sort_unstable();
             records.push(of_bin);
         }
@@ -252,7 +263,11 @@ fn from_device(device: &Device, bins: DeviceBins) -> Sorted {
 }
 
 /// Pieces of a scene on the device, at an odd place in a buffer.
-fn on_device<T: Pod>(device: &Device, pieces: &[&[[T; 3]]], coordinate: Coordinate) -> Vec<DevicePositions> {
+fn on_device<T: Pod>(
+    device: &Device,
+    pieces: &[&[[T; 3]]],
+    coordinate: Coordinate,
+) -> Vec<DevicePositions> {
     let place = |piece: &&[[T; 3]]| {
         let mut bytes = vec![0xff_u8; 20];
         bytes.extend_from_slice(bytemuck::cast_slice(piece));
@@ -309,8 +324,9 @@ fn a_device_sorts_particles_into_the_bins_of_the_host() {
     for grid in grids() {
         let far = 1e3 * grid.cell_size();
         let near = 13.2 * grid.cell_size();
-        let box_of =
-            |below: f64, above: f64| Domain::new(&grid, grid.origin() - below, grid.origin() + above).ok();
+        let box_of = |below: f64, above: f64| {
+            Domain::new(&grid, grid.origin() - below, grid.origin() + above).ok()
+        };
         for domain in [None, box_of(0.77 * far, 0.91 * far), box_of(near, 0.7 * near)] {
             let domain = domain.as_ref();
             let skip = InvalidParticles::Skip;
@@ -348,7 +364,8 @@ fn particles_on_walls_and_beyond_the_last_cells_are_where_the_host_puts_them() {
         .collect();
     let refuse = InvalidParticles::Refuse;
     let positions = on_device(&device, &[&particles], Coordinate::Double);
-    let found = bin(&device, &pipelines, &positions, &grid, Some(&domain), refuse, 1 << 20).unwrap();
+    let found =
+        bin(&device, &pipelines, &positions, &grid, Some(&domain), refuse, 1 << 20).unwrap();
     assert!(found.census.outside > 1000 && found.census.binned > 1000);
     let expected = on_host(&particles[..], &grid, Some(&domain), refuse, 1 << 20).unwrap();
     assert!(from_device(&device, found) == expected);
@@ -360,8 +377,9 @@ fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
     let Some((device, log)) = open_narrow(4 << 20) else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(8);
-    let mut particles: Vec<[f32; 3]> =
-        (0..340_000).map(|_| std::array::from_fn(|_| (60.0 * random.unit() - 30.0) as f32)).collect();
+    let mut particles: Vec<[f32; 3]> = (0..340_000)
+        .map(|_| std::array::from_fn(|_| (60.0 * random.unit() - 30.0) as f32))
+        .collect();
     particles.extend_from_within(..);
     particles.extend_from_within(..);
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
@@ -387,14 +405,18 @@ fn a_table_too_small_grows_until_it_holds_all_bins_or_more_than_are_allowed() {
     let Some((device, log)) = open() else { return };
     let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(2);
-    let particles: Vec<[f32; 3]> =
-        (0..50_000).map(|_| std::array::from_fn(|_| (1e6 * (random.unit() - 0.5)) as f32)).collect();
+    let particles: Vec<[f32; 3]> = (0..50_000)
+        .map(|_| std::array::from_fn(|_| (1e6 * (random.unit() - 0.5)) as f32))
+        .collect();
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     let refuse = InvalidParticles::Refuse;
     let positions = on_device(&device, &[&particles], Coordinate::Single);
     let found = bin(&device, &pipelines, &positions, &grid, None, refuse, 1 << 20).unwrap();
     assert!(found.keys.len() > 40_000);
-    assert!(from_device(&device, found) == on_host(&particles[..], &grid, None, refuse, 1 << 20).unwrap());
+    assert!(
+        from_device(&device, found)
+            == on_host(&particles[..], &grid, None, refuse, 1 << 20).unwrap()
+    );
     for limit in [100, 2000, 40_000] {
         let refused = bin(&device, &pipelines, &positions, &grid, None, refuse, limit).unwrap_err();
         assert_eq!(refused, DeviceBinError::Bin(BinError::TooManyBins { limit }));
@@ -412,7 +434,8 @@ fn the_first_invalid_particle_is_named_as_on_the_host() {
         let mut particles = vec![[0.5_f32; 3]; 100_000];
         particles[bad][1] = f32::INFINITY;
         particles[far][2] = -1e30;
-        let positions = on_device(&device, &[&particles[..300], &particles[300..]], Coordinate::Single);
+        let positions =
+            on_device(&device, &[&particles[..300], &particles[300..]], Coordinate::Single);
         let found = bin(&device, &pipelines, &positions, &grid, None, refuse, 8).unwrap_err();
         let expected = on_host(&particles[..], &grid, None, refuse, 8).unwrap_err();
         assert_eq!(found, DeviceBinError::Bin(expected));
@@ -427,7 +450,8 @@ fn no_particles_are_no_bins() {
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     let none = on_device::<f32>(&device, &[&[]], Coordinate::Single);
     for positions in [&none[..], &[]] {
-        let bins = bin(&device, &pipelines, positions, &grid, None, InvalidParticles::Refuse, 8).unwrap();
+        let bins =
+            bin(&device, &pipelines, positions, &grid, None, InvalidParticles::Refuse, 8).unwrap();
         assert_eq!((bins.keys, bins.first, bins.census), (vec![], vec![0], Census::default()));
         assert!(bins.runs.is_empty());
     }
@@ -453,7 +477,10 @@ fn binning_that_finds_no_memory_says_so_and_keeps_none() {
                 break;
             }
             Err(error) => {
-                assert!(matches!(error, DeviceBinError::Vulkan(VulkanError::OutOfMemory { .. })), "{error}");
+                assert!(
+                    matches!(error, DeviceBinError::Vulkan(VulkanError::OutOfMemory { .. })),
+                    "{error}"
+                );
                 failures += 1;
             }
         }
@@ -487,13 +514,17 @@ fn surfaces(region: CellBox, iso: Isovalue, walls: Option<CellBox>, seed: u64) -
         let p = cell.as_dvec3();
         let sum: f64 = bumps
             .iter()
-            .map(|b| b[4] * (-(p - DVec3::new(b[0], b[1], b[2])).length_squared() / (b[3] * b[3])).exp())
+            .map(|b| {
+                b[4] * (-(p - DVec3::new(b[0], b[1], b[2])).length_squared() / (b[3] * b[3])).exp()
+            })
             .sum();
         let hash = Random::new(noise ^ MortonKey::of(cell).0).bits() % 3000;
         (40_000.0 * sum + hash as f64).min(65_535.0) as u16
     };
-    let mut regions: Vec<CellBox> =
-        region.cubes(BLOCK).map(|block| CellBox::cube(block, BLOCK).intersection(&region)).collect();
+    let mut regions: Vec<CellBox> = region
+        .cubes(BLOCK)
+        .map(|block| CellBox::cube(block, BLOCK).intersection(&region))
+        .collect();
     regions.sort_by_key(|r| MortonKey::of(r.lo.div_euclid(IVec3::splat(BLOCK))));
     let of_region = |region: CellBox| {
         let cells = region.tiled().grown(0, 1);
@@ -585,7 +616,11 @@ fn the_mesh_made_on_a_device_is_that_of_the_host_to_the_bit() {
             assert!(host.triangles.len() > 5000, "{}", host.triangles.len());
             assert!(triangles == host.triangles, "scene {seed}");
             for (at, (found, expected)) in positions.iter().zip(&host.positions).enumerate() {
-                assert_eq!(*found, expected.map(|x| (x as f32).to_bits()), "scene {seed}, vertex {at}");
+                assert_eq!(
+                    *found,
+                    expected.map(|x| (x as f32).to_bits()),
+                    "scene {seed}, vertex {at}"
+                );
             }
             assert_eq!(positions.len(), host.positions.len());
         }

@@ -21,7 +21,8 @@ fn devices() {
 fn stages() {
     let device = env::var("MENISCUS_TEST_DEVICE").ok();
     let (cells, millions) = (list("MENISCUS_CELLS", "256,512"), list("MENISCUS_MILLIONS", "1,10"));
-    let same = backends::measure(backends::Options { device, cells, millions, bench: true }).unwrap();
+    let same =
+        backends::measure(backends::Options { device, cells, millions, bench: true }).unwrap();
     assert!(same, "bytes differ");
 }
 

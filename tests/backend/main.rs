@@ -1,4 +1,5 @@
-//! What every backend must do, and what stays on a Vulkan device; `tools/gpu/pack` makes of these tests a program to carry.
+//! What every backend must do, and what stays on a Vulkan device; `tools/gpu/pack` makes of these
+//! tests a program to carry.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

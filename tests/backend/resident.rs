@@ -11,7 +11,9 @@ use meniscus::internals::frame::resident::{DeviceRequest, Exchange, Pipeline, Re
 use meniscus::internals::frame::{FrameError, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
 use meniscus::internals::surface::mesh::Mesh;
-use meniscus::internals::vulkan::{Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError};
+use meniscus::internals::vulkan::{
+    Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError,
+};
 
 use crate::common::scene::Random;
 use crate::common::{INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank};
@@ -37,7 +39,9 @@ fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32;
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     // SAFETY: the only batch that writes them is done.
-    unsafe { (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize)) }
+    unsafe {
+        (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize))
+    }
 }
 
 fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
@@ -71,7 +75,8 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     for indicator in INDICATORS {
         // Clouds in cells of a third of a spacing, too, where wide ones are twice as wide.
         let spacings = if indicator == IndicatorKind::Cloud { &[0.8, 3.0][..] } else { &[0.8] };
-        for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)] {
+        for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)]
+        {
             for (walls, &spacing) in
                 [false, true].iter().flat_map(|walls| spacings.iter().map(move |s| (*walls, s)))
             {
@@ -83,7 +88,11 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);
                 let surface = pipeline.surface(&input, &settings(&sampling, &surfacing)).unwrap();
                 let what = format!("{indicator:?}, {detail:?}, walls {walls}, spacing {spacing}");
-                assert_eq!((surface.iso, surface.census), (expected.iso, frame.facts().census), "{what}");
+                assert_eq!(
+                    (surface.iso, surface.census),
+                    (expected.iso, frame.facts().census),
+                    "{what}"
+                );
                 assert!(read(&device, &surface) == rounded(&expected.mesh), "{what}");
             }
         }
@@ -101,9 +110,11 @@ fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
         .iter()
         .flat_map(|&queues| INDICATORS.map(|indicator| (queues, indicator)))
     {
-        let sampling = Sampling { method: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
+        let sampling =
+            Sampling { method: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
         let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
-        let options = DeviceOptions { queues, shares_host_memory: Some(false), ..DeviceOptions::default() };
+        let options =
+            DeviceOptions { queues, shares_host_memory: Some(false), ..DeviceOptions::default() };
         let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
         let input = [positions(&device, &particles)];
         let pipeline = Pipeline::new(&device).unwrap();
@@ -119,7 +130,8 @@ fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
 fn what_one_resident_frame_has_room_for_all_that_follow_have() {
     let steps = || (-22..22).map(|i| f64::from(i) + 0.5);
     let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
-    let particles: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 484.0).collect();
+    let particles: Vec<[f64; 3]> =
+        lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 484.0).collect();
     let mut fitting = 0;
     for indicator in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: indicator.into(), spacing: Some(1.0), ..sampling() };
@@ -130,14 +142,21 @@ fn what_one_resident_frame_has_room_for_all_that_follow_have() {
                 shares_host_memory: Some(false),
                 ..DeviceOptions::default()
             };
-            let Some((device, _)) = device::open(&options).map_err(device::skip).ok() else { return };
+            let Some((device, _)) = device::open(&options).map_err(device::skip).ok() else {
+                return;
+            };
             let Ok(pipeline) = Pipeline::new(&device) else { continue };
             let Ok(view) = device.uploaded(particles.as_flattened()) else { continue };
-            let input = [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Double }];
-            let frames = [0, 1].map(|_| pipeline.surface(&input, &settings).map(|surface| surface.triangles));
+            let input =
+                [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Double }];
+            let frames = [0, 1]
+                .map(|_| pipeline.surface(&input, &settings).map(|surface| surface.triangles));
             if frames[0].is_ok() {
                 fitting += 1;
-                assert!(frames.iter().all(Result::is_ok), "{indicator:?}, {memory} bytes: {frames:?}");
+                assert!(
+                    frames.iter().all(Result::is_ok),
+                    "{indicator:?}, {memory} bytes: {frames:?}"
+                );
             }
         }
     }
@@ -152,7 +171,8 @@ fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing
     let input = [positions(&device, &particles)];
     let pipeline = Pipeline::new(&device).unwrap();
     for indicator in INDICATORS {
-        let sampling = Sampling { method: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
+        let sampling =
+            Sampling { method: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
         let settings = settings(&sampling, &surfacing());
         let received = |settings: &DeviceRequest| {
             let before = device.counters().received;
@@ -198,7 +218,8 @@ fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
 
 #[test]
 fn shaders_that_check_every_index_give_the_same_mesh() {
-    let options = DeviceOptions { binaries: compile::checked().unwrap(), ..DeviceOptions::default() };
+    let options =
+        DeviceOptions { binaries: compile::checked().unwrap(), ..DeviceOptions::default() };
     let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
     let particles = splashes(31);
     for indicator in INDICATORS {
@@ -227,7 +248,9 @@ fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
 #[cfg(unix)]
 fn another_device_sees_the_surface_in_exported_memory() {
     let options = DeviceOptions { exports: true, addresses: true, ..DeviceOptions::default() };
-    let (Some((device, log)), Some((other, other_log))) = (open_with(&options), open_with(&options)) else {
+    let (Some((device, log)), Some((other, other_log))) =
+        (open_with(&options), open_with(&options))
+    else {
         return;
     };
     assert_eq!(device.uuid(), other.uuid());
@@ -246,7 +269,8 @@ fn another_device_sees_the_surface_in_exported_memory() {
     let rows = [vertices, triangles].map(|rows| 12 * u64::from(rows));
     let exported = rows.map(|bytes| device.exported_buffer(bytes).unwrap());
     let into = exported.each_ref().map(|buffer| buffer.whole());
-    let mut surface = between(&Exchange { into: Some(into.each_ref()), ..Exchange::default() }).unwrap();
+    let mut surface =
+        between(&Exchange { into: Some(into.each_ref()), ..Exchange::default() }).unwrap();
     surface.wait().unwrap();
     let address = surface.positions.address().unwrap();
     assert!(address != 0 && surface.indices.address().unwrap() != address);
@@ -264,7 +288,8 @@ fn another_device_sees_the_surface_in_exported_memory() {
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     // SAFETY: the only batch that writes them is done.
-    let found = unsafe { (read[0].read(0, vertices as usize), read[1].read(0, triangles as usize)) };
+    let found =
+        unsafe { (read[0].read(0, vertices as usize), read[1].read(0, triangles as usize)) };
     assert!(found == rounded(&expected.mesh));
     drop((surface, into, small, exported, pipeline, input, device));
     drop((imported, read, batch, other));
@@ -341,7 +366,9 @@ fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak()
         let outcome = pipeline.surface(&input, &settings(&sampling(), &surfacing()));
         let struck = device.faults().allocation.swap(0, std::sync::atomic::Ordering::Relaxed) == 0;
         match outcome {
-            Ok(surface) => assert!(read(&device, &surface) == rounded(&expected.mesh), "number {number}"),
+            Ok(surface) => {
+                assert!(read(&device, &surface) == rounded(&expected.mesh), "number {number}")
+            }
             Err(FrameError::Vulkan(VulkanError::OutOfMemory { .. })) => failures += 1,
             Err(other) => panic!("number {number}: {other}"),
         }

@@ -1,4 +1,5 @@
-//! The shaders' binaries and their Rust table are those of their sources, and every device can run them.
+//! The shaders' binaries and their Rust table are those of their sources, and every device can run
+//! them.
 
 use std::fs;
 use std::io::Write;
@@ -44,7 +45,8 @@ fn no_binary_is_without_a_program_and_no_source_unused() {
 fn every_shader_needs_no_more_than_any_device_has() {
     for shader in SHADERS {
         let module = parsed(shader.name, &source(shader.name).unwrap()).unwrap();
-        let shared = module.global_variables.iter().filter(|(_, v)| v.space == AddressSpace::WorkGroup);
+        let shared =
+            module.global_variables.iter().filter(|(_, v)| v.space == AddressSpace::WorkGroup);
         let bytes = |ty| module.types[ty].inner.size(module.to_ctx()).next_multiple_of(16);
         let shared = shared.map(|(_, variable)| bytes(variable.ty)).sum();
         for (used, most) in [
@@ -61,8 +63,14 @@ fn every_shader_needs_no_more_than_any_device_has() {
 #[test]
 fn spirv_val_accepts_every_binary() {
     if Command::new("spirv-val").arg("--version").output().is_err() {
-        assert!(std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(), "spirv-val is not installed");
-        let _ = writeln!(std::io::stderr(), "skipped: spirv_val_accepts_every_binary: it is not installed");
+        assert!(
+            std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(),
+            "spirv-val is not installed"
+        );
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: spirv_val_accepts_every_binary: it is not installed"
+        );
         return;
     }
     for shader in SHADERS {
@@ -74,6 +82,11 @@ fn spirv_val_accepts_every_binary() {
             .unwrap();
         validator.stdin.take().unwrap().write_all(shader.code).unwrap();
         let output = validator.wait_with_output().unwrap();
-        assert!(output.status.success(), "{}: {}", shader.name, String::from_utf8_lossy(&output.stderr));
+        assert!(
+            output.status.success(),
+            "{}: {}",
+            shader.name,
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
 }

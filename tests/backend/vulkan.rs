@@ -1,4 +1,5 @@
-//! The Vulkan backend: each stage against its twin, whole frames, little memory, failures. All validated.
+//! The Vulkan backend: each stage against its twin, whole frames, little memory, failures. All
+//! validated.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,7 +7,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::IVec3;
 use meniscus::internals::backend::{Backend, Cpu, Executor, Surfaces, Work};
 use meniscus::internals::brick::vulkan::{DeviceBlock, DeviceBlocks};
-use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
+use meniscus::internals::brick::{
+    BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles,
+};
 use meniscus::internals::field::blur::{self, Weights};
 use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};
@@ -20,19 +23,22 @@ use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::{
-    Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
+    Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog,
+    VulkanError,
 };
 
 use crate::common::device::{self, contoured, watched};
 use crate::common::scene::Random;
 use crate::common::{
-    INDICATORS, Reconstructed, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
+    INDICATORS, Reconstructed, dif, full_cells, reconstruct, sampled, sampling, splashes,
+    surfacing, tank,
 };
 use crate::compile;
 
 const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
 
-/// Runs a test on a device of its own, if there is one, and looks at what validation found when all of it is gone.
+/// Runs a test on a device of its own, if there is one, and looks at what validation found when all
+/// of it is gone.
 fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
     validated_with(&DeviceOptions::default(), test)
 }
@@ -78,7 +84,10 @@ fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
                         let at = IVec3::new(x, y, z) - IVec3::from(block.lo);
                         let [width, height, _] = block.size.map(|n| n as i32);
                         let found = samples[(at.x + width * (at.y + height * at.z)) as usize];
-                        assert_eq!(found, sample, "sigma {sigma}, walls {walls:?}, cell {x} {y} {z}");
+                        assert_eq!(
+                            found, sample,
+                            "sigma {sigma}, walls {walls:?}, cell {x} {y} {z}"
+                        );
                     }
                 }
             }
@@ -108,7 +117,8 @@ fn blurred_on(
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     let views = [&field, &through, &to];
-    blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), walls, 0, views).unwrap();
+    blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), walls, 0, views)
+        .unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     // SAFETY: the only batch that writes it is done.
@@ -120,14 +130,25 @@ fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
     if !Instance::connect(true).is_ok_and(|instance| instance.sees_shaders()) {
         return;
     }
-    let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else { return };
+    let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else {
+        return;
+    };
     let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
     let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
     // Of the three that blur along an axis each, the second no longer waits for the first.
     device.faults().barrier.store(2, Ordering::Relaxed);
-    blurred_on(&device, &pipeline, &random_block(CellBox::cube(IVec3::ZERO, 16), 1), &weights, None);
+    blurred_on(
+        &device,
+        &pipeline,
+        &random_block(CellBox::cube(IVec3::ZERO, 16), 1),
+        &weights,
+        None,
+    );
     let messages = log.messages();
-    assert!(messages.iter().any(|message| message.to_lowercase().contains("hazard")), "{messages:?}");
+    assert!(
+        messages.iter().any(|message| message.to_lowercase().contains("hazard")),
+        "{messages:?}"
+    );
 }
 
 /// Particles of one, two, and very many to a cell, at its corners and anywhere in it.
@@ -140,13 +161,14 @@ fn crowds() -> Vec<[f64; 3]> {
     particles
 }
 
-/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns what the device made of them, each time, and
-/// what there is to make.
+/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns what the device made
+/// of them, each time, and what there is to make.
 fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
     let plan =
-        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS).unwrap();
+        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
+            .unwrap();
     let bins = plan.fill(&particles[..], &[]).unwrap();
     let all = 0..bins.keys().len();
     let mut made = Vec::new();
@@ -165,8 +187,9 @@ fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
             let pages = frame.indicate(&bins, all.clone(), &rule, &meter).unwrap();
             let expected = Cpu.start(budget).indicate(&bins, all.clone(), &rule, &meter).unwrap();
             let [pages, expected] = [&pages, &expected].map(|pages| {
-                let all =
-                    pages.iter().map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));
+                let all = pages
+                    .iter()
+                    .map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));
                 all.collect::<Vec<_>>()
             });
             assert!(pages == expected, "{rule:?} under {budget:?}");
@@ -195,12 +218,18 @@ fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_b
 }
 
 /// All ways to compute a surface, on the CPU and on a device.
-fn assert_same_surfaces(vulkan: &Backend, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
+fn assert_same_surfaces(
+    vulkan: &Backend,
+    particles: &[[f64; 3]],
+    budget: MemoryBudget,
+    what: &str,
+) {
     for indicator in INDICATORS {
         for walls in [false, true] {
             let mut sampling = Sampling { method: indicator.into(), ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
-            for (detail, sigma, smooth, spacing) in [(DETAILS[0], 1.0, 1.6, 1.0), (DETAILS[1], 1.5, 2.5, 3.0)]
+            for (detail, sigma, smooth, spacing) in
+                [(DETAILS[0], 1.0, 1.6, 1.0), (DETAILS[1], 1.5, 2.5, 3.0)]
             {
                 sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
                 let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
@@ -211,7 +240,10 @@ fn assert_same_surfaces(vulkan: &Backend, particles: &[[f64; 3]], budget: Memory
                 resources.backend = vulkan.clone();
                 let sampling = Sampling { resources, ..sampling.clone() };
                 let (_, surface) = reconstruct(particles, &sampling, &surfacing);
-                assert!(surface.mesh == expected.mesh, "{what}: {indicator:?}, {detail:?}, walls {walls}");
+                assert!(
+                    surface.mesh == expected.mesh,
+                    "{what}: {indicator:?}, {detail:?}, walls {walls}"
+                );
             }
         }
     }
@@ -240,10 +272,13 @@ fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
 
 #[test]
 fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and_its_inside() {
-    // Particles at rest, deep enough for an inside, spray around them, and some more of them with cells to every octant.
+    // Particles at rest, deep enough for an inside, spray around them, and some more of them with
+    // cells to every octant.
     let mut random = Random::new(11);
     let mut particles: Vec<[f64; 3]> = Vec::new();
-    for at in CellBox::cube(IVec3::splat(-1), 24).cubes(1).chain(CellBox::cube(IVec3::ZERO, 6).cubes(1)) {
+    for at in
+        CellBox::cube(IVec3::splat(-1), 24).cubes(1).chain(CellBox::cube(IVec3::ZERO, 6).cubes(1))
+    {
         particles.push(at.to_array().map(|at| f64::from(at) + 0.5 * random.unit()));
     }
     particles.extend((0..400).map(|_| std::array::from_fn(|_| 90.0 * random.unit() - 50.0)));
@@ -259,8 +294,9 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
                 let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();
                 let mut known = Sampling { grid, method: indicator.into(), side, ..sampling() };
                 known.spacing = Some(1.0);
-                known.domain =
-                    walls.then(|| Domain::new(&grid, [-30.0, -9.7, -20.0].into(), [21.0; 3].into()).unwrap());
+                known.domain = walls.then(|| {
+                    Domain::new(&grid, [-30.0, -9.7, -20.0].into(), [21.0; 3].into()).unwrap()
+                });
                 let what = format!("{indicator:?}, {side:?}, cells of {cell_size}, walls {walls}");
                 let surfacing = surfacing();
                 let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
@@ -282,7 +318,8 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
                         );
                     }
                 }
-                let [recipe, known] = [made, expected].map(|dif| surfacing.recipe(dif, &calibration));
+                let [recipe, known] =
+                    [made, expected].map(|dif| surfacing.recipe(dif, &calibration));
                 assert!(recipe == known, "{what}: another inside");
                 assert_eq!(surfacing.calibrate(made).unwrap().calibration, calibration, "{what}");
                 assert_same_fields(&made.dif, &expected.dif, &what);
@@ -332,17 +369,23 @@ fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come
             drop(frame);
             let before = device.counters();
             let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
-            let surface =
-                frame.calibrate(&surfacing(), Some(&known), timings).unwrap().surface(timings).unwrap();
+            let surface = frame
+                .calibrate(&surfacing(), Some(&known), timings)
+                .unwrap()
+                .surface(timings)
+                .unwrap();
             let after = device.counters();
             (after.received - before.received, after.sent - before.sent, surface.to_mesh().unwrap())
         })
     };
-    let (Some((all, all_sent, there)), Some((some, sent, here))) = (received(false), received(true)) else {
+    let (Some((all, all_sent, there)), Some((some, sent, here))) =
+        (received(false), received(true))
+    else {
         return;
     };
     assert!(there == here);
-    let pages = (sampling.method.indicator().unwrap().shape(sampling.side).bin_samples() * 2) as u64;
+    let pages =
+        (sampling.method.indicator().unwrap().shape(sampling.side).bin_samples() * 2) as u64;
     assert!(some + 8 * pages < all, "{some} bytes of {all}");
     assert!(sent < all_sent, "{sent} bytes of {all_sent}");
 }
@@ -353,7 +396,8 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
     let binaries = compile::checked().unwrap();
     let differ = SHADERS.iter().filter(|shader| binaries[shader.name] != shader.code).count();
     assert!(differ > SHADERS.len() / 2, "{differ} shaders check anything");
-    let options = DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
+    let options =
+        DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
     validated_with(&options, |device| {
         let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "with checks");
@@ -362,8 +406,10 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
 
 #[test]
 fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
-    // Deep enough that a block has no surface, which is a batch of its own where hardly anything fits the budget.
-    let lattice = CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
+    // Deep enough that a block has no surface, which is a batch of its own where hardly anything
+    // fits the budget.
+    let lattice =
+        CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
     let ball = lattice.filter(|at| at.as_dvec3().length() <= 9.0);
     let particles: Vec<[f64; 3]> = ball.map(|at| (at.as_dvec3() + 11.1).to_array()).collect();
     let mut sampling = sampling();
@@ -371,15 +417,19 @@ fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
     (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(1.0));
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
     for shares_host_memory in [Some(true), Some(false)] {
-        validated_with(&DeviceOptions { shares_host_memory, ..DeviceOptions::default() }, |device| {
-            for budget in [12, 16, 24, 32, 48, 64, 128] {
-                let mut sampling = sampling.clone();
-                sampling.resources = Resources::new(MemoryBudget(budget << 20), std::env::temp_dir());
-                sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
-                let (_, surface) = reconstruct(&particles[..], &sampling, &surfacing());
-                assert!(surface.mesh == expected.mesh, "{budget} MiB, {shares_host_memory:?}");
-            }
-        });
+        validated_with(
+            &DeviceOptions { shares_host_memory, ..DeviceOptions::default() },
+            |device| {
+                for budget in [12, 16, 24, 32, 48, 64, 128] {
+                    let mut sampling = sampling.clone();
+                    sampling.resources =
+                        Resources::new(MemoryBudget(budget << 20), std::env::temp_dir());
+                    sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
+                    let (_, surface) = reconstruct(&particles[..], &sampling, &surfacing());
+                    assert!(surface.mesh == expected.mesh, "{budget} MiB, {shares_host_memory:?}");
+                }
+            },
+        );
     }
 }
 
@@ -389,7 +439,8 @@ fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
     let mut sampling = sampling();
     sampling.grid = Grid::new(glam::DVec3::ZERO, 0.5).unwrap();
     (sampling.method, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(0.5));
-    let corners = [[-5.49096, -19.6614, -9.54228], [16.9536, 23.555, 18.2697]].map(glam::DVec3::from);
+    let corners =
+        [[-5.49096, -19.6614, -9.54228], [16.9536, 23.555, 18.2697]].map(glam::DVec3::from);
     sampling.domain = Some(Domain::new(&sampling.grid, corners[0], corners[1]).unwrap());
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
@@ -435,7 +486,8 @@ fn a_frame_is_the_same_whatever_queues_there_are_and_whosever_the_memory_is() {
 
 #[test]
 fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
-    let Some((device, _)) = device::open(&DeviceOptions::default()).map_err(device::skip).ok() else {
+    let Some((device, _)) = device::open(&DeviceOptions::default()).map_err(device::skip).ok()
+    else {
         return;
     };
     let mut batch = device.batch(Queue::Compute).unwrap();
@@ -456,13 +508,15 @@ fn a_device_is_told_by_its_number_its_uuid_or_a_number_in_its_name() {
     };
     let devices = instance.devices().unwrap();
     let Some(device) = devices.first() else { return device::skip("there is no device") };
-    let chosen = |by: &str| instance.choose(&DeviceChoice::Named(by.to_owned())).map(|found| found.index);
+    let chosen =
+        |by: &str| instance.choose(&DeviceChoice::Named(by.to_owned())).map(|found| found.index);
     assert_eq!(chosen("0"), Ok(0));
     assert_eq!(chosen(&device.uuid_digits()), Ok(0));
     assert_eq!(chosen(&device.uuid_digits().to_uppercase()), Ok(0));
     let numbers = device.name.split(|c: char| !c.is_ascii_digit());
-    let numbers: Vec<&str> =
-        numbers.filter(|text| text.parse().is_ok_and(|number: usize| number >= devices.len())).collect();
+    let numbers: Vec<&str> = numbers
+        .filter(|text| text.parse().is_ok_and(|number: usize| number >= devices.len()))
+        .collect();
     for number in numbers {
         assert_eq!(chosen(number), Ok(0), "{number} of {}", device.name);
     }
@@ -507,12 +561,14 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let mut random = Random::new(3);
     let pages = cells.cubes(16).map(|bin| {
         let dense: Vec<u16> = (0..4096).map(|_| random.bits() as u16 | 1).collect();
-        meniscus::internals::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into()).unwrap()
+        meniscus::internals::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into())
+            .unwrap()
     });
     let mut pages: Vec<_> = pages.collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
-    let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
+    let filters =
+        PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, Isovalue::new(0.5).unwrap());
     let surfaces = Surfaces {
         sampled: &sampled(dif),
@@ -557,7 +613,9 @@ impl Scene {
     fn sampling(self) -> Sampling {
         match self {
             Self::Shared => sampling(),
-            Self::Own => Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(2.0), ..sampling() },
+            Self::Own => {
+                Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(2.0), ..sampling() }
+            }
         }
     }
 
@@ -575,7 +633,8 @@ impl Scene {
         let mut sampling = self.sampling();
         sampling.resources.budget = MemoryBudget(64 << 20);
         sampling.resources.backend = backend;
-        let (frame, Reconstructed { mesh, .. }) = reconstruct(&splashes(29)[..], &sampling, &surfacing());
+        let (frame, Reconstructed { mesh, .. }) =
+            reconstruct(&splashes(29)[..], &sampling, &surfacing());
         Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
     }
 
@@ -585,8 +644,8 @@ impl Scene {
         validated_with(&self.options(), run)
     }
 
-    /// Lets the first, the second, ... call of a kind fail until none is left to fail: each time the mesh is right and
-    /// nothing leaks. Returns what came of each.
+    /// Lets the first, the second, ... call of a kind fail until none is left to fail: each time
+    /// the mesh is right and nothing leaks. Returns what came of each.
     fn fail_each(self, fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
         let expected = self.mesh();
         let mut failed = Vec::new();
@@ -597,7 +656,9 @@ impl Scene {
                 let outcome = self.frame_on(Backend::vulkan(device.clone()).unwrap());
                 (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
             };
-            let Some((outcome, struck)) = validated_with(&self.options(), run) else { return failed };
+            let Some((outcome, struck)) = validated_with(&self.options(), run) else {
+                return failed;
+            };
             assert!(outcome.mesh == expected, "{self:?}: call {number} failed");
             if !struck {
                 assert_eq!(outcome.warnings, [""; 0], "{self:?}: no call is left to fail");
@@ -618,7 +679,10 @@ fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_l
         for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
             assert!(warnings.len() <= 1, "{scene:?}, call {call}: {warnings:?}");
             silent += usize::from(warnings.is_empty());
-            assert_eq!(on_device, whole, "{scene:?}, call {call}: the device goes on with less memory");
+            assert_eq!(
+                on_device, whole,
+                "{scene:?}, call {call}: the device goes on with less memory"
+            );
         }
         // A field's room without any to spare will do: of the cells, and of those twice as wide.
         assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a word");
@@ -636,7 +700,10 @@ fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak()
                 warnings.len() == 1 && warnings[0].ends_with("going on on the CPU"),
                 "{scene:?}, call {call}: {warnings:?}"
             );
-            assert_ne!(on_device, whole, "{scene:?}, call {call}: a lost device did all of the work");
+            assert_ne!(
+                on_device, whole,
+                "{scene:?}, call {call}: a lost device did all of the work"
+            );
         }
     }
 }
@@ -647,9 +714,14 @@ fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
         let Some(whole) = scene.whole_work() else { return };
         let failed = scene.fail_each(|faults| &faults.completion);
         for (call, Outcome { warnings, on_device, .. }) in (1..).zip(&failed) {
-            assert_eq!(warnings.is_empty(), *on_device == whole, "{scene:?}, call {call}: {warnings:?}");
+            assert_eq!(
+                warnings.is_empty(),
+                *on_device == whole,
+                "{scene:?}, call {call}: {warnings:?}"
+            );
         }
-        // What is sent is followed by what is computed, and that by what is read: the last of them tells.
+        // What is sent is followed by what is computed, and that by what is read: the last of them
+        // tells.
         let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
         assert!(told > failed.len() / 3, "{scene:?}: {told} of {}", failed.len());
     }
@@ -663,10 +735,12 @@ fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
         for memory in [4096, 100_000, 1 << 20, 3 << 20] {
             let options = DeviceOptions { memory: Some(memory), ..scene.options() };
             let (device, log) = device::open(&options).unwrap();
-            let Outcome { mesh, on_device, warnings } = scene.frame_on(Backend::vulkan(device).unwrap());
+            let Outcome { mesh, on_device, warnings } =
+                scene.frame_on(Backend::vulkan(device).unwrap());
             let what = format!("{scene:?}, {memory} bytes: {warnings:?}");
             assert!(mesh == expected, "{what}");
-            let handed_over = warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
+            let handed_over =
+                warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
             assert_eq!(handed_over, on_device != whole, "{what}");
             assert!(handed_over || memory > 2 << 20, "{what}");
             assert_clean(&log);
@@ -677,8 +751,10 @@ fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
 #[test]
 fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
     let folder = tempfile::tempdir().unwrap();
-    let options =
-        DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
+    let options = DeviceOptions {
+        pipeline_cache: Some(folder.path().to_owned()),
+        ..DeviceOptions::default()
+    };
     let run = || {
         let (device, log) = device::open(&options).map_err(device::skip).ok()?;
         let Outcome { mesh, .. } = Scene::Shared.frame_on(watched(device).unwrap());
@@ -686,7 +762,8 @@ fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
         Some(mesh)
     };
     let Some(first) = run() else { return };
-    let files: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
+    let files: Vec<_> =
+        std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
     let [file] = &files[..] else { panic!("one cache: {files:?}") };
     assert!(run() == Some(first.clone()));
     let mut bytes = std::fs::read(file).unwrap();

@@ -7,7 +7,8 @@ const ALONE: &str = "MENISCUS_TEST_ALONE";
 
 /// Runs `test` in a child process in which no other test runs.
 ///
-/// `name` is the test that calls this, by its path in the test program, such as `facade::no_threads`.
+/// `name` is the test that calls this, by its path in the test program, such as
+/// `facade::no_threads`.
 #[track_caller]
 pub fn alone(name: &str, test: impl FnOnce()) {
     run(name, Command::new(std::env::current_exe().unwrap()), test);
@@ -18,7 +19,9 @@ pub fn alone(name: &str, test: impl FnOnce()) {
 #[track_caller]
 pub fn alone_after(before: &str, name: &str, test: impl FnOnce()) {
     let mut shell = Command::new("sh");
-    shell.args(["-c", &format!("{before}\nexec \"$0\" \"$@\"")]).arg(std::env::current_exe().unwrap());
+    shell
+        .args(["-c", &format!("{before}\nexec \"$0\" \"$@\"")])
+        .arg(std::env::current_exe().unwrap());
     run(name, shell, test);
 }
 
@@ -28,7 +31,8 @@ fn run(name: &str, mut program: Command, test: impl FnOnce()) {
         return test();
     }
     let output = program.args(["--exact", name]).env(ALONE, name).output().unwrap();
-    let [says, errors] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
+    let [says, errors] =
+        [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     assert!(output.status.success(), "{}: {says}{errors}", output.status);
     // A wrong name selects no test, which is a success to the harness.
     assert!(says.contains("1 passed"), "no test is called {name}: {says}");

@@ -17,8 +17,13 @@ impl Attributed {
     }
 
     /// With another attribute, which a particle's number and its position tell.
-    pub fn with<const N: usize>(mut self, name: &str, value: impl Fn(usize, [f64; 3]) -> [f32; N]) -> Self {
-        let values = self.positions.iter().enumerate().flat_map(|(i, &position)| value(i, position));
+    pub fn with<const N: usize>(
+        mut self,
+        name: &str,
+        value: impl Fn(usize, [f64; 3]) -> [f32; N],
+    ) -> Self {
+        let values =
+            self.positions.iter().enumerate().flat_map(|(i, &position)| value(i, position));
         self.values.push(values.collect());
         self.attributes.push(AttributeInfo { name: name.into(), components: N });
         self

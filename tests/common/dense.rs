@@ -1,8 +1,8 @@
 //! The oracle: METHOD.md on one dense array, as plainly as it can be said.
 //!
 //! Twice: in the integers that the sparse field must equal to the bit, and in f64 as the method is
-//! written. Nothing of the library's stages is used here; only the marching-cubes table is shared, whose
-//! own tests hold it to its rule.
+//! written. Nothing of the library's stages is used here; only the marching-cubes table is shared,
+//! whose own tests hold it to its rule.
 
 use std::collections::BTreeMap;
 
@@ -46,19 +46,24 @@ impl<T: Copy + Default> Dense<T> {
         let size = self.cells.size();
         self.values.iter().enumerate().map(move |(i, &value)| {
             let i = i as i32;
-            (self.cells.lo + IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y)), value)
+            (
+                self.cells.lo + IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y)),
+                value,
+            )
         })
     }
 
     /// The value of the cell of the box that is nearest to `cell`.
     pub fn nearest(&mut self, cell: IVec3) -> &mut T {
-        let (local, size) = (cell.clamp(self.cells.lo, self.cells.hi - 1) - self.cells.lo, self.cells.size());
+        let (local, size) =
+            (cell.clamp(self.cells.lo, self.cells.hi - 1) - self.cells.lo, self.cells.size());
         &mut self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
     }
 
     /// Zero outside of the box, unless the box has walls: then the edge cell is repeated.
     pub fn at(&self, cell: IVec3, walls: Option<CellBox>) -> T {
-        let cell = if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
+        let cell =
+            if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
         if !self.cells.contains(cell) {
             return T::default();
         }
@@ -129,7 +134,8 @@ impl Method {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {
                     let tap = |k: i32| {
-                        half[k.unsigned_abs() as usize] * field.at(cell + IVec3::AXES[axis] * k, self.walls)
+                        half[k.unsigned_abs() as usize]
+                            * field.at(cell + IVec3::AXES[axis] * k, self.walls)
                     };
                     let reach = half.len() as i32 - 1;
                     (-reach..=reach).map(tap).sum()
@@ -168,7 +174,8 @@ impl Method {
                 Indicator::Symmetry => {
                     let mut square = 0;
                     for axis in 0..3 {
-                        let sum: i128 = offsets.iter().map(|o| (o[axis] * 8192.0).floor() as i128).sum();
+                        let sum: i128 =
+                            offsets.iter().map(|o| (o[axis] * 8192.0).floor() as i128).sum();
                         let distance = (2 * sum + n - n * 8192).abs();
                         let quarter_steps = (8 * distance + n) / (2 * n);
                         square += quarter_steps * quarter_steps;
@@ -201,7 +208,8 @@ impl Method {
         match self.detail {
             Detail::Smoothed => dense(&smooth),
             Detail::Recovered => {
-                let lost = dense(&|cell| if u64::from(smooth(cell)) <= t { theta(cell) } else { 0 });
+                let lost =
+                    dense(&|cell| if u64::from(smooth(cell)) <= t { theta(cell) } else { 0 });
                 let details = blur(&lost, &integer_weights(&gaussian(self.sigma / 2.0)));
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
@@ -226,8 +234,10 @@ fn order_of(cell: IVec3) -> (u64, i32) {
 pub fn mesh(field: &Dense<f64>, c: f64, walls: Option<CellBox>) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
     // Ghost points beyond the walls are outside; without walls the field is 0 there.
     let inside = |cell: IVec3| field.cells.contains(cell) && field.at(cell, None) > c;
-    let dual =
-        Dense::<u8>::new(field.cells.grown(1, 0), |_| 0).iter().map(|(cell, _)| cell).collect::<Vec<_>>();
+    let dual = Dense::<u8>::new(field.cells.grown(1, 0), |_| 0)
+        .iter()
+        .map(|(cell, _)| cell)
+        .collect::<Vec<_>>();
 
     let mut vertices = BTreeMap::new();
     for &cell in &dual {
@@ -249,8 +259,9 @@ pub fn mesh(field: &Dense<f64>, c: f64, walls: Option<CellBox>) -> (Vec<[f64; 3]
     cells.sort_by_key(|&cell| order_of(cell));
     let mut triangles = Vec::new();
     for cell in cells {
-        let case: usize =
-            (0..8_i32).map(|k| usize::from(inside(cell + IVec3::new(k & 1, k >> 1 & 1, k >> 2))) << k).sum();
+        let case: usize = (0..8_i32)
+            .map(|k| usize::from(inside(cell + IVec3::new(k & 1, k >> 1 & 1, k >> 2))) << k)
+            .sum();
         for triangle in &TABLE[case] {
             triangles.push(triangle.map(|edge| {
                 let (tile, local) = order_of(cell + edge.offset());

@@ -1,4 +1,5 @@
-//! The Vulkan device that tests run on, with everything that it does validated, and watched that it does it.
+//! The Vulkan device that tests run on, with everything that it does validated, and watched that it
+//! does it.
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -13,10 +14,12 @@ use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::surface::mesh::BlockMesh;
 use meniscus::internals::system::control::{Control, Meter, Stage};
 use meniscus::internals::vulkan::{
-    Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
+    Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, ValidationLog,
+    VulkanError,
 };
 
-/// Runs frames on a device, and fails the test if any of their work is not done there or has to be made good.
+/// Runs frames on a device, and fails the test if any of their work is not done there or has to be
+/// made good.
 pub fn watched(device: Device) -> Result<Backend, VulkanError> {
     Ok(Backend::of(Watched(Vulkan::new(device)?)))
 }
@@ -49,7 +52,8 @@ struct WatchedStages {
 }
 
 impl WatchedStages {
-    /// Fails unless the device has done what was asked of it before and `more`, and nothing else has.
+    /// Fails unless the device has done what was asked of it before and `more`, and nothing else
+    /// has.
     fn assert_done(&self, more: Work) {
         let mut asked = self.asked.lock().unwrap();
         asked.pages += more.pages;
@@ -107,16 +111,22 @@ pub fn contoured(
 ) -> Vec<Option<BlockMesh>> {
     let mut all = Vec::new();
     stages
-        .contour(surfaces, regions, &Control::default().meter(Stage::Meshing, regions.len()), &mut |meshes| {
-            all.extend(meshes);
-            Ok(())
-        })
+        .contour(
+            surfaces,
+            regions,
+            &Control::default().meter(Stage::Meshing, regions.len()),
+            &mut |meshes| {
+                all.extend(meshes);
+                Ok(())
+            },
+        )
         .unwrap();
     all
 }
 
-/// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the
-/// validation layer need not be there, and for `gpu` one that computes on the processor fails the test.
+/// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where
+/// `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the validation layer need not be there, and for
+/// `gpu` one that computes on the processor fails the test.
 pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
     let demanded = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
     let [gpu, any] = ["gpu", "any"].map(|kind| demanded == kind);
@@ -127,7 +137,8 @@ pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
         }
         connected => connected?,
     };
-    let choice = std::env::var("MENISCUS_TEST_DEVICE").map_or(DeviceChoice::Best, DeviceChoice::Named);
+    let choice =
+        std::env::var("MENISCUS_TEST_DEVICE").map_or(DeviceChoice::Best, DeviceChoice::Named);
     let info = instance.choose(&choice)?;
     assert!(
         !gpu || info.kind != DeviceKind::Cpu,
@@ -156,9 +167,13 @@ pub fn shared() -> Result<Backend, &'static VulkanError> {
     Ok(backend.clone())
 }
 
-/// Says that the test that asks is skipped for want of a device, or fails it where `MENISCUS_REQUIRE_VULKAN` demands one.
+/// Says that the test that asks is skipped for want of a device, or fails it where
+/// `MENISCUS_REQUIRE_VULKAN` demands one.
 pub fn skip(why: impl Display) {
-    assert!(std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(), "a Vulkan device is demanded: {why}");
+    assert!(
+        std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(),
+        "a Vulkan device is demanded: {why}"
+    );
     let thread = std::thread::current();
     // Past the harness, which keeps to itself what a test prints that does not fail.
     let _ = writeln!(io::stderr(), "skipped: {}: {why}", thread.name().unwrap_or("a test"));

@@ -1,7 +1,9 @@
-//! The oracle of distances from clouds: the formulas on one dense array, as plainly as they can be said, in the integers that the
-//! sparse field must equal to the bit, and in f64 as they are written.
+//! The oracle of distances from clouds: the formulas on one dense array, as plainly as they can be
+//! said, in the integers that the sparse field must equal to the bit, and in f64 as they are
+//! written.
 //!
-//! Only the committed tables are shared with the library. Cells have edge 1 and the grid's origin is 0.
+//! Only the committed tables are shared with the library. Cells have edge 1 and the grid's origin
+//! is 0.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::distance::{AWAY, DEPTHS};
@@ -26,7 +28,8 @@ pub const ZERO: f64 = 32768.0;
 
 /// The least edge of a wide cell, in spacings.
 const LEAST_WIDE: f64 = 0.55;
-/// The three widths, in those asked for, with the least variances of their masks, and where these are cut off.
+/// The three widths, in those asked for, with the least variances of their masks, and where these
+/// are cut off.
 const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
 /// The mask that averages by how much both surfaces are apart.
@@ -37,7 +40,8 @@ const LEAST_VARIANCE: f64 = 0.35;
 /// How deep a width tells, and by how much both surfaces are told to be apart, in spacings.
 const DEEPEST: f64 = 2.5;
 const FARTHEST_APART: f64 = 1.0;
-/// By how much both surfaces are apart where noise ends and where shape begins, and how deep there is no fine one any more.
+/// By how much both surfaces are apart where noise ends and where shape begins, and how deep there
+/// is no fine one any more.
 const APART: [f64; 2] = [0.07, 0.14];
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// How far outside of the calm surface a particle stands out, and wholly.
@@ -48,7 +52,8 @@ const PARTS: f64 = 9.0;
 const GAIN: u32 = 2;
 /// What a spline takes off that goes on from wide cells, in squared ones.
 const SPLINE: f64 = 0.25;
-/// The width of a drop, where it is cut off, its radius, and by how much less that is in coarse cells, refined or not.
+/// The width of a drop, where it is cut off, its radius, and by how much less that is in coarse
+/// cells, refined or not.
 const DROP: f64 = 0.6;
 const DROP_CUT: f64 = 2.6;
 const DROP_RADIUS: f64 = 0.55;
@@ -59,7 +64,8 @@ const LEAST_RADIUS: f64 = 0.38;
 fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     let reach = (cut * variance.sqrt()).round().max(1.0) as i32;
     let mask = |square: f64| -> Vec<f64> {
-        let mask: Vec<f64> = (0..=reach).map(|k| (-f64::from(k * k) / (2.0 * square)).exp()).collect();
+        let mask: Vec<f64> =
+            (0..=reach).map(|k| (-f64::from(k * k) / (2.0 * square)).exp()).collect();
         let sum = mask[0] + 2.0 * mask[1..].iter().sum::<f64>();
         mask.iter().map(|weight| weight / sum).collect()
     };
@@ -78,7 +84,8 @@ fn second(half: &[f64]) -> f64 {
 
 /// A mask in 65536ths.
 fn integers(half: &[f64]) -> Vec<u64> {
-    let mut weights: Vec<u64> = half.iter().map(|weight| (weight * 65536.0).round() as u64).collect();
+    let mut weights: Vec<u64> =
+        half.iter().map(|weight| (weight * 65536.0).round() as u64).collect();
     weights[0] = 65536 - 2 * weights[1..].iter().sum::<u64>();
     weights
 }
@@ -101,7 +108,8 @@ fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<CellBox>) -> 
         let reach = half.len() as i32 - 1;
         Dense::new(field.cells, |cell| {
             let tap = |k: i32| {
-                half[k.unsigned_abs() as usize] * u64::from(field.at(cell + IVec3::AXES[axis] * k, walls))
+                half[k.unsigned_abs() as usize]
+                    * u64::from(field.at(cell + IVec3::AXES[axis] * k, walls))
             };
             let sum: u64 = (-reach..=reach).map(tap).sum();
             (((sum + (1 << (shift - 1))) >> shift).min(65535)) as u16
@@ -139,10 +147,17 @@ pub fn amount(spacing: f64) -> u64 {
 }
 
 /// The clouds of particles, of so much each.
-pub fn clouds(particles: &[[f64; 3]], cells: CellBox, walls: Option<CellBox>, amount: u64) -> Dense<u16> {
+pub fn clouds(
+    particles: &[[f64; 3]],
+    cells: CellBox,
+    walls: Option<CellBox>,
+    amount: u64,
+) -> Dense<u16> {
     let mut sums = Dense::new(cells, |_| 0_u64);
     let inside = |cell: IVec3| walls.is_none_or(|walls| walls.contains(cell));
-    for particle in particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3())) {
+    for particle in
+        particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3()))
+    {
         let cell = particle.floor().as_ivec3();
         let offset = particle - cell.as_dvec3();
         // By how far from the cell; what would lie beyond a wall lies in the cell before it.
@@ -173,7 +188,9 @@ fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16>
     let cells = CellBox { lo: field.cells.lo >> 1, hi: (field.cells.hi + 1) >> 1 };
     Dense::new(cells, |wide| {
         let weight = |away: IVec3| {
-            [1, 3, 3, 1][away.x as usize] * [1, 3, 3, 1][away.y as usize] * [1, 3, 3, 1][away.z as usize]
+            [1, 3, 3, 1][away.x as usize]
+                * [1, 3, 3, 1][away.y as usize]
+                * [1, 3, 3, 1][away.z as usize]
         };
         let tap = |away: IVec3| weight(away) * u64::from(field.at(2 * wide - 1 + away, walls));
         let sum: u64 = CellBox::cube(IVec3::ZERO, 4).cubes(1).map(tap).sum();
@@ -194,7 +211,8 @@ impl Distances {
     /// What lies between the walls, or all that the field can reach, by whole wide cells.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
-            // A surface is near a particle, and what it is told by is averaged around it; splines reach a cell further.
+            // A surface is near a particle, and what it is told by is averaged around it; splines
+            // reach a cell further.
             let (level, edge) = self.wide();
             let reach = (near(edge) + self.around(edge).len() as i32 + 2) << level;
             let around = particles
@@ -236,7 +254,10 @@ impl Distances {
             let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
             let (finer, walls) = clouds.last().expect("there is one at level 0");
             let wider = halved(finer, *walls, (of(level + 1) / of(level) * 65536.0) as u64);
-            clouds.push((wider, walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 })));
+            clouds.push((
+                wider,
+                walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 }),
+            ));
         }
         let (wide, walls) = clouds.last().expect("there is one at level 0");
         let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
@@ -249,7 +270,8 @@ impl Distances {
         drops.joined(&shares, &bulk, &outlying)
     }
 
-    /// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one near by.
+    /// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one
+    /// near by.
     fn bulk(
         &self,
         wide: &Dense<u16>,
@@ -345,9 +367,11 @@ impl Drops {
     /// Bits that what is around particles gains, and that a share of it has.
     fn bits(&self) -> (u32, u32) {
         let amount = amount(self.spacing) as f64;
-        let alone = amount / (integer_width(&integers(&self.around)) * std::f64::consts::TAU.sqrt()).powi(3);
-        let doublings =
-            |value: f64, most: f64| (0..15).take_while(|&n| value * 2_f64.powi(n + 1) <= most).count() as u32;
+        let alone = amount
+            / (integer_width(&integers(&self.around)) * std::f64::consts::TAU.sqrt()).powi(3);
+        let doublings = |value: f64, most: f64| {
+            (0..15).take_while(|&n| value * 2_f64.powi(n + 1) <= most).count() as u32
+        };
         let gain = doublings(alone, 4096.0);
         (gain, doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0))
     }
@@ -390,7 +414,8 @@ fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>
         let mut to = field.cells;
         (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);
         field = Dense::new(to, |cell| {
-            let (edge, at) = (2_u64 << level, 2 * u64::from(cell[axis] as u32 & ((1 << level) - 1)) + 1);
+            let (edge, at) =
+                (2_u64 << level, 2 * u64::from(cell[axis] as u32 & ((1 << level) - 1)) + 1);
             let [below, above] = [(edge - at).pow(2), at.pow(2)];
             let weights = [below, 2 * edge * edge - below - above, above];
             let mut own = cell;
@@ -416,7 +441,8 @@ pub fn quantile(share: f64) -> f64 {
     (0..12).fold(0.0, |z, _| z + (share - below(z)) / density(z))
 }
 
-/// How far from the middle of a standard normal density it is such a share of what it is there, cut off where the committed table is.
+/// How far from the middle of a standard normal density it is such a share of what it is there, cut
+/// off where the committed table is.
 pub fn away(share: f64) -> f64 {
     (-2.0 * share.clamp(0.0001, 1.0).ln()).sqrt()
 }
@@ -440,14 +466,20 @@ fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<CellBox>) -> D
     let reach = half.len() as i32 - 1;
     (0..3).fold(field.clone(), |field, axis| {
         Dense::new(field.cells, |cell| {
-            let tap =
-                |k: i32| half[k.unsigned_abs() as usize] * field.at(cell + IVec3::AXES[axis] * k, walls);
+            let tap = |k: i32| {
+                half[k.unsigned_abs() as usize] * field.at(cell + IVec3::AXES[axis] * k, walls)
+            };
             (-reach..=reach).map(tap).sum()
         })
     })
 }
 
-fn really_refined(wide: &Dense<f64>, level: u32, cells: CellBox, walls: Option<CellBox>) -> Dense<f64> {
+fn really_refined(
+    wide: &Dense<f64>,
+    level: u32,
+    cells: CellBox,
+    walls: Option<CellBox>,
+) -> Dense<f64> {
     if level == 0 {
         return wide.clone();
     }
@@ -469,15 +501,21 @@ fn really_refined(wide: &Dense<f64>, level: u32, cells: CellBox, walls: Option<C
 }
 
 impl Distances {
-    /// Particles in each cell, at every level, with the walls there; no more of them than a sample can tell.
+    /// Particles in each cell, at every level, with the walls there; no more of them than a sample
+    /// can tell.
     fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<CellBox>)> {
         let told = |level: u32, cloud: Dense<f64>| {
             let most = 65535.0 / amount(self.spacing / f64::from(1 << level)) as f64;
-            Dense { cells: cloud.cells, values: cloud.values.iter().map(|value| value.min(most)).collect() }
+            Dense {
+                cells: cloud.cells,
+                values: cloud.values.iter().map(|value| value.min(most)).collect(),
+            }
         };
         let mut fine = Dense::new(self.cells(particles), |_| 0.0_f64);
         let inside = |cell: IVec3| self.walls.is_none_or(|walls| walls.contains(cell));
-        for particle in particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3())) {
+        for particle in
+            particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3()))
+        {
             for away in CellBox::cube(IVec3::ZERO, 3).cubes(1) {
                 let to = particle.floor().as_ivec3() + away - 1;
                 let from = to.as_dvec3() + 0.5 - particle;
@@ -503,7 +541,8 @@ impl Distances {
         clouds
     }
 
-    /// Particles in a cubed spacing under the narrowest width, in f64, in wide cells 2^level as wide as cells.
+    /// Particles in a cubed spacing under the narrowest width, in f64, in wide cells 2^level as
+    /// wide as cells.
     pub fn density(&self, particles: &[[f64; 3]]) -> (Dense<f64>, u32) {
         let (level, edge) = self.wide();
         let (wide, walls) = self.real_clouds(particles).pop().expect("there is one at level 0");
@@ -541,14 +580,21 @@ impl Distances {
         })
     }
 
-    /// The surface of the bulk, and by how much particles lie outside of the calm one near by, both 4 more: 0 where there are none.
-    fn real_bulk(&self, wide: &Dense<f64>, walls: Option<CellBox>, edge: f64) -> (Dense<f64>, Dense<f64>) {
+    /// The surface of the bulk, and by how much particles lie outside of the calm one near by, both
+    /// 4 more: 0 where there are none.
+    fn real_bulk(
+        &self,
+        wide: &Dense<f64>,
+        walls: Option<CellBox>,
+        edge: f64,
+    ) -> (Dense<f64>, Dense<f64>) {
         // Particles in a wide cell deep in the fluid, each of so many samples with the gain.
         let plateau = f64::from(self.plateau) / (f64::from(1 << GAIN) * amount(1.0 / edge) as f64);
         let depths = self.widths(edge).map(|half| {
             let width = width(second(&half)) * edge;
             let smooth = really_blurred(wide, &half, walls);
-            let depth = |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-DEEPEST, DEEPEST);
+            let depth =
+                |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-DEEPEST, DEEPEST);
             (Dense::new(wide.cells, depth), width)
         });
         let surface = |narrow: usize| {

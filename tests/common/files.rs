@@ -1,4 +1,5 @@
-//! Files that tests read, write and look for: the samples, particles and surfaces as bytes, and what a folder holds.
+//! Files that tests read, write and look for: the samples, particles and surfaces as bytes, and
+//! what a folder holds.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -26,19 +27,24 @@ pub fn bytes_of(surface: &Surface) -> Vec<u8> {
 
 /// The names of all that is in a folder, in their order.
 pub fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> =
-        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> = fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
     names.sort();
     names
 }
 
-/// The bytes of every file in a folder and in those below, by its path from the folder on, with slashes.
+/// The bytes of every file in a folder and in those below, by its path from the folder on, with
+/// slashes.
 pub fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for name in names(folder) {
         let path = folder.join(&name);
         if path.is_dir() {
-            files.extend(tree(&path).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)));
+            files.extend(
+                tree(&path).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)),
+            );
         } else {
             files.insert(name, fs::read(path).unwrap());
         }

@@ -94,12 +94,14 @@ pub fn reconstruct(
 pub fn full_cells(bins: &Bins) -> u64 {
     let of_bin = |bin: usize| {
         let contents = bins.contents(bin).unwrap();
-        contents.particles().map(|(cell, _)| cell).collect::<std::collections::BTreeSet<_>>().len() as u64
+        contents.particles().map(|(cell, _)| cell).collect::<std::collections::BTreeSet<_>>().len()
+            as u64
     };
     (0..bins.keys().len()).map(of_bin).sum()
 }
 
-/// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a cell.
+/// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a
+/// cell.
 pub fn splashes(seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let mut particles = Vec::new();
@@ -109,7 +111,9 @@ pub fn splashes(seed: u64) -> Vec<[f64; 3]> {
         let count = (8.4 * radius.powi(3)) as usize;
         particles.extend(std::iter::repeat_with(|| ball(&mut random, centre, radius)).take(count));
     }
-    particles.extend((0..600).map(|_| [30.0 * random.unit() - 15.0, -14.3, 30.0 * random.unit() - 15.0]));
+    particles.extend(
+        (0..600).map(|_| [30.0 * random.unit() - 15.0, -14.3, 30.0 * random.unit() - 15.0]),
+    );
     particles.extend((0..60).map(|_| std::array::from_fn(|_| 40.0 * random.unit() - 20.0)));
     shuffle(&mut particles, &mut random);
     particles
@@ -130,8 +134,8 @@ pub fn shuffle<T>(items: &mut [T], random: &mut Random) {
     }
 }
 
-/// Particles of a lattice with `per_axis` particles along a cell's edge, jittered by a share of their
-/// spacing, where `inside` holds.
+/// Particles of a lattice with `per_axis` particles along a cell's edge, jittered by a share of
+/// their spacing, where `inside` holds.
 pub fn fill(
     half: f64,
     per_axis: f64,

@@ -1,4 +1,5 @@
-//! A fluid in a periodic box, what it is when it is repeated in so many words, and the parts of meshes in that box.
+//! A fluid in a periodic box, what it is when it is repeated in so many words, and the parts of
+//! meshes in that box.
 
 use std::collections::BTreeSet;
 
@@ -10,8 +11,9 @@ use super::scene::Random;
 /// The faces of the box along each axis; `None` for an open one.
 pub type Faces = [Option<[f64; 2]>; 3];
 
-/// Water at spacing 1 in a box of whole spacings from the origin on: a pool with waves through the side faces, a ball across the
-/// corner at the origin, another across an edge, and spray, all of it on multiples of 2^-10 and within the box.
+/// Water at spacing 1 in a box of whole spacings from the origin on: a pool with waves through the
+/// side faces, a ball across the corner at the origin, another across an edge, and spray, all of it
+/// on multiples of 2^-10 and within the box.
 pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let near = |p: DVec3, centre: DVec3| {
@@ -30,8 +32,8 @@ pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     };
     let mut particles = Vec::new();
     let size = edges.as_ivec3();
-    for cell in
-        (0..size.z).flat_map(|z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z))))
+    for cell in (0..size.z)
+        .flat_map(|z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z))))
     {
         let jitter = DVec3::new(random.unit(), random.unit(), random.unit());
         let p = cell.as_dvec3() + jitter;
@@ -62,23 +64,32 @@ pub fn repeated(particles: &[[f64; 3]], faces: Faces) -> Vec<[f64; 3]> {
 /// A vertex as it was made: its position, its normal and its attributes, to the bit.
 type Vertex = Vec<u64>;
 
-/// The triangles between the faces, but for a margin before them, by all that their vertices have: each from its least vertex on.
+/// The triangles between the faces, but for a margin before them, by all that their vertices have:
+/// each from its least vertex on.
 pub fn triangles_within(mesh: &Mesh, faces: Faces, margin: f64) -> BTreeSet<[Vertex; 3]> {
     let within = |p: &[f64; 3]| {
-        let between = |a: usize| faces[a].is_none_or(|[lo, hi]| p[a] >= lo + margin && p[a] <= hi - margin);
+        let between =
+            |a: usize| faces[a].is_none_or(|[lo, hi]| p[a] >= lo + margin && p[a] <= hi - margin);
         (0..3).all(between)
     };
     let vertex = |v: u32| {
         let v = v as usize;
-        let normal = mesh.normals.iter().flat_map(|normals| normals[v].map(|x| u64::from(x.to_bits())));
+        let normal =
+            mesh.normals.iter().flat_map(|normals| normals[v].map(|x| u64::from(x.to_bits())));
         let attributes = mesh.attributes.iter().flat_map(|attribute| {
             attribute.values[attribute.components * v..][..attribute.components]
                 .iter()
                 .map(|x| u64::from(x.to_bits()))
         });
-        mesh.positions[v].iter().map(|x| x.to_bits()).chain(normal).chain(attributes).collect::<Vertex>()
+        mesh.positions[v]
+            .iter()
+            .map(|x| x.to_bits())
+            .chain(normal)
+            .chain(attributes)
+            .collect::<Vertex>()
     };
-    let inside = mesh.triangles.iter().filter(|t| t.iter().all(|&v| within(&mesh.positions[v as usize])));
+    let inside =
+        mesh.triangles.iter().filter(|t| t.iter().all(|&v| within(&mesh.positions[v as usize])));
     let from_least = |t: &[u32; 3]| {
         let mut all = t.map(vertex);
         let least = (0..3).min_by(|&a, &b| all[a].cmp(&all[b])).unwrap_or(0);

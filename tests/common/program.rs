@@ -1,4 +1,5 @@
-//! The program, run in a folder: its command, what it says where its exit code is known, and by a shell.
+//! The program, run in a folder: its command, what it says where its exit code is known, and by a
+//! shell.
 
 use std::path::Path;
 use std::process::{Child, Command, Output};
@@ -25,7 +26,8 @@ pub fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     errors
 }
 
-/// A run by a shell that first does what `before` says, such as to set limits; it takes the arguments apart.
+/// A run by a shell that first does what `before` says, such as to set limits; it takes the
+/// arguments apart.
 pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");

@@ -9,8 +9,9 @@ use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 /// Axis-parallel, 8 vertices, 12 triangles.
 pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {
-    let corner =
-        |n: usize| std::array::from_fn(|axis| if n >> axis & 1 == 1 { high[axis] } else { low[axis] });
+    let corner = |n: usize| {
+        std::array::from_fn(|axis| if n >> axis & 1 == 1 { high[axis] } else { low[axis] })
+    };
     let quads: [[u32; 4]; 6] =
         [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let halves = |[a, b, c, d]: [u32; 4]| [[a, b, c], [a, c, d]];
@@ -26,7 +27,8 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     let mut mesh = cone(&[[1., 0., 0.], [0., 1., 0.], [-1., 0., 0.], [0., -1., 0.]], [0., 0., 1.]);
     let below = cone(&[[0., -1., 0.], [-1., 0., 0.], [0., 1., 0.], [1., 0., 0.]], [0., 0., -1.]);
     mesh.positions.push([0., 0., -1.]);
-    // The lower rim runs the other way round: its vertices 0, 1, 2, 3 are the upper rim's 3, 2, 1, 0.
+    // The lower rim runs the other way round: its vertices 0, 1, 2, 3 are the upper rim's 3, 2, 1,
+    // 0.
     mesh.triangles.extend(below.triangles.iter().map(|t| t.map(|v| if v < 4 { 3 - v } else { 5 })));
     for _ in 0..depth {
         mesh = split(&mesh);
@@ -107,7 +109,8 @@ pub fn moved(mesh: &Mesh, by: [f64; 3]) -> Mesh {
     mesh
 }
 
-/// With normals that point away from the origin, velocities, and a value that is each vertex's number.
+/// With normals that point away from the origin, velocities, and a value that is each vertex's
+/// number.
 pub fn dressed(mut mesh: Mesh) -> Mesh {
     let values = |f: fn(usize, &[f64; 3]) -> Vec<f32>| {
         mesh.positions.iter().enumerate().flat_map(|(n, p)| f(n, p)).collect::<Vec<_>>()

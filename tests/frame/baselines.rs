@@ -1,4 +1,5 @@
-//! The kernel methods against their definitions on one dense array, and what every mesh of theirs must be.
+//! The kernel methods against their definitions on one dense array, and what every mesh of theirs
+//! must be.
 
 use std::f64::consts::PI;
 
@@ -17,10 +18,17 @@ use crate::common::dense::{Dense, mesh as dense_mesh};
 use crate::common::scene::Random;
 use crate::common::{fill, sampling, shuffle, splashes, tank};
 
-const METHODS: [KernelMethod; 3] =
-    [KernelMethod::Mueller { iso: 0.5 }, KernelMethod::ZhuBridson, KernelMethod::YuTurk { iso: 0.4 }];
+const METHODS: [KernelMethod; 3] = [
+    KernelMethod::Mueller { iso: 0.5 },
+    KernelMethod::ZhuBridson,
+    KernelMethod::YuTurk { iso: 0.4 },
+];
 
-fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: KernelMethod) -> Mesh {
+fn surface(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    method: KernelMethod,
+) -> Mesh {
     let timings = &mut Timings::default();
     let sampling = Sampling { method: method.into(), ..sampling.clone() };
     let frame = Frame::sample(particles, &sampling, timings).unwrap();
@@ -37,7 +45,8 @@ fn on_steps(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.map(|x| ((x * 8192.0).floor() + 0.5) / 8192.0)).collect()
 }
 
-/// Each method as METHOD.md and its authors say it, on all particles, in cells of edge 1; positive inside.
+/// Each method as METHOD.md and its authors say it, on all particles, in cells of edge 1; positive
+/// inside.
 struct Oracle {
     particles: Vec<DVec3>,
     /// m / rho over the scale of W.
@@ -57,7 +66,8 @@ impl Oracle {
         let particles: Vec<DVec3> = particles.iter().map(|&p| p.into()).collect();
         let h = 2.0 * spacing;
         let scale = 315.0 / (64.0 * PI * h.powi(3));
-        let density = |x: &DVec3| particles.iter().map(|y| scale * w(x.distance(*y) / h)).sum::<f64>();
+        let density =
+            |x: &DVec3| particles.iter().map(|y| scale * w(x.distance(*y) / h)).sum::<f64>();
         let volumes = particles.iter().map(|x| 1.0 / density(x)).collect();
         let (centres, shapes) = particles.iter().map(|&x| anisotropy(x, &particles, h)).unzip();
         Self { volumes, centres, shapes, spacing, method, particles }
@@ -69,13 +79,16 @@ impl Oracle {
         match self.method {
             KernelMethod::Mueller { iso } => {
                 let scale = 315.0 / (64.0 * PI * h.powi(3));
-                let share = |i: usize| scale * w(x.distance(self.particles[i]) / h) * self.volumes[i];
+                let share =
+                    |i: usize| scale * w(x.distance(self.particles[i]) / h) * self.volumes[i];
                 all.map(share).sum::<f64>() - iso
             }
             KernelMethod::ZhuBridson => {
-                let weights: Vec<f64> = self.particles.iter().map(|p| w(x.distance(*p) / h)).collect();
+                let weights: Vec<f64> =
+                    self.particles.iter().map(|p| w(x.distance(*p) / h)).collect();
                 let sum: f64 = weights.iter().sum();
-                let mean = self.particles.iter().zip(&weights).map(|(p, w)| *p * *w).sum::<DVec3>() / sum;
+                let mean =
+                    self.particles.iter().zip(&weights).map(|(p, w)| *p * *w).sum::<DVec3>() / sum;
                 let radius = self.spacing / 2.0;
                 radius - if sum > 0.0 { x.distance(mean) } else { 4.0 * radius }
             }
@@ -83,7 +96,10 @@ impl Oracle {
                 let scale = 315.0 / (64.0 * PI);
                 let share = |i: usize| {
                     let g = self.shapes[i];
-                    scale * g.determinant() * w((g * (x - self.centres[i])).length()) * self.volumes[i]
+                    scale
+                        * g.determinant()
+                        * w((g * (x - self.centres[i])).length())
+                        * self.volumes[i]
                 };
                 all.map(share).sum::<f64>() - iso
             }
@@ -93,7 +109,8 @@ impl Oracle {
     fn mesh(&self, walls: Option<CellBox>) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
         let reach = (6.0 * self.spacing) as i32 + 2;
         let cells = self.particles.iter().map(|p| p.floor().as_ivec3());
-        let around = cells.fold(CellBox::EMPTY, |all, cell| all.union(&CellBox { lo: cell, hi: cell + 1 }));
+        let around =
+            cells.fold(CellBox::EMPTY, |all, cell| all.union(&CellBox { lo: cell, hi: cell + 1 }));
         let cells = walls.unwrap_or(around.grown(reach, reach));
         let field = Dense::new(cells, |cell| self.at(cell.as_dvec3() + 0.5));
         dense_mesh(&field, 0.0, walls)
@@ -156,7 +173,11 @@ fn the_surfaces_are_those_of_the_dense_sums() {
             assert!(triangles.len() > 1000, "{method:?}: the scene has a surface");
             let mesh = surface(&particles[..], &sampling, method);
             assert!(mesh.triangles == triangles, "{method:?}, {spacing}, walls: {walled}");
-            assert_eq!(mesh.positions.len(), positions.len(), "{method:?}, {spacing}, walls: {walled}");
+            assert_eq!(
+                mesh.positions.len(),
+                positions.len(),
+                "{method:?}, {spacing}, walls: {walled}"
+            );
             for (a, b) in mesh.positions.iter().zip(&positions) {
                 let apart = DVec3::from(*a).distance((*b).into());
                 assert!(apart < 1e-7, "{method:?}, {spacing}: {a:?} is {apart} from {b:?}");
@@ -174,8 +195,9 @@ fn meshes_are_closed_manifolds_and_depend_on_neither_order_nor_threads_nor_budge
         shuffle(&mut particles, &mut Random::new(8));
         let small = Resources::new(MemoryBudget(1 << 20), std::env::temp_dir());
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let again =
-            pool.install(|| surface(&particles[..], &Sampling { resources: small, ..spaced(1.2) }, method));
+        let again = pool.install(|| {
+            surface(&particles[..], &Sampling { resources: small, ..spaced(1.2) }, method)
+        });
         assert!(mesh == again, "{method:?}");
     }
 }
@@ -189,7 +211,10 @@ fn a_particle_alone_is_a_ball_of_the_radius_that_the_kernel_gives() {
         let mesh = surface(&on_steps(vec![[0.3, -0.2, 0.1]])[..], &spaced(spacing), method);
         for position in &mesh.positions {
             let distance = DVec3::from(*position).distance(DVec3::new(0.3, -0.2, 0.1));
-            assert!((distance - radius).abs() < 0.03 * radius, "{method:?}: {distance}, not {radius}");
+            assert!(
+                (distance - radius).abs() < 0.03 * radius,
+                "{method:?}: {distance}, not {radius}"
+            );
         }
     }
 }
@@ -223,7 +248,10 @@ fn attributes_reach_the_vertices_and_normals_point_out() {
         }
         for (position, normal) in mesh.positions.iter().zip(mesh.normals.as_ref().unwrap()) {
             let normal = glam::Vec3::from(*normal).as_dvec3();
-            assert!(DVec3::from(*position).normalize().dot(normal) > 0.7, "{method:?} at {position:?}");
+            assert!(
+                DVec3::from(*position).normalize().dot(normal) > 0.7,
+                "{method:?} at {position:?}"
+            );
         }
     }
 }
@@ -232,10 +260,12 @@ fn attributes_reach_the_vertices_and_normals_point_out() {
 fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
     let particles = [[0.0_f64; 3]];
     for (cell, spacing) in [(1.0 / 17.0, Some(1.0)), (1.0, None)] {
-        let (grid, method) = (Grid::new(DVec3::ZERO, cell).unwrap(), KernelMethod::ZhuBridson.into());
+        let (grid, method) =
+            (Grid::new(DVec3::ZERO, cell).unwrap(), KernelMethod::ZhuBridson.into());
         let sampling = Sampling { grid, method, spacing, ..sampling() };
         let before = sampling.refuse_unfit(&Surfacing::PLAIN).unwrap_err();
-        let refused = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
+        let refused =
+            Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
         for error in [before, refused] {
             match spacing {
                 Some(_) => assert!(matches!(error, FrameError::Kernels(_)), "{error}"),

@@ -1,5 +1,5 @@
-//! The isovalue in cells of any size: what is interior is told in spacings, clumps tell nothing, and what 16 bits cannot hold
-//! is refused.
+//! The isovalue in cells of any size: what is interior is told in spacings, clumps tell nothing,
+//! and what 16 bits cannot hold is refused.
 
 use std::collections::HashMap;
 
@@ -33,7 +33,8 @@ enum Disorder {
     /// On a lattice, but for so much of a spacing.
     Jittered(f64),
     Random,
-    /// As FLIP leaves them: one anywhere in each cell of a lattice, a quarter of them beside another.
+    /// As FLIP leaves them: one anywhere in each cell of a lattice, a quarter of them beside
+    /// another.
     Clumped,
 }
 
@@ -97,26 +98,33 @@ fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
 /// The median of a field over the cells that lie deeper in a cube than so many.
 fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
     let deep = CellBox { lo: IVec3::splat(depth), hi: IVec3::splat(edge as i32 - depth) };
-    let mut deep: Vec<f64> = field.iter().filter(|(cell, _)| deep.contains(*cell)).map(|(_, x)| x).collect();
+    let mut deep: Vec<f64> =
+        field.iter().filter(|(cell, _)| deep.contains(*cell)).map(|(_, x)| x).collect();
     let middle = deep.len() / 2;
     *deep.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The plateau of a cube of particles, and by how much it differs from that of a dense oracle in f64: in the isovalue, which is a
-/// share of it, or in the density that clouds tell.
+/// The plateau of a cube of particles, and by how much it differs from that of a dense oracle in
+/// f64: in the isovalue, which is a share of it, or in the density that clouds tell.
 fn off_from_oracle(particles: &[[f64; 3]], frame: &Frame, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
     let ratio = if indicator.kind() == CLOUD {
         let (spacing, smooth) = (facts.spacing.unwrap(), surfacing().smooth.spacings());
-        let (density, level) = Distances { spacing, smooth, plateau: 1, walls: None }.density(particles);
+        let (density, level) =
+            Distances { spacing, smooth, plateau: 1, walls: None }.density(particles);
         let edge = edge / f64::from(1 << level);
         let depth = (2.2 * smooth * spacing / f64::from(1 << level)).ceil() as i32 + 1;
         measured.density(spacing) / deep_median(&density, edge, depth)
     } else {
         let sigma = surfacing().width(facts.spacing, facts.grid.cell_size());
-        let method =
-            Method { indicator, sigma: sigma.cells(), detail: Detail::Smoothed, iso: 1.0, walls: None };
+        let method = Method {
+            indicator,
+            sigma: sigma.cells(),
+            detail: Detail::Smoothed,
+            iso: 1.0,
+            walls: None,
+        };
         let depth = Smoothing::new(indicator.kind(), sigma).reach() + 1;
         recipe.iso.value() / 0.47 / deep_median(&method.real(particles), edge, depth)
     };
@@ -147,8 +155,10 @@ fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
         }
     }
     let off = cases.into_par_iter().filter_map(|(density, disorder, cell, indicator)| {
-        // Counts of a lattice beat with the cells, and only over many beats is their median the same everywhere.
-        let beats = density < 1.0 && matches!((disorder, indicator), (Disorder::Jittered(0.0), COUNTING));
+        // Counts of a lattice beat with the cells, and only over many beats is their median the
+        // same everywhere.
+        let beats =
+            density < 1.0 && matches!((disorder, indicator), (Disorder::Jittered(0.0), COUNTING));
         let edge = if beats {
             60.0
         } else if density > 2.0 {
@@ -161,8 +171,9 @@ fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
         particles.extend([clump; 10]);
         let frame = sample(&particles, &sampling_at(1.0 / cell, indicator));
         let (off, plateau) = off_from_oracle(&particles, &frame, edge / cell);
-        let what =
-            format!("{indicator:?} {density} {disorder:?} in cells of {cell}: off by {off}, {plateau:?}");
+        let what = format!(
+            "{indicator:?} {density} {disorder:?} in cells of {cell}: off by {off}, {plateau:?}"
+        );
         let within = if indicator == CLOUD { 0.03 } else { 0.02 };
         let found = matches!(plateau, Plateau::Interior { .. }) && off.abs() < within;
         (!found).then_some(what)
@@ -182,8 +193,8 @@ fn places(surface: &Stitched) -> HashMap<IVec3, Vec<DVec3>> {
     places
 }
 
-/// How far the vertices of `one`, no nearer than so much to a place, lie from the next ones of `other`, from the least to the
-/// greatest; infinitely far where there is none within a cell.
+/// How far the vertices of `one`, no nearer than so much to a place, lie from the next ones of
+/// `other`, from the least to the greatest; infinitely far where there is none within a cell.
 fn moved(one: &Stitched, other: &Stitched, (place, away): (DVec3, f64)) -> Vec<f64> {
     let others = places(other);
     let next = |p: DVec3| {
@@ -226,7 +237,8 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
         {
             let spacing = 1.0 / cell;
             let particles = scaled(&body, spacing);
-            // Detail is drawn by the isovalue whatever that is, so it is looked at too, as particles in a cell.
+            // Detail is drawn by the isovalue whatever that is, so it is looked at too, as
+            // particles in a cell.
             let isovalue = |frame: &Frame| match recipe(frame, &surfacing()).1.calibration {
                 Calibration::Indicator { mean, iso } => iso.value() * mean.unwrap().particles(),
                 Calibration::Clouds { plateau } => f64::from(plateau),
@@ -236,7 +248,8 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
             let beside = [20.0, 0.0, 0.0];
             for (clump, count) in [(place.to_array(), 1), (place.to_array(), 10), (beside, 30)] {
                 let [at] = scaled(&[clump], spacing)[..] else { unreachable!() };
-                let with: Vec<_> = particles.iter().copied().chain(std::iter::repeat_n(at, count)).collect();
+                let with: Vec<_> =
+                    particles.iter().copied().chain(std::iter::repeat_n(at, count)).collect();
                 let of_with = sample(&with, &sampling_at(spacing, indicator));
                 let ratio = isovalue(&of_with) / isovalue(&of_clean);
                 assert!(
@@ -246,14 +259,16 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                 let with = draw(&of_with, &recovered);
                 let there = (DVec3::from(at), 4.0 * spacing);
                 for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
-                    // Along an edge that is nearly tangent to the surface a vertex moves far, and one that comes or goes with
-                    // the sign of one sample is as far as its cell from the next.
+                    // Along an edge that is nearly tangent to the surface a vertex moves far, and
+                    // one that comes or goes with the sign of one sample is as far as its cell from
+                    // the next.
                     let [most, all] =
                         [moved[moved.len() * 9 / 10], moved[moved.len() - 1]].map(|d| d / spacing);
                     let what = format!(
                         "{name}, {indicator:?}, cells of {cell}, {count} more: {most} spacings, {all}"
                     );
-                    // From the middle of the small ball clouds of the widest width reach all of its surface.
+                    // From the middle of the small ball clouds of the widest width reach all of its
+                    // surface.
                     let within = match indicator {
                         CLOUD if name == "small ball" => 0.1,
                         CLOUD => 0.01,
@@ -279,13 +294,17 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
             }
             let of_pool = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
             let deep = recipe(&of_pool, &surfacing()).1.plateau;
-            let Plateau::Interior { median, .. } = deep else { panic!("a pool of {cell}: {deep:?}") };
+            let Plateau::Interior { median, .. } = deep else {
+                panic!("a pool of {cell}: {deep:?}")
+            };
             // Of the same mu0, which fewer particles in a cell would make another.
             let sampling = sampling_at(spacing, of_pool.method());
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
                 let plateau = recipe(&frame, &surfacing()).1.plateau;
-                let Plateau::Shallow { expected } = plateau else { panic!("{name} in {cell}: {plateau:?}") };
+                let Plateau::Shallow { expected } = plateau else {
+                    panic!("{name} in {cell}: {plateau:?}")
+                };
                 let ratio = f64::from(expected) / f64::from(median);
                 let within = if matches!(indicator, IndicatorKind::Cloud) { 0.02 } else { 0.1 };
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} {name} in {cell}: {ratio}");
@@ -299,10 +318,14 @@ fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
     for disorder in [Disorder::Jittered(0.3), Disorder::Jittered(0.5), Disorder::Clumped] {
         let particles = scaled(&cube(48.0, 1.0, disorder, 6), 1.5);
         let deep = sample(&particles, &sampling_at(1.5, COUNTING));
-        let Plateau::Interior { median, .. } = recipe(&deep, &surfacing()).1.plateau else { panic!() };
+        let Plateau::Interior { median, .. } = recipe(&deep, &surfacing()).1.plateau else {
+            panic!()
+        };
         let layer: Vec<_> = particles.into_iter().filter(|p| p[1] < 4.0 * 1.5).collect();
         let layer = sample(&layer, &sampling_at(1.5, deep.method()));
-        let Plateau::Shallow { expected } = recipe(&layer, &surfacing()).1.plateau else { panic!() };
+        let Plateau::Shallow { expected } = recipe(&layer, &surfacing()).1.plateau else {
+            panic!()
+        };
         let ratio = f64::from(expected) / f64::from(median);
         assert!((ratio - 1.0).abs() < 0.05, "{disorder:?}: {ratio}");
     }
@@ -339,7 +362,10 @@ fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
             let coarse = volume(2.0 / 3.0);
             for cell in [0.5, 0.4, 1.0 / 3.0, 0.25] {
                 let ratio = volume(cell) / coarse;
-                assert!((ratio - 1.0).abs() < 0.03, "{indicator:?}, cells of {cell}, walls {walls}: {ratio}");
+                assert!(
+                    (ratio - 1.0).abs() < 0.03,
+                    "{indicator:?}, cells of {cell}, walls {walls}: {ratio}"
+                );
             }
         }
     }
@@ -360,12 +386,15 @@ fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
         tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
         // Triangles cut off what bends within a cell, which is much of a drop.
-        let splashes =
-            sample(&crate::common::splashes(3), &Sampling { method: indicator.into(), ..sampling() });
+        let splashes = sample(
+            &crate::common::splashes(3),
+            &Sampling { method: indicator.into(), ..sampling() },
+        );
         let within = if indicator == CLOUD { 0.15 } else { 0.06 };
         close(&draw(&splashes, &surfacing()), within, "drops");
     }
-    let sampling = Sampling { method: KernelMethod::ZhuBridson.into(), spacing: Some(1.0), ..sampling() };
+    let sampling =
+        Sampling { method: KernelMethod::ZhuBridson.into(), spacing: Some(1.0), ..sampling() };
     close(&draw(&sample(&ball, &sampling), &surfacing()), 0.01, "kernels");
 }
 
@@ -380,7 +409,8 @@ fn a_surface_that_holds_less_than_half_of_its_particles_is_told() {
     let high = Isovalue::new(0.28).unwrap();
     let lost = draw(&frame, &Surfacing { iso: Some(high), ..surfacing() });
     let shortfall = Shortfall::of(&lost, None, pool.len(), 1.5).unwrap().unwrap();
-    let volume = measure(&lost.to_mesh().unwrap()).volume.unwrap() / (pool.len() as f64 * 1.5_f64.powi(3));
+    let volume =
+        measure(&lost.to_mesh().unwrap()).volume.unwrap() / (pool.len() as f64 * 1.5_f64.powi(3));
     assert!(
         shortfall.share < 0.5 && (shortfall.share / volume - 1.0).abs() < 0.06,
         "{shortfall:?} of {volume}"
@@ -401,7 +431,8 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
         let steps = 8;
         let face = |threshold: u16| {
             let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
-            let surface = draw(&frame, &Surfacing { iso: Some(iso), ..surfacing() }).to_mesh().unwrap();
+            let surface =
+                draw(&frame, &Surfacing { iso: Some(iso), ..surfacing() }).to_mesh().unwrap();
             let [low, high] = [5.0, edge - 5.0].map(|x| x * spacing);
             let inner = |x: f64| (low..high).contains(&x);
             let on_face = |[x, y, z]: [f64; 3]| (inner(x) && inner(z) && y > high).then_some(y);
@@ -411,11 +442,15 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
         let threshold = recipe.iso.threshold();
         let found = (face(threshold - steps) - face(threshold + steps)) / f64::from(2 * steps);
         let ratio = found / told;
-        assert!((0.85..1.15).contains(&ratio), "{indicator:?}, cells of {cell}: {found} cells, told {told}");
+        assert!(
+            (0.85..1.15).contains(&ratio),
+            "{indicator:?}, cells of {cell}: {found} cells, told {told}"
+        );
     }
 }
 
-/// What becomes of a pool's surface in such cells: the same whether it is asked before there is a DIF or after.
+/// What becomes of a pool's surface in such cells: the same whether it is asked before there is a
+/// DIF or after.
 fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
@@ -423,7 +458,9 @@ fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let pool = scaled(&cube(12.0, 1.0, Disorder::Jittered(0.3), 1), spacing);
     match sample(&pool, &sampling).surface(&surfacing(), &mut Timings::default()) {
         Ok(_) => assert_eq!(before, Ok(()), "{indicator:?} in {cell}"),
-        Err(FrameError::TooFine(after)) => assert!(before.is_err(), "{indicator:?} in {cell}: {after}"),
+        Err(FrameError::TooFine(after)) => {
+            assert!(before.is_err(), "{indicator:?} in {cell}: {after}")
+        }
         Err(other) => panic!("{other}"),
     }
     before
@@ -435,17 +472,28 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
         let indicator = COUNTING;
         assert_eq!(refused(indicator, 0.2), Ok(()));
         let found = refused(indicator, 0.11).unwrap_err();
-        assert!(matches!(found, TooFine::Steps { step_cells, .. } if step_cells > COARSEST_STEP), "{found}");
+        assert!(
+            matches!(found, TooFine::Steps { step_cells, .. } if step_cells > COARSEST_STEP),
+            "{found}"
+        );
         for sigma in [None, Some(10.0)].map(|cells| cells.map(|cells| Sigma::new(cells).unwrap())) {
             let surfacing = Surfacing { sigma, ..surfacing() };
             for cell in [0.11, 0.02, 1.0 / 128.0, 1e-5] {
                 let refused = |cell: f64| asked(&surfacing, 1.0 / cell, indicator, None);
-                let Err(TooFine::Steps { remedy: Remedy::Cells(fitting), .. }) = refused(cell) else {
+                let Err(TooFine::Steps { remedy: Remedy::Cells(fitting), .. }) = refused(cell)
+                else {
                     panic!("{indicator:?}, cells of {cell}: {:?}", refused(cell))
                 };
                 // What is said fits, and little less does not.
-                assert_eq!(refused(cell * fitting), Ok(()), "{indicator:?}, {fitting} times {cell}");
-                assert!(refused(cell * fitting * 0.97).is_err(), "{indicator:?}, {fitting} times {cell}");
+                assert_eq!(
+                    refused(cell * fitting),
+                    Ok(()),
+                    "{indicator:?}, {fitting} times {cell}"
+                );
+                assert!(
+                    refused(cell * fitting * 0.97).is_err(),
+                    "{indicator:?}, {fitting} times {cell}"
+                );
             }
         }
     }

@@ -1,4 +1,5 @@
-//! The field and the mesh of one frame: calibration, kernel methods, simplification, and checks of meshes.
+//! The field and the mesh of one frame: calibration, kernel methods, simplification, and checks of
+//! meshes.
 #![allow(clippy::unwrap_used)]
 
 mod baselines;

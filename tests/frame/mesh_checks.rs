@@ -37,7 +37,11 @@ fn a_hole_is_found_by_its_three_edges() {
     assert_eq!(mesh.triangles.remove(3), [4, 7, 6]);
     let report = check(&mesh);
     assert_eq!(report.topology.boundary_edges, Found { count: 3, first: Some([4, 6]) });
-    assert!(!report.topology.is_closed() && report.topology.is_oriented() && report.topology.is_manifold());
+    assert!(
+        !report.topology.is_closed()
+            && report.topology.is_oriented()
+            && report.topology.is_manifold()
+    );
 }
 
 #[test]
@@ -46,7 +50,11 @@ fn a_flipped_triangle_is_found_by_its_three_edges() {
     mesh.triangles[3].swap(1, 2);
     let report = check(&mesh);
     assert_eq!(report.topology.misoriented_edges, Found { count: 3, first: Some([4, 6]) });
-    assert!(report.topology.is_closed() && !report.topology.is_oriented() && report.topology.is_manifold());
+    assert!(
+        report.topology.is_closed()
+            && !report.topology.is_oriented()
+            && report.topology.is_manifold()
+    );
     assert!(!report.is_closed_oriented_manifold());
 }
 
@@ -78,7 +86,11 @@ fn two_spheres_that_share_a_vertex_are_closed_but_no_manifold() {
         *vertex = 0;
     }
     let report = check(&mesh);
-    assert!(report.topology.is_closed() && report.topology.is_oriented() && !report.topology.is_manifold());
+    assert!(
+        report.topology.is_closed()
+            && report.topology.is_oriented()
+            && !report.topology.is_manifold()
+    );
     assert_eq!(report.topology.pinched_vertices, once(0));
     assert_eq!(report.topology.unreferenced_vertices, once(second + 2));
     assert_eq!(report.duplicate_positions, once(second as usize + 2));
@@ -94,7 +106,9 @@ fn three_triangles_at_an_edge_are_crowded() {
     let report = check(&mesh);
     assert_eq!(report.topology.crowded_edges, once([a.min(b), a.max(b)]));
     assert_eq!(report.topology.boundary_edges.count, 2);
-    assert!(report.topology.pinched_vertices.is_none() && report.topology.misoriented_edges.is_none());
+    assert!(
+        report.topology.pinched_vertices.is_none() && report.topology.misoriented_edges.is_none()
+    );
 }
 
 #[test]
@@ -106,7 +120,11 @@ fn unsound_triangles_are_named_and_hide_nothing_else() {
     let report = check(&mesh);
     assert_eq!(report.topology.degenerate_triangles, once(2));
     assert_eq!(report.topology.out_of_range, Found { count: 2, first: Some(13) });
-    assert!(report.topology.is_closed() && report.topology.is_oriented() && !report.topology.is_manifold());
+    assert!(
+        report.topology.is_closed()
+            && report.topology.is_oriented()
+            && !report.topology.is_manifold()
+    );
     assert_eq!(report.topology.edges, 18);
     assert_eq!(measure(&mesh).area, 6.0);
 }
@@ -209,7 +227,10 @@ fn an_open_mesh_has_an_area_but_no_volume_and_no_genus() {
 fn an_empty_mesh_has_no_box_and_no_worst_triangle() {
     let measures = measure(&Mesh::default());
     assert_eq!((measures.bounds, measures.area, measures.volume), (None, 0., Some(0.)));
-    assert_eq!((measures.components, measures.genus, measures.quality.mean_angle), (0, Some(0), None));
+    assert_eq!(
+        (measures.components, measures.genus, measures.quality.mean_angle),
+        (0, Some(0), None)
+    );
 }
 
 #[test]
@@ -246,7 +267,10 @@ fn a_mesh_is_no_distance_from_itself() {
     for mesh in [cuboid([0.; 3], [1.; 3]), sphere(1., 3), torus(40, 20)] {
         let same = compare(&mesh, &mesh).unwrap();
         assert!(same.hausdorff < 1e-15 && same.bias.abs() < 1e-15, "{same:?}");
-        assert_eq!((same.from_mesh.samples, same.from_mesh.vertices), (100_000, mesh.positions.len()));
+        assert_eq!(
+            (same.from_mesh.samples, same.from_mesh.vertices),
+            (100_000, mesh.positions.len())
+        );
     }
 }
 
@@ -288,12 +312,14 @@ fn the_greatest_distance_is_seen_from_the_side_that_has_it() {
 
 #[test]
 fn signs_hold_where_the_nearest_point_is_an_edge_or_a_corner() {
-    // Seen from outside, most of a great sphere is nearest to the corners of a small box, and points near
-    // a corner's bisector lie behind the planes of some of its faces but not of the corner.
+    // Seen from outside, most of a great sphere is nearest to the corners of a small box, and
+    // points near a corner's bisector lie behind the planes of some of its faces but not of the
+    // corner.
     let small = cuboid([-0.1; 3], [0.1, 0.1, 0.3]);
     let found = compare(&small, &sphere(2., 2)).unwrap();
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
-    // And a small box inside of a great notched one lies inside, though nearest to the notch's edge.
+    // And a small box inside of a great notched one lies inside, though nearest to the notch's
+    // edge.
     let notch = [[0., 0., 0.], [4., 0., 0.], [4., 4., 0.], [2., 0.5, 0.], [0., 4., 0.]];
     let found = compare(&prism(&notch, 8.), &cuboid([1.8, 0.2, 3.], [2.2, 0.3, 5.])).unwrap();
     assert!((found.bias + found.from_mesh.mean).abs() < 1e-12, "{found:?}");
@@ -301,9 +327,11 @@ fn signs_hold_where_the_nearest_point_is_an_edge_or_a_corner() {
 
 #[test]
 fn signs_do_not_depend_on_how_a_corner_is_cut_into_triangles() {
-    // A spike along x. Slivers on one side of it pull its tip's normal there, unless angles weigh them.
+    // A spike along x. Slivers on one side of it pull its tip's normal there, unless angles weigh
+    // them.
     let quarter = std::f64::consts::FRAC_PI_2;
-    let angles = (0..40).map(|i| quarter * f64::from(i) / 40.).chain([1., 2., 3.].map(|i| quarter * i));
+    let angles =
+        (0..40).map(|i| quarter * f64::from(i) / 40.).chain([1., 2., 3.].map(|i| quarter * i));
     let ghost_layer: Vec<[f64; 3]> = angles.map(|a| [0., 0.05 * a.cos(), 0.05 * a.sin()]).collect();
     let mut spike = cone(&ghost_layer, [1., 0., 0.]);
     let base = spike.positions.len() as u32;
@@ -379,7 +407,10 @@ fn what_is_no_surface_cannot_be_compared() {
     for x in [f64::NAN, f64::INFINITY, 1e100] {
         let mut bad = ball.clone();
         bad.positions[5][1] = x;
-        assert_eq!(compare(&ball, &bad), Err(CompareError::NotFinite { side: Side::Mesh, vertex: 5 }));
+        assert_eq!(
+            compare(&ball, &bad),
+            Err(CompareError::NotFinite { side: Side::Mesh, vertex: 5 })
+        );
         bad.triangles.retain(|t| !t.contains(&5));
         assert!(compare(&ball, &bad).is_ok());
     }

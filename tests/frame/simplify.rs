@@ -1,4 +1,5 @@
-//! Simplified surfaces: manifold, near, and the same whatever the machine; drops stay unless they are left out.
+//! Simplified surfaces: manifold, near, and the same whatever the machine; drops stay unless they
+//! are left out.
 
 use std::collections::HashMap;
 
@@ -56,10 +57,12 @@ fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction
 }
 
 #[test]
-fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle() {
+fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle()
+ {
     for indicator in INDICATORS {
         for seed in [1, 2] {
-            let (particles, sampling) = (splashes(seed), Sampling { method: indicator.into(), ..sampling() });
+            let (particles, sampling) =
+                (splashes(seed), Sampling { method: indicator.into(), ..sampling() });
             let whole = surface(&particles, &sampling).to_mesh().unwrap();
             for cells in [0.05, 0.1, 0.25, 0.5, 2.0] {
                 let (mesh, _) = simplified(&particles, &sampling, &within(cells));
@@ -91,7 +94,8 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
                 // Drops of clouds are all bends.
-                let share = if matches!(indicator, IndicatorKind::Cloud) { share.min(4) } else { share };
+                let share =
+                    if matches!(indicator, IndicatorKind::Cloud) { share.min(4) } else { share };
                 // A calm pool has next to none.
                 assert!(
                     left <= (whole / share).max(30),
@@ -110,7 +114,11 @@ fn vertices_that_are_left_keep_their_positions_and_normals() {
     let normals = whole.normals.as_ref().unwrap();
     let known: HashMap<_, _> = whole.positions.iter().map(bits).zip(normals).collect();
     let (mesh, _) = simplified(&particles, &sampling(), &within(0.25));
-    assert!((100..known.len()).contains(&mesh.positions.len()), "{} are left", mesh.positions.len());
+    assert!(
+        (100..known.len()).contains(&mesh.positions.len()),
+        "{} are left",
+        mesh.positions.len()
+    );
     for (position, normal) in mesh.positions.iter().zip(mesh.normals.as_ref().unwrap()) {
         assert_eq!(known.get(&bits(position)), Some(&normal));
     }
@@ -124,7 +132,8 @@ fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let scratch = std::env::temp_dir();
         pool.install(|| {
-            let (surface, room) = (surface(&particles, &sampling()), Room { bytes, folder: &scratch });
+            let (surface, room) =
+                (surface(&particles, &sampling()), Room { bytes, folder: &scratch });
             collected(&simplify(surface, &reduction, 1.0, room, &Control::default()).unwrap())
         })
     };
@@ -142,7 +151,8 @@ fn pool() -> Vec<[f64; 3]> {
 #[test]
 fn a_flat_pool_is_simplified_across_the_seams_of_both_passes() {
     let (mesh, _) = simplified(&pool(), &sampling(), &within(0.1));
-    // The seams of one pass alone keep a vertex for every cell that they run through, above and below: 2384.
+    // The seams of one pass alone keep a vertex for every cell that they run through, above and
+    // below: 2384.
     let flat = |p: &&[f64; 3]| p[0].abs() < 66.0 && p[2].abs() < 66.0;
     let count = mesh.positions.iter().filter(flat).count();
     assert!(count < 1000, "{count} vertices on flat ground");
@@ -166,7 +176,8 @@ fn the_smallest_drop_outlives_the_largest_distance() {
 
 #[test]
 fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
-    // Balls around a corner of eight blocks, in the middle of a block, and far away, of some 113, 33 and 905 cells.
+    // Balls around a corner of eight blocks, in the middle of a block, and far away, of some 113,
+    // 33 and 905 cells.
     let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];
     let particles: Vec<[f64; 3]> = balls
         .iter()
@@ -177,11 +188,17 @@ fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
         .collect();
     let whole = surface(&particles, &sampling()).to_mesh().unwrap();
     for (volume, left) in [(1.0, 3), (60.0, 2), (300.0, 1), (2000.0, 0)] {
-        for reduction in [without(volume), Reduction { smallest_component: Some(volume), ..within(0.1) }] {
+        for reduction in
+            [without(volume), Reduction { smallest_component: Some(volume), ..within(0.1) }]
+        {
             let (mesh, dropped) = simplified(&particles, &sampling(), &reduction);
             let report = check(&mesh);
             assert!(report.is_closed_oriented_manifold(), "{reduction:?}: {report}");
-            assert_eq!((measure(&mesh).components, dropped), (left, 3 - left as u64), "{reduction:?}");
+            assert_eq!(
+                (measure(&mesh).components, dropped),
+                (left, 3 - left as u64),
+                "{reduction:?}"
+            );
             if left == 3 && reduction.tolerance.is_none() {
                 assert_eq!(mesh.triangles.len(), whole.triangles.len());
                 assert_eq!(measure(&mesh).volume.map(f32_of), measure(&whole).volume.map(f32_of));
@@ -192,12 +209,15 @@ fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
 
 #[test]
 fn the_smallest_drop_is_one_component_however_it_lies_between_eight_blocks() {
-    // Eight blocks meet at the origin. A block then names few vertices of each later one, some of which others name.
+    // Eight blocks meet at the origin. A block then names few vertices of each later one, some of
+    // which others name.
     let places = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0];
-    for (x, y, z) in places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))
+    for (x, y, z) in
+        places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))
     {
         let drop = fill(4.0, 2.0, 0.0, 1, |p| p.length() < 1.0);
-        let drop: Vec<_> = drop.iter().map(|&p| (DVec3::from(p) + DVec3::new(x, y, z)).to_array()).collect();
+        let drop: Vec<_> =
+            drop.iter().map(|&p| (DVec3::from(p) + DVec3::new(x, y, z)).to_array()).collect();
         let (mesh, dropped) = simplified(&drop, &sampling(), &without(1e3));
         assert_eq!((mesh.triangles.len(), dropped), (0, 1), "drop at {x}, {y}, {z}");
     }
@@ -219,7 +239,8 @@ fn drops_of_fewer_particles_are_left_out_in_cells_of_any_size_and_bubbles_are_ke
     }
     for cells in [1.5, 2.0, 3.0, 4.0] {
         let scaled: Vec<_> = particles.iter().map(|p| p.map(|x| x * cells)).collect();
-        let sampling = Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(cells), ..sampling() };
+        let sampling =
+            Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(cells), ..sampling() };
         for (particles, dropped) in [(1, 0), (2, 4), (3, 8), (8, 8), (20, 12)] {
             let reduction = Reduction { smallest_drop: Some(particles), ..Reduction::default() };
             let (mesh, gone) = simplified(&scaled, &sampling, &reduction);

@@ -1,4 +1,5 @@
-//! The C interface: calls in any order, of arguments right and wrong, by `src/bindings/c/tests/random.c`.
+//! The C interface: calls in any order, of arguments right and wrong, by
+//! `src/bindings/c/tests/random.c`.
 
 use std::ffi::{CString, c_char};
 use std::os::unix::ffi::OsStrExt;
@@ -15,7 +16,9 @@ unsafe extern "C" {
 pub fn target() -> Target {
     let seeds = || {
         let noise = |seed: u32| {
-            (0..800_u32).map(|i| (i.wrapping_add(seed).wrapping_mul(2_654_435_761) >> 13) as u8).collect()
+            (0..800_u32)
+                .map(|i| (i.wrapping_add(seed).wrapping_mul(2_654_435_761) >> 13) as u8)
+                .collect()
         };
         vec![noise(1), noise(77), noise(1234)]
     };

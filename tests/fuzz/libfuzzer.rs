@@ -18,7 +18,8 @@ use libfuzzer_sys::fuzz_target;
 
 static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
 
-/// The target, whose seeds are written into the folder that `MENISCUS_SEEDS` names, and its words into a file beside it.
+/// The target, whose seeds are written into the folder that `MENISCUS_SEEDS` names, and its words
+/// into a file beside it.
 fn chosen() -> fn(&[u8]) {
     targets::on_one_thread();
     let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();
@@ -34,8 +35,10 @@ fn chosen() -> fn(&[u8]) {
         for (number, seed) in (target.seeds)().into_iter().enumerate() {
             std::fs::write(folder.join(format!("seed_{number}")), seed).unwrap();
         }
-        let quoted = |word: &&str| word.bytes().map(|byte| format!("\\x{byte:02x}")).collect::<String>();
-        let words: String = target.words.iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
+        let quoted =
+            |word: &&str| word.bytes().map(|byte| format!("\\x{byte:02x}")).collect::<String>();
+        let words: String =
+            target.words.iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
         std::fs::write(folder.with_extension("dict"), words).unwrap();
         std::process::exit(0);
     }

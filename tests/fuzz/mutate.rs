@@ -3,8 +3,22 @@
 use crate::scene::Random;
 
 /// Numbers at which counts and sizes go wrong.
-const NUMBERS: [u64; 14] =
-    [0, 1, 2, 3, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 63, u64::MAX];
+const NUMBERS: [u64; 14] = [
+    0,
+    1,
+    2,
+    3,
+    0x7f,
+    0x80,
+    0xff,
+    0x7fff,
+    0xffff,
+    0x7fff_ffff,
+    0x8000_0000,
+    0xffff_ffff,
+    1 << 63,
+    u64::MAX,
+];
 
 /// The mutation of some seeds that has this number, which may put in some words.
 pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
@@ -16,7 +30,9 @@ pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
         match pick(10) {
             0..2 if !data.is_empty() => data[at] ^= 1 << pick(8),
             2 if !data.is_empty() => data[at] = pick(256) as u8,
-            3..5 => put_number(&mut data, at, NUMBERS[pick(NUMBERS.len())], 1 << pick(4), pick(2) == 0),
+            3..5 => {
+                put_number(&mut data, at, NUMBERS[pick(NUMBERS.len())], 1 << pick(4), pick(2) == 0)
+            }
             5 => {
                 let end = at + pick((data.len() - at).min(64) + 1);
                 data.drain(at..end);
@@ -55,7 +71,9 @@ fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) 
 
 /// Puts another number in place of the next one that is written in digits.
 fn change_digits(data: &mut Vec<u8>, at: usize, number: u64) {
-    let Some(first) = data[at..].iter().position(u8::is_ascii_digit).map(|first| at + first) else { return };
+    let Some(first) = data[at..].iter().position(u8::is_ascii_digit).map(|first| at + first) else {
+        return;
+    };
     let digits = data[first..].iter().take_while(|byte| byte.is_ascii_digit()).count();
     data.splice(first..first + digits, number.to_string().bytes());
 }

@@ -1,4 +1,5 @@
-// The program's modules, all but `main`, in whatever crate includes this: what it makes of its arguments is fuzzed as all else is.
+// The program's modules, all but `main`, in whatever crate includes this: what it makes of its
+// arguments is fuzzed as all else is.
 #[path = "../../src/bin/meniscus/advice.rs"]
 mod advice;
 #[path = "../../src/bin/meniscus/arguments.rs"]

@@ -26,18 +26,21 @@ pub fn raw(points: &[[f64; 3]]) -> Vec<u8> {
 
 pub fn npy_header(descr: &str, fortran: bool, shape: &str) -> Vec<u8> {
     let order = if fortran { "True" } else { "False" };
-    let mut header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
+    let mut header =
+        format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
     while !(10 + header.len() + 1).is_multiple_of(64) {
         header.push(' ');
     }
     header.push('\n');
-    [b"\x93NUMPY\x01\x00", (header.len() as u16).to_le_bytes().as_slice(), header.as_bytes()].concat()
+    [b"\x93NUMPY\x01\x00", (header.len() as u16).to_le_bytes().as_slice(), header.as_bytes()]
+        .concat()
 }
 
 pub fn npy(points: &[[f64; 3]], descr: &str, fortran: bool) -> Vec<u8> {
     let mut bytes = npy_header(descr, fortran, &format!("({}, 3)", points.len()));
     let by_axis = || (0..3).flat_map(|axis| points.iter().map(move |p| p[axis]));
-    let values: Vec<f64> = if fortran { by_axis().collect() } else { points.as_flattened().to_vec() };
+    let values: Vec<f64> =
+        if fortran { by_axis().collect() } else { points.as_flattened().to_vec() };
     for x in values {
         match descr {
             "<f4" => bytes.extend((x as f32).to_le_bytes()),
@@ -60,7 +63,8 @@ pub fn npz(arrays: &[(&str, Vec<u8>)], compression: CompressionMethod) -> Vec<u8
     archive.finish().expect("memory takes all").into_inner()
 }
 
-/// The positions, twice as large velocities, and ids, beside an array that is none of the particles'.
+/// The positions, twice as large velocities, and ids, beside an array that is none of the
+/// particles'.
 pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8> {
     let doubled: Vec<_> = points.iter().map(|p| p.map(|x| 2.0 * x)).collect();
     let mut ids = npy_header("<i4", false, &format!("({},)", points.len()));
@@ -218,7 +222,8 @@ impl VtkXml {
     }
 }
 
-/// Attributes id, v, an indexed string, uv, and a second v. No bytes after the points, so that none can be spared.
+/// Attributes id, v, an indexed string, uv, and a second v. No bytes after the points, so that none
+/// can be spared.
 pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
     let mut bytes = b"BgeoV".to_vec();
     let int = |bytes: &mut Vec<u8>, x: i32| bytes.extend(x.to_be_bytes());
@@ -274,15 +279,24 @@ pub struct Bi4 {
 }
 
 impl Bi4 {
-    /// A part with `points` as fluid numbered from 5 on, and 5 particles that are not fluid. Spacing 0.25,
-    /// velocity twice the position.
+    /// A part with `points` as fluid numbered from 5 on, and 5 particles that are not fluid.
+    /// Spacing 0.25, velocity twice the position.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
         let mut head = b"#FileJBD JPartDataBi4".to_vec();
         head.resize(58, b' ');
-        head.extend([b'\n', 0, u8::from(self.big) + 10 * u8::from(self.wide), u8::from(self.wide), 0, 0]);
+        head.extend([
+            b'\n',
+            0,
+            u8::from(self.big) + 10 * u8::from(self.wide),
+            u8::from(self.wide),
+            0,
+            0,
+        ]);
 
         let mut values = Vec::new();
-        for (name, count) in [("CaseNfixed", 2), ("CaseNmoving", 1), ("CaseNfloat", 2), ("CaseNfluid", 7)] {
+        for (name, count) in
+            [("CaseNfixed", 2), ("CaseNmoving", 1), ("CaseNfloat", 2), ("CaseNfluid", 7)]
+        {
             values.push((name, 10, self.u64(count)));
         }
         values.push(("CaseName", 1, self.text("Dam")));
@@ -297,16 +311,24 @@ impl Bi4 {
         if self.mixed {
             rows.sort_by_key(|(id, _)| (if *id < 5 { 2 * id } else { 2 * (id - 5) + 1 }, *id));
         }
-        let ids =
-            rows.iter().flat_map(|&(id, _)| if self.double { self.u64(id) } else { self.u32(id as u32) });
-        let position = rows.iter().flat_map(|(_, p)| p.map(|x| self.float(x, self.double)).concat());
-        let velocity = rows.iter().flat_map(|(_, p)| p.map(|x| self.float(2.0 * x, false)).concat());
+        let ids = rows
+            .iter()
+            .flat_map(|&(id, _)| if self.double { self.u64(id) } else { self.u32(id as u32) });
+        let position =
+            rows.iter().flat_map(|(_, p)| p.map(|x| self.float(x, self.double)).concat());
+        let velocity =
+            rows.iter().flat_map(|(_, p)| p.map(|x| self.float(2.0 * x, false)).concat());
         let (id_kind, position_kind) = if self.double { (10, 23) } else { (8, 22) };
         let (id_name, position_name) = if self.double { ("Idpd", "Posd") } else { ("Idp", "Pos") };
         let time = self.values(&[("TimeStep", 12, self.u64(1.5f64.to_bits()))]);
         head.extend(self.item("PART_0000", 3, 0, &time));
         head.extend(self.array(id_name, id_kind, rows.len(), &ids.collect::<Vec<_>>()));
-        head.extend(self.array(position_name, position_kind, rows.len(), &position.collect::<Vec<_>>()));
+        head.extend(self.array(
+            position_name,
+            position_kind,
+            rows.len(),
+            &position.collect::<Vec<_>>(),
+        ));
         head.extend(self.array("Vel", 22, rows.len(), &velocity.collect::<Vec<_>>()));
         head
     }

@@ -1,4 +1,5 @@
-//! Ghosts of VTKHDF and legacy .vtk whose cells are flagged, and not their points: files of VTK's own writers and of h5py.
+//! Ghosts of VTKHDF and legacy .vtk whose cells are flagged, and not their points: files of VTK's
+//! own writers and of h5py.
 
 use std::fs;
 use std::path::Path;
@@ -16,7 +17,8 @@ use crate::memory;
 const STEPS: [(u64, usize, &[usize]); 4] = [
     // Copies are 4, refined 3, hidden 1; that 2 is beside copies is no matter.
     (0, 6, &[0, 2, 5]),
-    // 6 to 8 are in a partition with a line; 10 has a vertex of its own besides a copy, 12 has none.
+    // 6 to 8 are in a partition with a line; 10 has a vertex of its own besides a copy, 12 has
+    // none.
     (1, 7, &[6, 7, 8, 10, 12]),
     // The cells of step 0, with flags of other rows.
     (2, 6, &[1, 2, 3, 4]),
@@ -33,14 +35,16 @@ fn file_of_steps(kind: &str) -> (String, Vec<u8>) {
 
 fn read(bytes: &[u8], step: impl Into<Option<u64>>) -> Result<ParticleFile, ReadFault> {
     let (path, unpacking) = (Path::new("a.vtkhdf"), Unpacking::in_memory());
-    let read = h5::open_particles(path, bytes.to_vec().into(), step.into(), Wanted::default(), unpacking);
+    let read =
+        h5::open_particles(path, bytes.to_vec().into(), step.into(), Wanted::default(), unpacking);
     read.map_err(|error| error.fault)
 }
 
 /// Numbers of the points that are left, which are where the file has them.
 fn ids(file: &ParticleFile) -> Vec<usize> {
     let ids: Vec<usize> = attribute(file, "id").iter().map(|&id| id as usize).collect();
-    let points = open_particles(&files::data("simulations/points.csv"), Unpacking::in_memory()).unwrap();
+    let points =
+        open_particles(&files::data("simulations/points.csv"), Unpacking::in_memory()).unwrap();
     let points = positions(&points);
     for (found, &id) in positions(file).iter().zip(&ids) {
         assert!((0..3).all(|axis| (found[axis] - points[id][axis]).abs() < 1e-9), "point {id}");
@@ -70,8 +74,13 @@ fn longs(values: &[i64]) -> Vec<u8> {
 
 #[test]
 fn points_of_flagged_vertices_are_left_out_of_what_vtk_writes() {
-    let names =
-        ["cells_poly_42.vtk", "cells_poly_51.vtk", "cells_grid_42.vtk", "cells_grid_51.vtk", "cells.vtkhdf"];
+    let names = [
+        "cells_poly_42.vtk",
+        "cells_poly_51.vtk",
+        "cells_grid_42.vtk",
+        "cells_grid_51.vtk",
+        "cells.vtkhdf",
+    ];
     for name in names {
         let read = |unpacking| -> Result<ParticleFile, ReadError> {
             open_particles(&files::data("simulations").join(name), unpacking)
@@ -121,7 +130,8 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
         // The flags are those of the cells then.
         for name in ["CellDataOffsets", "vtkGhostType"] {
             let file = read(&without(name), 2).unwrap();
-            let left: &[usize] = if name == "vtkGhostType" { &[0, 1, 2, 3, 4, 5] } else { &[0, 2, 5] };
+            let left: &[usize] =
+                if name == "vtkGhostType" { &[0, 1, 2, 3, 4, 5] } else { &[0, 2, 5] };
             assert_eq!(ids(&file), left, "{kind} without {name}");
         }
     }

@@ -19,7 +19,10 @@ fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u
     assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
     let json = word(12);
     assert_eq!((&bytes[16..20], json % 4), (&b"JSON"[..], 0));
-    assert_eq!((&bytes[24 + json..28 + json], word(20 + json)), (&b"BIN\0"[..], bytes.len() - 28 - json));
+    assert_eq!(
+        (&bytes[24 + json..28 + json], word(20 + json)),
+        (&b"BIN\0"[..], bytes.len() - 28 - json)
+    );
     (serde_json::from_slice(&bytes[20..20 + json]).unwrap(), bytes[28 + json..].to_vec())
 }
 
@@ -62,7 +65,8 @@ fn floats(bytes: &[u8]) -> Vec<[f32; 3]> {
 fn triangles(json: &Value, binary: &[u8]) -> Vec<[u32; 3]> {
     let indices = number(&json["meshes"][0]["primitives"][0]["indices"]);
     let bytes = elements(json, binary, indices);
-    let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes(b.try_into().unwrap())).collect();
+    let words: Vec<u32> =
+        bytes.chunks_exact(4).map(|b| u32::from_le_bytes(b.try_into().unwrap())).collect();
     words.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
 }
 
@@ -72,7 +76,8 @@ fn soup<T: PartialOrd + Copy>(positions: &[[T; 3]], triangles: &[[u32; 3]]) -> V
         .iter()
         .map(|t| {
             let mut corners = t.map(|v| positions[v as usize]);
-            let least = (0..3).min_by(|&a, &b| corners[a].partial_cmp(&corners[b]).unwrap()).unwrap();
+            let least =
+                (0..3).min_by(|&a, &b| corners[a].partial_cmp(&corners[b]).unwrap()).unwrap();
             corners.rotate_left(least);
             corners
         })
@@ -94,19 +99,26 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
     let velocity = mesh.attributes.iter().find(|a| a.name == "velocity").unwrap();
     let of = |i: usize| -> [f32; 3] { velocity.values[3 * i..][..3].try_into().unwrap() };
     let whole = |p: &[f32; 3], n: &[f32; 3], v: &[f32; 3]| [p.as_slice(), n, v].concat();
-    let mut found: Vec<_> = positions.iter().zip(named("NORMAL")).zip(named("_VELOCITY")).collect::<Vec<_>>();
+    let mut found: Vec<_> =
+        positions.iter().zip(named("NORMAL")).zip(named("_VELOCITY")).collect::<Vec<_>>();
     found.sort_by(|a, b| a.partial_cmp(b).unwrap());
     let found: Vec<_> = found.iter().map(|((p, n), v)| whole(p, n, v)).collect();
     let normals = mesh.normals.as_ref().unwrap();
-    let mut expected: Vec<_> = (0..narrow.len()).map(|i| whole(&narrow[i], &normals[i], &of(i))).collect();
+    let mut expected: Vec<_> =
+        (0..narrow.len()).map(|i| whole(&narrow[i], &normals[i], &of(i))).collect();
     expected.sort_by(|a, b| a.partial_cmp(b).unwrap());
     assert_eq!(found, expected);
     // Bounds are those of what is stored.
     let accessor = &json["accessors"][number(&attributes["POSITION"])];
     for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
-        let said: Vec<f32> =
-            accessor[bound].as_array().unwrap().iter().map(|x| x.as_f64().unwrap() as f32).collect();
-        let stored = positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis])));
+        let said: Vec<f32> = accessor[bound]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|x| x.as_f64().unwrap() as f32)
+            .collect();
+        let stored =
+            positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis])));
         assert_eq!(said, stored.unwrap(), "{bound}");
     }
     assert!(json["nodes"][0]["translation"].is_null() && json["extensionsRequired"].is_null());
@@ -128,7 +140,10 @@ fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
     let mesh = dressed(moved(&sphere(0.7, 4), [-5.0, 2.0, 1.0 / 3.0]));
     let (json, binary) = written(&mesh, CoordinateWidth::F32, meshopt(UpAxis::Y));
     for list in ["extensionsUsed", "extensionsRequired"] {
-        assert_eq!(json[list], serde_json::json!(["EXT_meshopt_compression", "KHR_mesh_quantization"]));
+        assert_eq!(
+            json[list],
+            serde_json::json!(["EXT_meshopt_compression", "KHR_mesh_quantization"])
+        );
     }
     let step = grid_step(1.4);
     let node = &json["nodes"][0];
@@ -170,8 +185,12 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
     let (json, binary) = written(&mesh, CoordinateWidth::F64, layout);
     let half = std::f64::consts::FRAC_1_SQRT_2;
     assert_eq!(json["nodes"][0]["rotation"], serde_json::json!([-half, 0.0, 0.0, half]));
-    let translation: Vec<f64> =
-        json["nodes"][0]["translation"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+    let translation: Vec<f64> = json["nodes"][0]["translation"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|x| x.as_f64().unwrap())
+        .collect();
     // Up is y; what pointed along y comes towards the viewer's back.
     assert_eq!(translation.len(), 3);
     for (found, expected) in translation.iter().zip([1e6, 3e6, -2e6]) {
@@ -187,7 +206,13 @@ struct Huge(u64);
 
 impl MeshSource for Huge {
     fn outline(&self) -> Outline {
-        Outline { vertices: self.0, triangles: 2 * self.0, normals: false, attributes: Vec::new(), pieces: 1 }
+        Outline {
+            vertices: self.0,
+            triangles: 2 * self.0,
+            normals: false,
+            attributes: Vec::new(),
+            pieces: 1,
+        }
     }
 
     fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
@@ -202,8 +227,9 @@ impl MeshSource for Huge {
 fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
     for layout in [Layout::PLAIN, meshopt(UpAxis::Y)] {
         let mut out = Vec::new();
-        let fault =
-            MeshFormat::Glb(layout).write(&mut out, &Huge(1 << 29), CoordinateWidth::F32).unwrap_err();
+        let fault = MeshFormat::Glb(layout)
+            .write(&mut out, &Huge(1 << 29), CoordinateWidth::F32)
+            .unwrap_err();
         assert_eq!((fault.kind(), out.len()), (io::ErrorKind::InvalidInput, 0));
         assert!(fault.to_string().contains("write .ply"), "{fault}");
     }

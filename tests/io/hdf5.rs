@@ -1,4 +1,5 @@
-//! Particles in HDF5, as h5py writes them: what is there is read, and whatever is damaged is refused.
+//! Particles in HDF5, as h5py writes them: what is there is read, and whatever is damaged is
+//! refused.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,7 +27,8 @@ fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
     assert_eq!(steps(&data("steps.h5part")).unwrap(), [0, 2, 10]);
     let [zero, two] = ["steps.h5part#0", "steps.h5part#2"].map(|name| open(name).unwrap());
     assert_eq!((zero.particles.len(), zero.time, two.time), (60, Some(0.0), Some(0.5)));
-    let names: Vec<_> = two.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
+    let names: Vec<_> =
+        two.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
     assert_eq!(names, [("id", 1), ("v", 3)]);
     for (a, b) in positions(&zero).into_iter().zip(positions(&two)) {
         assert!((0..3).all(|axis| (b[axis] - a[axis] - 2.0).abs() < 1e-12));
@@ -37,7 +39,10 @@ fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
 
     for (name, says) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no Step#1")] {
         let error = open(name).unwrap_err();
-        assert!(matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)), "{error}");
+        assert!(
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
+            "{error}"
+        );
     }
 }
 
@@ -45,7 +50,8 @@ fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
 fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     let packed = open("packed.h5").unwrap();
     assert_eq!((packed.particles.len(), packed.time), (60, Some(1.5)));
-    let names: Vec<_> = packed.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
+    let names: Vec<_> =
+        packed.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
     assert_eq!(names, [("mass", 1), ("velocity", 3)]);
     let exact = positions(&open("steps.h5part#0").unwrap());
     assert!(exact.iter().zip(positions(&packed)).all(|(a, b)| a.map(|x| f64::from(x as f32)) == b));
@@ -54,7 +60,10 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     // Through scratch as in memory.
     let folder = tempfile::tempdir().unwrap();
     let unpacking = Unpacking { in_memory: 0, scratch: folder.path() };
-    assert_eq!(positions(&open_particles(&data("packed.h5"), unpacking).unwrap()), positions(&packed));
+    assert_eq!(
+        positions(&open_particles(&data("packed.h5"), unpacking).unwrap()),
+        positions(&packed)
+    );
 }
 
 #[test]
@@ -111,7 +120,10 @@ fn a_file_of_steps_is_a_sequence() {
         .iter()
         .map(|f| (f["file"].as_str().unwrap(), f["time"].as_f64()))
         .collect();
-    assert_eq!(listed, [("sim_0.ply", Some(0.0)), ("sim_2.ply", Some(0.5)), ("sim_10.ply", Some(2.5))]);
+    assert_eq!(
+        listed,
+        [("sim_0.ply", Some(0.0)), ("sim_2.ply", Some(0.5)), ("sim_10.ply", Some(2.5))]
+    );
     let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25", "--resume"]);
     assert_eq!(code, Some(0));
     assert!(said.contains("3 of 3 frames are done already"), "{said}");

@@ -4,7 +4,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicIsize, Ordering};
 
-/// The largest block that tests may allocate: more is asked for only where a file's header is believed.
+/// The largest block that tests may allocate: more is asked for only where a file's header is
+/// believed.
 const LARGEST_BLOCK: usize = 64 << 20;
 
 thread_local! {
@@ -15,13 +16,15 @@ thread_local! {
 
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// Bytes that all threads hold, and the most that they have held, beyond those from before counting.
+/// Bytes that all threads hold, and the most that they have held, beyond those from before
+/// counting.
 static HELD: AtomicIsize = AtomicIsize::new(0);
 static PEAK: AtomicIsize = AtomicIsize::new(0);
 
 struct Meter;
 
-// SAFETY: every call is the system allocator's own, or returns null, which says that there is no memory.
+// SAFETY: every call is the system allocator's own, or returns null, which says that there is no
+// memory.
 unsafe impl GlobalAlloc for Meter {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.set(LARGEST.get().max(layout.size()));
@@ -29,7 +32,8 @@ unsafe impl GlobalAlloc for Meter {
             return std::ptr::null_mut();
         }
         if COUNTING.load(Ordering::Relaxed) {
-            let held = HELD.fetch_add(layout.size() as isize, Ordering::Relaxed) + layout.size() as isize;
+            let held =
+                HELD.fetch_add(layout.size() as isize, Ordering::Relaxed) + layout.size() as isize;
             PEAK.fetch_max(held, Ordering::Relaxed);
         }
         // SAFETY: the caller's promise is passed on.
@@ -48,7 +52,8 @@ unsafe impl GlobalAlloc for Meter {
 #[global_allocator]
 static METER: Meter = Meter;
 
-/// Returns what `call` returns, and the size in bytes of the largest block that this thread asks for in it.
+/// Returns what `call` returns, and the size in bytes of the largest block that this thread asks
+/// for in it.
 ///
 /// The caller checks the size: blocks of this thread may be larger than [`LARGEST_BLOCK`].
 pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
@@ -57,7 +62,8 @@ pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
     (result, LARGEST.get())
 }
 
-/// Runs `call` without the limit on blocks that this thread allocates: for tests that make large inputs.
+/// Runs `call` without the limit on blocks that this thread allocates: for tests that make large
+/// inputs.
 pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     UNLIMITED.set(true);
     let result = call();

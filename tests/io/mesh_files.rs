@@ -20,8 +20,14 @@ use crate::common::shapes::{cuboid, dressed, moved, sphere, torus};
 const FORMATS: [MeshFormat; 5] =
     [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];
 #[cfg(feature = "hdf5")]
-const FORMATS: [MeshFormat; 6] =
-    [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl, MeshFormat::VtkHdf];
+const FORMATS: [MeshFormat; 6] = [
+    MeshFormat::Ply,
+    MeshFormat::Obj,
+    MeshFormat::Vtk,
+    MeshFormat::Vtp,
+    MeshFormat::Stl,
+    MeshFormat::VtkHdf,
+];
 
 fn written(format: MeshFormat, mesh: &Mesh, width: CoordinateWidth) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -51,13 +57,20 @@ fn every_format_returns_what_it_says_it_holds_to_the_bit() {
             let (read, expected) =
                 if wide { (read, mesh.clone()) } else { (narrowed(&read), narrowed(&mesh)) };
             assert_eq!(soup(&read), soup(&expected), "{format:?} {width:?}");
-            assert_eq!(read.normals, mesh.normals.clone().filter(|_| format.holds_normals()), "{format:?}");
+            assert_eq!(
+                read.normals,
+                mesh.normals.clone().filter(|_| format.holds_normals()),
+                "{format:?}"
+            );
             if format.holds_attributes() {
                 assert_eq!(read.attributes, mesh.attributes, "{format:?}");
             }
             assert_eq!(read.attributes.is_empty(), !format.holds_attributes(), "{format:?}");
             if format != MeshFormat::Stl {
-                assert_eq!((read.positions, read.triangles), (expected.positions, expected.triangles));
+                assert_eq!(
+                    (read.positions, read.triangles),
+                    (expected.positions, expected.triangles)
+                );
             } else {
                 assert_eq!(read.positions.len(), mesh.positions.len());
             }
@@ -88,8 +101,14 @@ fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
     for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
         let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
         assert_eq!(read.normals, mesh.normals, "{format:?}");
-        let found: Vec<_> = read.attributes.iter().map(|attribute| attribute.values[0] as usize).collect();
-        assert_eq!(found, (0..names.len()).collect::<Vec<_>>(), "{format:?}: {:?}", read.attributes);
+        let found: Vec<_> =
+            read.attributes.iter().map(|attribute| attribute.values[0] as usize).collect();
+        assert_eq!(
+            found,
+            (0..names.len()).collect::<Vec<_>>(),
+            "{format:?}: {:?}",
+            read.attributes
+        );
         // Whatever is called otherwise is told of.
         let renamed = format.renamed(&infos, true);
         for (attribute, name) in read.attributes.iter().zip(names) {
@@ -137,8 +156,12 @@ fn an_obj_file_reads_as_lines_of_shortest_numbers() {
         triangles: vec![[2, 0, 1]],
         ..Mesh::default()
     };
-    let text = |mesh: &Mesh, width| String::from_utf8(written(MeshFormat::Obj, mesh, width)).unwrap();
-    assert_eq!(text(&mesh, CoordinateWidth::F32), "v 0.1 -2 0.0000001\nv 1 0.3 0\nv 0 1 12345678\nf 3 1 2\n");
+    let text =
+        |mesh: &Mesh, width| String::from_utf8(written(MeshFormat::Obj, mesh, width)).unwrap();
+    assert_eq!(
+        text(&mesh, CoordinateWidth::F32),
+        "v 0.1 -2 0.0000001\nv 1 0.3 0\nv 0 1 12345678\nf 3 1 2\n"
+    );
     assert_eq!(
         text(&mesh, CoordinateWidth::F64),
         "v 0.1 -2 0.0000001\nv 1 0.30000000000000004 0\nv 0 1 12345678\nf 3 1 2\n"
@@ -159,7 +182,8 @@ fn obj_files_of_others_are_read() {
     assert_eq!(mesh.normals, None);
     // Nor are as many normals as vertices their own, if corners name them in another order.
     let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n";
-    let normals = |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;
+    let normals =
+        |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;
     assert_eq!(normals("f 1//1 2//3 3//2"), None);
     assert_eq!(normals("f 1//1 2//2 3//3"), Some(vec![[0., 0., 1.], [0., 1., 0.], [1., 0., 0.]]));
 }
@@ -207,8 +231,9 @@ fn an_stl_file_has_the_bytes_of_the_format() {
 #[test]
 fn stl_corners_are_joined_where_they_are_equal_to_the_bit_and_nowhere_else() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
-    let read =
-        |mesh: &Mesh| MeshFormat::Stl.read(&written(MeshFormat::Stl, mesh, CoordinateWidth::F32)).unwrap();
+    let read = |mesh: &Mesh| {
+        MeshFormat::Stl.read(&written(MeshFormat::Stl, mesh, CoordinateWidth::F32)).unwrap()
+    };
     assert_eq!(read(&mesh).positions.len(), 8);
     mesh.positions.push([f64::from(f32::EPSILON) / 64., 0., 0.]);
     mesh.triangles[0] = mesh.triangles[0].map(|v| if v == 0 { 8 } else { v });
@@ -341,7 +366,11 @@ fn vtp_files_that_are_not_read_say_why() {
             "Name=\"id\" format=\"hex\"",
             "array id has the unknown format \"hex\"",
         ),
-        ("Name=\"id\" format=\"ascii\"", "Name=\"id\" format=\"binary\"", "array id: Invalid input length"),
+        (
+            "Name=\"id\" format=\"ascii\"",
+            "Name=\"id\" format=\"binary\"",
+            "array id: Invalid input length",
+        ),
         ("NumberOfVerts", "NumberOfStrips", "triangle strips"),
         ("<Piece", "<Piece NumberOfPoints=\"0\"/><Piece", "2 pieces"),
         ("7 8 9 10", "7 8 9", "array id is not of 1 numbers for each of 4 points"),
@@ -353,10 +382,15 @@ fn vtp_files_that_are_not_read_say_why() {
         ("NumberOfPoints=\"4\"", "NumberOfPoints=\"many\"", "NumberOfPoints is \"many\""),
         (VTP_TEXT, "<html></html>", "without </VTKFile>"),
         (VTP_TEXT, "<a></a><!-- </VTKFile>", "at byte"),
-        ("Name=\"id\" format=\"ascii\"", "Name=\"id\" format=\"appended\" offset=\"0\"", "no <AppendedData>"),
+        (
+            "Name=\"id\" format=\"ascii\"",
+            "Name=\"id\" format=\"appended\" offset=\"0\"",
+            "no <AppendedData>",
+        ),
     ] {
         assert!(VTP_TEXT.contains(right));
-        let fault = MeshFormat::Vtp.read(VTP_TEXT.replacen(right, wrong, 1).as_bytes()).unwrap_err();
+        let fault =
+            MeshFormat::Vtp.read(VTP_TEXT.replacen(right, wrong, 1).as_bytes()).unwrap_err();
         assert!(fault.to_string().contains(expected), "{expected}: {fault}");
     }
 }
@@ -368,16 +402,22 @@ fn a_truncated_file_is_refused_at_every_prefix() {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
         let whole = bytes.trim_ascii_end().len();
         for length in 0..if format == MeshFormat::Stl { bytes.len() } else { whole } {
-            assert!(format.read(&bytes[..length]).is_err(), "{format:?}, {length} of {} bytes", bytes.len());
+            assert!(
+                format.read(&bytes[..length]).is_err(),
+                "{format:?}, {length} of {} bytes",
+                bytes.len()
+            );
         }
     }
     for length in 0..VTP_TEXT.len() {
         assert!(MeshFormat::Vtp.read(&VTP_TEXT.as_bytes()[..length]).is_err(), "{length}");
     }
-    // These two do not say how much is to come: a file that ends between two sections or lines is whole.
+    // These two do not say how much is to come: a file that ends between two sections or lines is
+    // whole.
     for format in [MeshFormat::Obj, MeshFormat::Vtk] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
-        let readable = (0..bytes.len()).filter(|&length| format.read(&bytes[..length]).is_ok()).count();
+        let readable =
+            (0..bytes.len()).filter(|&length| format.read(&bytes[..length]).is_ok()).count();
         assert!(readable < bytes.len() / 2, "{format:?}, {readable} of {} prefixes", bytes.len());
     }
 }
@@ -406,8 +446,12 @@ fn absurd_counts_are_refused_without_the_memory_they_ask_for() {
     for count in ["1000000000000", "18446744073709551615"] {
         for right in ["NumberOfPoints=\"4\"", "NumberOfPolys=\"2\"", "NumberOfComponents=\"3\""] {
             let wrong = format!("{}\"{count}\"", right.split('"').next().unwrap());
-            let fault = MeshFormat::Vtp.read(VTP_TEXT.replacen(right, &wrong, 1).as_bytes()).unwrap_err();
-            assert!(matches!(fault, ReadFault::Malformed { .. } | ReadFault::Unsupported(_)), "{fault}");
+            let fault =
+                MeshFormat::Vtp.read(VTP_TEXT.replacen(right, &wrong, 1).as_bytes()).unwrap_err();
+            assert!(
+                matches!(fault, ReadFault::Malformed { .. } | ReadFault::Unsupported(_)),
+                "{fault}"
+            );
         }
     }
     let bytes = written(MeshFormat::Vtp, &cuboid([0.; 3], [1.; 3]), CoordinateWidth::F64);
@@ -434,7 +478,8 @@ fn vtp_arrays_cannot_share_their_data_to_grow_in_memory() {
 fn the_extension_chooses_the_format_in_any_case() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = cuboid([0.; 3], [1.; 3]);
-    for (name, format) in ["a.ply", "a.OBJ", "a.b.Vtk", "a.vtp", ".x.stl"].into_iter().zip(FORMATS) {
+    for (name, format) in ["a.ply", "a.OBJ", "a.b.Vtk", "a.vtp", ".x.stl"].into_iter().zip(FORMATS)
+    {
         let path = folder.path().join(name);
         let output = MeshOutput::prepare(&path, Replace::Refuse).unwrap();
         assert_eq!(output.format(), format);
@@ -511,7 +556,10 @@ fn a_folder_removed_during_the_work_is_an_error() {
     let output = MeshOutput::prepare(&inner.join("a.stl"), Replace::Refuse).unwrap();
     fs::remove_dir_all(&inner).unwrap();
     let fault = output.write(&cuboid([0.; 3], [1.; 3]), CoordinateWidth::F32).unwrap_err();
-    assert!(matches!(fault.fault, WriteFault::Io(_)) && fault.path == inner.join("a.stl"), "{fault}");
+    assert!(
+        matches!(fault.fault, WriteFault::Io(_)) && fault.path == inner.join("a.stl"),
+        "{fault}"
+    );
     assert!(names(folder.path()).is_empty());
 }
 
@@ -526,7 +574,8 @@ fn a_write_that_runs_out_of_room_leaves_nothing() {
         fs::write(&path, "precious").unwrap();
         let output = MeshOutput::prepare(&path, Replace::Allow).unwrap();
         let fault = output.write(&torus(200, 100), CoordinateWidth::F32).unwrap_err().fault;
-        let is_too_large = matches!(&fault, WriteFault::Io(e) if e.kind() == io::ErrorKind::FileTooLarge);
+        let is_too_large =
+            matches!(&fault, WriteFault::Io(e) if e.kind() == io::ErrorKind::FileTooLarge);
         assert!(is_too_large, "{fault}");
         assert_eq!(fs::read(&path).unwrap(), b"precious");
         assert_eq!(names(folder.path()), ["a.vtp"]);
@@ -583,5 +632,8 @@ fn pipes_and_devices_are_written_where_they_are() {
     null.write(&mesh, CoordinateWidth::F32).unwrap();
     let full = MeshOutput::prepare(Path::new("/dev/full"), Replace::Refuse).unwrap();
     let fault = full.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
-    assert!(matches!(&fault, WriteFault::Io(e) if e.kind() == io::ErrorKind::StorageFull), "{fault}");
+    assert!(
+        matches!(&fault, WriteFault::Io(e) if e.kind() == io::ErrorKind::StorageFull),
+        "{fault}"
+    );
 }

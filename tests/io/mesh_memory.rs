@@ -45,7 +45,8 @@ impl MeshSource for Strip {
 
 #[test]
 fn four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl() {
-    let name = "mesh_memory::four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl";
+    let name =
+        "mesh_memory::four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl";
     alone(name, write_strips);
 }
 
@@ -57,11 +58,14 @@ fn write_strips() {
                 .expect("a sink takes all");
         })
     };
-    for format in [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl] {
+    for format in
+        [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl]
+    {
         peak(format, 16);
         let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
         let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };
-        // Buffers for eight pieces, of at most 110 bytes a triangle as they double, and two pieces as they are.
+        // Buffers for eight pieces, of at most 110 bytes a triangle as they double, and two pieces
+        // as they are.
         assert!(few - whole / 3 < (8 * 110 + 2 * 100) * TRIANGLES, "{format}: {few} bytes");
         assert!(
             (whole..whole + few / 4 * 5).contains(&many),

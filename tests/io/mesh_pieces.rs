@@ -1,4 +1,5 @@
-//! A mesh in pieces, however it is cut, is written as the whole mesh is, and a piece that fails leaves no file.
+//! A mesh in pieces, however it is cut, is written as the whole mesh is, and a piece that fails
+//! leaves no file.
 
 use std::borrow::Cow;
 use std::fs;
@@ -40,7 +41,11 @@ impl Cut {
                 Some(*end)
             });
             let ends: Vec<_> = ends.chain([all]).collect();
-            std::iter::once(0).chain(ends.clone()).zip(ends).map(|(start, end)| start..end).collect()
+            std::iter::once(0)
+                .chain(ends.clone())
+                .zip(ends)
+                .map(|(start, end)| start..end)
+                .collect()
         };
         let vertices = ranges(vertices, mesh.positions.len());
         let triangles = ranges(triangles, mesh.triangles.len());
@@ -75,7 +80,9 @@ impl MeshSource for Cut {
             normals: normals.as_ref().map_or(Cow::default(), |n| n[range.clone()].to_vec().into()),
             attributes: attributes
                 .iter()
-                .map(|a| a.values[range.start * a.components..range.end * a.components].to_vec().into())
+                .map(|a| {
+                    a.values[range.start * a.components..range.end * a.components].to_vec().into()
+                })
                 .collect(),
         })
     }
@@ -113,9 +120,16 @@ fn a_mesh_in_any_pieces_is_written_as_the_whole_mesh() {
             for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
                 let whole = written(format, &mesh, width);
                 let small = mesh.positions.is_empty();
-                let cuts = if small { vec![Cut::new(&mesh, &[0, 0], &[0, 0])] } else { cuts(&mesh).into() };
+                let cuts = if small {
+                    vec![Cut::new(&mesh, &[0, 0], &[0, 0])]
+                } else {
+                    cuts(&mesh).into()
+                };
                 for (number, cut) in cuts.iter().enumerate() {
-                    assert!(written(format, cut, width) == whole, "{format} {width:?}, cut {number}");
+                    assert!(
+                        written(format, cut, width) == whole,
+                        "{format} {width:?}, cut {number}"
+                    );
                 }
             }
         }
@@ -139,7 +153,9 @@ fn a_source_without_pieces_is_read_back_as_an_empty_mesh() {
 fn a_piece_that_cannot_be_read_ends_the_writing_and_leaves_no_file() {
     let mesh = dressed(torus(40, 30));
     for format in FORMATS {
-        for (lost, first) in [([Some(3), None], 3), ([None, Some(50)], 50), ([Some(99), Some(0)], 99)] {
+        for (lost, first) in
+            [([Some(3), None], 3), ([None, Some(50)], 50), ([Some(99), Some(0)], 99)]
+        {
             let [.., mut cut] = cuts(&mesh);
             cut.lost = lost;
             let folder = tempfile::tempdir().unwrap();
@@ -148,7 +164,10 @@ fn a_piece_that_cannot_be_read_ends_the_writing_and_leaves_no_file() {
             let fault = output.write(&cut, CoordinateWidth::F32).unwrap_err();
             assert_eq!(fault.path, path);
             assert!(matches!(&fault.fault, WriteFault::Io(_)), "{format}: {fault}");
-            assert!(fault.to_string().ends_with(&format!("piece {first} is lost")), "{format}: {fault}");
+            assert!(
+                fault.to_string().ends_with(&format!("piece {first} is lost")),
+                "{format}: {fault}"
+            );
             assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{format}");
         }
     }
@@ -173,6 +192,7 @@ fn a_triangle_of_a_missing_vertex_makes_no_file() {
 #[test]
 #[should_panic = "one normal a vertex"]
 fn a_mesh_of_more_normals_than_vertices_makes_no_file() {
-    let mesh = Mesh { normals: Some(vec![[0.; 3]; 9]), positions: vec![[0.; 3]; 8], ..Mesh::default() };
+    let mesh =
+        Mesh { normals: Some(vec![[0.; 3]; 9]), positions: vec![[0.; 3]; 8], ..Mesh::default() };
     written(MeshFormat::Vtp, &mesh, CoordinateWidth::F32);
 }

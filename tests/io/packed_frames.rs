@@ -5,8 +5,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, IVec3};
-use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles};
-use meniscus::internals::field::indicator::{Indicator, IndicatorKind, PageRule, SampledDif, indicate};
+use meniscus::internals::brick::{
+    BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles,
+};
+use meniscus::internals::field::indicator::{
+    Indicator, IndicatorKind, PageRule, SampledDif, indicate,
+};
 use meniscus::internals::grid::units::MeanCount;
 use meniscus::internals::grid::{CellBox, Domain, Grid, Periodic};
 use meniscus::internals::io::ReadFault;
@@ -29,8 +33,14 @@ fn sample(
     indicator: IndicatorKind,
     side: BrickSide,
 ) -> SampledDif {
-    let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, CountingRoom::BINS)
-        .unwrap();
+    let plan = BinPlan::count(
+        particles,
+        &grid,
+        domain.as_ref(),
+        InvalidParticles::Skip,
+        CountingRoom::BINS,
+    )
+    .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]).unwrap();
     let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
@@ -71,7 +81,8 @@ impl Folder {
     }
 }
 
-/// Why `bytes` are refused, after their checksums were made to fit again: damage that was done on purpose.
+/// Why `bytes` are refused, after their checksums were made to fit again: damage that was done on
+/// purpose.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
     open_frame(&folder.file(bytes), 1 << 20).expect_err("damage goes unnoticed").fault.to_string()
 }
@@ -101,9 +112,12 @@ fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
                 let frame = sample(&particles[..], grid, domain, indicator, side);
                 let path = folder.file(&encoded(&frame));
                 for cache_bytes in [0, 64 << 10, u64::MAX] {
-                    let what = format!("{side:?}, {indicator:?}, {domain:?}, a cache of {cache_bytes} bytes");
+                    let what = format!(
+                        "{side:?}, {indicator:?}, {domain:?}, a cache of {cache_bytes} bytes"
+                    );
                     assert_same_frame(&open_frame(&path, cache_bytes).unwrap(), &frame, &what);
-                    let scratch = frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
+                    let scratch =
+                        frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
                     assert_same_frame(&scratch, &frame, &what);
                     assert!(encoded(&scratch) == fs::read(&path).unwrap(), "{what}: written again");
                 }
@@ -331,7 +345,11 @@ fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
             assert!(found.to_string().contains("clouds of version 1"), "{found}");
             assert!(found.to_string().contains("pack the particles again"), "{found}");
         } else {
-            assert_same_frame(&open_frame(&folder.file(&bytes), 1 << 20).unwrap(), &frame, "version 1");
+            assert_same_frame(
+                &open_frame(&folder.file(&bytes), 1 << 20).unwrap(),
+                &frame,
+                "version 1",
+            );
         }
     }
 }
@@ -340,8 +358,13 @@ fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
 fn clouds_come_back_with_their_spacing() {
     let folder = Folder::new();
     for spacing in [None, Some(0.05), Some(0.5), Some(1.5), Some(7.0)] {
-        let mut frame =
-            sample(&splashes(5)[..], sampling().grid, None, IndicatorKind::Cloud, BrickSide::Sixteen);
+        let mut frame = sample(
+            &splashes(5)[..],
+            sampling().grid,
+            None,
+            IndicatorKind::Cloud,
+            BrickSide::Sixteen,
+        );
         frame.facts.spacing = spacing;
         let found = open_frame(&folder.file(&encoded(&frame)), 1 << 20).unwrap();
         assert_eq!((found.indicator, found.facts), (Indicator::Cloud, frame.facts));
@@ -428,7 +451,10 @@ fn pages_of_real_frames_compress() {
             let frame = sample(&particles, grid, None, indicator, BrickSide::Eight);
             let (field, bytes) = (&frame.dif, encoded(&frame).len() as f64);
             let ratio = field.sample_bytes() as f64 / bytes;
-            println!("{name}, {indicator:?}: {} pages, {ratio:.2} times smaller", field.infos().len());
+            println!(
+                "{name}, {indicator:?}: {} pages, {ratio:.2} times smaller",
+                field.infos().len()
+            );
             let least = if matches!(indicator, IndicatorKind::Counting) { 5.0 } else { 1.5 };
             assert!(ratio > least, "{name}, {indicator:?}: {ratio}");
         }

@@ -1,4 +1,5 @@
-//! VTK's lists of pieces: the particles of all of them are read once, a mesh is whole again, and damage names the piece that it is in.
+//! VTK's lists of pieces: the particles of all of them are read once, a mesh is whole again, and
+//! damage names the piece that it is in.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -52,7 +53,8 @@ impl Set {
 }
 
 fn list(sources: &[&str]) -> String {
-    let pieces: String = sources.iter().map(|source| format!("<Piece Source=\"{source}\"/>\n")).collect();
+    let pieces: String =
+        sources.iter().map(|source| format!("<Piece Source=\"{source}\"/>\n")).collect();
     format!(
         "<VTKFile type=\"PUnstructuredGrid\"><PUnstructuredGrid GhostLevel=\"1\">\n{pieces}</PUnstructuredGrid></VTKFile>\n"
     )
@@ -61,8 +63,9 @@ fn list(sources: &[&str]) -> String {
 /// Points at (i, 2 i, 3 i) + 0.1, whose attributes are i, some of them flagged.
 fn piece(kind: &str, points: &[usize], attributes: &[&str], ghosts: &[usize]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = String>| values.collect::<Vec<_>>().join(" ");
-    let where_ =
-        numbers(&mut points.iter().flat_map(|&i| [1, 2, 3].map(|k| format!("{}", (k * i) as f64 + 0.1))));
+    let where_ = numbers(
+        &mut points.iter().flat_map(|&i| [1, 2, 3].map(|k| format!("{}", (k * i) as f64 + 0.1))),
+    );
     let array = |kind: &str, name: &str, text: String| {
         format!("<DataArray type=\"{kind}\" Name=\"{name}\" format=\"ascii\">{text}</DataArray>\n")
     };
@@ -94,7 +97,8 @@ fn pieces_that_vtk_wrote_are_one_set_of_particles_without_ghosts() {
         let file = open(&data(name)).unwrap();
         assert_eq!(positions(&file), points, "{name}");
         assert_eq!((file.ghosts, file.time), (8, Some(0.75)), "{name}");
-        let names: Vec<_> = file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
+        let names: Vec<_> =
+            file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
         assert_eq!(names, [("velocity", 3), ("id", 1)], "{name}");
         assert_eq!(attribute(&file, "id"), (0..24).map(|i| i as f32).collect::<Vec<_>>(), "{name}");
         assert!(!holds_mesh(&data(name)).unwrap(), "{name}");
@@ -132,7 +136,10 @@ fn pieces_may_differ_in_precision_and_in_the_order_of_their_attributes_and_be_em
     let set = Set::new();
     set.write("a.pvtu", &list(&["p/none.vtu", "p/0.vtu", "p/1.vtu"]));
     set.write("p/none.vtu", &piece("Float32", &[], &[], &[]));
-    set.write("p/0.vtu", &piece("Float32", &[0, 1], &["id", "mass"], &[]).replace("Float64", "Float32"));
+    set.write(
+        "p/0.vtu",
+        &piece("Float32", &[0, 1], &["id", "mass"], &[]).replace("Float64", "Float32"),
+    );
     set.write("p/1.vtu", &piece("Float64", &[2, 3, 4, 5], &["mass", "id"], &[]));
     let file = set.open().unwrap();
     assert_eq!(positions(&file), (0..6).map(at).collect::<Vec<_>>());
@@ -147,7 +154,8 @@ fn whatever_is_wrong_with_a_piece_names_it() {
         ("p/0.vtu", "<VTKFile".to_owned(), "ends without </VTKFile>"),
         (
             "p/1.vtu",
-            piece("Float64", &[2, 3], &["id"], &[]).replace("NumberOfPoints=\"2\"", "NumberOfPoints=\"9\""),
+            piece("Float64", &[2, 3], &["id"], &[])
+                .replace("NumberOfPoints=\"2\"", "NumberOfPoints=\"9\""),
             "9 points",
         ),
         ("a.pvtu", list(&["p/0.vtu", "p/0.vtu"]), "named twice"),
@@ -163,7 +171,10 @@ fn whatever_is_wrong_with_a_piece_names_it() {
     let set = Set::new();
     fs::remove_file(set.path("p/1.vtu")).unwrap();
     let error = set.open().unwrap_err();
-    assert!(error.path == set.path("p/1.vtu") && matches!(error.fault, ReadFault::Io(_)), "{error}");
+    assert!(
+        error.path == set.path("p/1.vtu") && matches!(error.fault, ReadFault::Io(_)),
+        "{error}"
+    );
 }
 
 #[test]
@@ -181,7 +192,11 @@ fn a_list_or_a_piece_is_refused_at_every_prefix_and_flipped_bytes_are_no_panic()
                 let mut bytes = whole.clone();
                 bytes[at] ^= flip;
                 fs::write(set.path(name), bytes).unwrap();
-                let _ = (set.open(), pieces_named(&set.path("a.pvtu")), holds_mesh(&set.path("a.pvtu")));
+                let _ = (
+                    set.open(),
+                    pieces_named(&set.path("a.pvtu")),
+                    holds_mesh(&set.path("a.pvtu")),
+                );
             }
         }
     }
@@ -206,8 +221,12 @@ fn a_folder_of_lists_does_not_take_their_pieces_for_frames() {
         if inputs == "." {
             let list: serde_json::Value =
                 serde_json::from_slice(&fs::read(set.path("m/a.ply.json")).unwrap()).unwrap();
-            let frames: Vec<_> =
-                list["frames"].as_array().unwrap().iter().map(|f| f["particles"].as_u64()).collect();
+            let frames: Vec<_> = list["frames"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|f| f["particles"].as_u64())
+                .collect();
             assert_eq!(frames, [Some(6), Some(6)]);
         }
     }
@@ -239,14 +258,18 @@ fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
     assert_eq!(tree(folder.path()), before);
     fs::write(folder.path().join("torus/notes.txt"), "mine").unwrap();
     let fault = write(Replace::Allow).unwrap_err().fault;
-    assert!(matches!(&fault, WriteFault::Unsupported(what) if what.contains("other files")), "{fault}");
+    assert!(
+        matches!(&fault, WriteFault::Unsupported(what) if what.contains("other files")),
+        "{fault}"
+    );
     assert_eq!(tree(folder.path()).len(), before.len() + 1);
     // A piece that is lost is told of.
     fs::remove_file(folder.path().join("torus/torus_0.vtp")).unwrap();
     assert!(read_mesh(&path).unwrap_err().path.ends_with("torus_0.vtp"));
 }
 
-/// Points as by [`piece`], with a vertex each in this order of points, and flags of these vertices under a name.
+/// Points as by [`piece`], with a vertex each in this order of points, and flags of these vertices
+/// under a name.
 fn with_cells(polydata: bool, order: &[usize], name: &str, flags: &[u8]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = usize>| {
         values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
@@ -315,7 +338,10 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
         6
     );
     let text = with_cells(true, &order, "vtkGhostType", &[1; 6]);
-    assert_eq!(points_left(true, &text.replace("<Piece ", "<Piece NumberOfLines=\"1\" ")).unwrap().len(), 6);
+    assert_eq!(
+        points_left(true, &text.replace("<Piece ", "<Piece NumberOfLines=\"1\" ")).unwrap().len(),
+        6
+    );
 }
 
 #[test]
@@ -323,8 +349,7 @@ fn flags_of_cells_add_up_over_pieces_and_with_those_of_points() {
     let set = Set::new();
     let order = [0, 1, 2, 3, 4, 5];
     let both = with_cells(false, &order, "vtkGhostType", &[1, 0, 0, 0, 0, 1]);
-    let flags =
-        "<PointData><DataArray type=\"UInt8\" Name=\"vtkGhostType\" format=\"ascii\">0 1 0 0 0 1</DataArray>";
+    let flags = "<PointData><DataArray type=\"UInt8\" Name=\"vtkGhostType\" format=\"ascii\">0 1 0 0 0 1</DataArray>";
     set.write("p/0.vtu", &both.replace("<PointData>", flags));
     set.write(
         "p/1.vtu",

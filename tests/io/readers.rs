@@ -1,4 +1,5 @@
-//! Particle files: what is read is what was written, and nothing damaged gets through or brings the reader down.
+//! Particle files: what is read is what was written, and nothing damaged gets through or brings the
+//! reader down.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -53,8 +54,10 @@ fn fault(result: Result<ParticleFile, ReadFault>) -> String {
 /// One small file of every binary format and layout.
 fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     let points = tuples(7);
-    let mut samples: Vec<(&str, Reader, Vec<u8>)> =
-        vec![("bgeo", bgeo::read_particles, build::bgeo(&points)), ("raw.xyz", XYZ, build::raw(&points))];
+    let mut samples: Vec<(&str, Reader, Vec<u8>)> = vec![
+        ("bgeo", bgeo::read_particles, build::bgeo(&points)),
+        ("raw.xyz", XYZ, build::raw(&points)),
+    ];
     for descr in ["<f4", "<f8", ">f4", ">f8"] {
         for fortran in [false, true] {
             samples.push(("npy", npy::read_particles, build::npy(&points, descr, fortran)));
@@ -129,13 +132,15 @@ fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
     ];
     for (number, bounds_said, fastest) in frames {
         let file =
-            open_particles(&data(&format!("dambreak_small/ParticleData_Fluid_{number}.bgeo"))).unwrap();
+            open_particles(&data(&format!("dambreak_small/ParticleData_Fluid_{number}.bgeo")))
+                .unwrap();
         assert_eq!(file.particles.len(), 8664);
         assert_eq!(bounds(&positions(&file)), bounds_said, "frame {number}");
         assert_eq!(attributes(&file), [("id", 1), ("velocity", 3), ("density", 1)]);
         assert_eq!(velocity_attribute(file.particles.attributes()), Some(1));
         let speeds = attribute(&file, "velocity");
-        let speeds = speeds.chunks(3).map(|v| v.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt());
+        let speeds =
+            speeds.chunks(3).map(|v| v.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt());
         assert!((speeds.fold(0.0, f64::max) - fastest).abs() < 1e-6, "frame {number}");
         let mut ids = attribute(&file, "id");
         ids.sort_by(f32::total_cmp);
@@ -143,8 +148,8 @@ fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
     }
 }
 
-/// Counted and measured by a separate program: it looked for the array tags in the bytes, and took the rows
-/// whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
+/// Counted and measured by a separate program: it looked for the array tags in the bytes, and took
+/// the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
 #[test]
 fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
     let file = open_particles(&data("dualsphysics_dambreak/Part_0005.bi4")).unwrap();
@@ -161,7 +166,10 @@ fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
     );
     assert_eq!(positions[1234], [0.12831753492355347, 0.25041982531547546, 0.039033424109220505]);
     assert_eq!(attribute(&file, "Idp")[1234], 9452.0);
-    assert_eq!(attribute(&file, "Vel")[3 * 1234..][..3], [0.179_336_86, 0.003_737_534_4, -0.018_744_586]);
+    assert_eq!(
+        attribute(&file, "Vel")[3 * 1234..][..3],
+        [0.179_336_86, 0.003_737_534_4, -0.018_744_586]
+    );
     assert_eq!(attribute(&file, "Rhop")[1234], 999.602_84);
 }
 
@@ -266,7 +274,8 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
 /// What a reader makes of a file's first bytes, in words: all numbers, or a fault.
 fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
     let numbers = |file: ParticleFile| {
-        let values: Vec<_> = attributes(&file).iter().map(|(name, _)| attribute(&file, name)).collect();
+        let values: Vec<_> =
+            attributes(&file).iter().map(|(name, _)| attribute(&file, name)).collect();
         format!("{:?} {values:?}", positions(&file))
     };
     file.map_or_else(|fault| fault.to_string(), numbers)
@@ -275,14 +284,17 @@ fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
 #[test]
 fn a_file_that_is_read_by_position_is_what_it_is_in_memory_at_every_prefix() {
     let folder = tempfile::tempdir().unwrap();
-    for (number, (name, reader, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+    for (number, (name, reader, bytes)) in
+        samples().into_iter().chain(encoded_samples()).enumerate()
+    {
         // A single byte is read at once.
         for cut in 2..=bytes.len() {
             let path = folder.path().join(format!("{number}.{cut}"));
             std::fs::write(&path, &bytes[..cut]).unwrap();
             let opened = open_bytes(&path).unwrap();
             assert!(matches!(opened, Bytes::File(_)), "{name}");
-            let [by_position, in_memory] = [reader(opened), read(reader, &bytes[..cut])].map(made_of);
+            let [by_position, in_memory] =
+                [reader(opened), read(reader, &bytes[..cut])].map(made_of);
             assert_eq!(by_position, in_memory, "{name} of {cut} bytes");
         }
     }
@@ -299,7 +311,8 @@ fn headers_between_large_arrays_are_read_by_position() {
         written.rewind().unwrap();
         written.write_all(&bytes).unwrap();
         let opened = open_bytes(written.path()).unwrap();
-        let [by_position, in_memory] = [bi4::read_particles(opened), read(bi4::read_particles, &bytes)];
+        let [by_position, in_memory] =
+            [bi4::read_particles(opened), read(bi4::read_particles, &bytes)];
         let by_position = by_position.unwrap();
         assert!(by_position.particles.len() > 32768, "more than are looked at at once");
         assert!(made_of(Ok(by_position)) == made_of(in_memory), "mixed {mixed}");
@@ -309,7 +322,9 @@ fn headers_between_large_arrays_are_read_by_position() {
 #[test]
 fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_signal() {
     let folder = tempfile::tempdir().unwrap();
-    for (number, (name, reader, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+    for (number, (name, reader, bytes)) in
+        samples().into_iter().chain(encoded_samples()).enumerate()
+    {
         for left in (1..bytes.len()).step_by(11) {
             let path = folder.path().join(format!("{number}.{left}"));
             std::fs::write(&path, &bytes).unwrap();
@@ -331,7 +346,9 @@ fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
     let points = tuples(7);
     let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
     let compressed = |layout: &VtkXml| layout.zlib && layout.placed != build::Placed::Ascii;
-    files.extend(VtkXml::all().into_iter().filter(compressed).map(|layout| (VTU, layout.build(&points))));
+    files.extend(
+        VtkXml::all().into_iter().filter(compressed).map(|layout| (VTU, layout.build(&points))),
+    );
     for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
         files.push((NPZ, build::npz(&[("pos", build::npy(&points, "<f4", true))], compression)));
     }
@@ -342,7 +359,13 @@ fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
             if let Ok(file) = read(reader, &damaged)
                 && !file.particles.is_empty()
             {
-                assert_eq!(positions(&file), points, "byte {at} of {}: {}", bytes.len(), file.format);
+                assert_eq!(
+                    positions(&file),
+                    points,
+                    "byte {at} of {}: {}",
+                    bytes.len(),
+                    file.format
+                );
             }
         }
     }
@@ -354,7 +377,11 @@ fn vtk_xml_and_npz_give_attributes_and_time_wherever_their_numbers_are() {
     for (name, reader, bytes) in encoded_samples() {
         let file = read(reader, &bytes).unwrap();
         let (velocity, time) = if name == "vtu" { ("velocity", Some(1.5)) } else { ("vel", None) };
-        assert_eq!((attributes(&file), file.time), (vec![(velocity, 3), ("id", 1)], time), "{name}");
+        assert_eq!(
+            (attributes(&file), file.time),
+            (vec![(velocity, 3), ("id", 1)], time),
+            "{name}"
+        );
         assert_eq!(attribute(&file, velocity), doubled, "{name}");
         assert_eq!(attribute(&file, "id"), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "{name}");
     }
@@ -425,8 +452,14 @@ fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
 fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
     let folder = tempfile::tempdir().unwrap();
     let points = tuples(9);
-    let layout =
-        |piece: u32| Bi4 { big: false, wide: false, double: false, mixed: piece == 1, pieces: 3, piece };
+    let layout = |piece: u32| Bi4 {
+        big: false,
+        wide: false,
+        double: false,
+        mixed: piece == 1,
+        pieces: 3,
+        piece,
+    };
     let path = |piece: u32| folder.path().join(format!("Part_p{piece:02}_0007.bi4"));
     for (piece, points) in (0..).zip(points.chunks(3)) {
         std::fs::write(path(piece), layout(piece).build(points)).unwrap();
@@ -434,7 +467,10 @@ fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
     for piece in 0..3 {
         assert_eq!(bi4::is_later_piece(&path(piece)), piece > 0);
         let file = open_particles(&path(piece)).unwrap();
-        assert_eq!((positions(&file), file.spacing, file.time), (points.clone(), Some(0.25), Some(1.5)));
+        assert_eq!(
+            (positions(&file), file.spacing, file.time),
+            (points.clone(), Some(0.25), Some(1.5))
+        );
         assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
         assert_eq!(attribute(&file, "Idp"), [5.0, 6.0, 7.0].repeat(3));
     }
@@ -484,8 +520,11 @@ fn gzip_streams_one_after_the_other_are_one_file() {
     let path = folder.path().join("frame.xyz");
     let [one, two] =
         [7, 5].map(|count| build::raw(&(0..count).map(|i| [f64::from(i); 3]).collect::<Vec<_>>()));
-    for (parts, count) in [(vec![&one, &two], 12), (vec![&one, &one], 14), (vec![&one, &two, &one], 19)] {
-        std::fs::write(&path, parts.iter().flat_map(|part| gzip(part)).collect::<Vec<u8>>()).unwrap();
+    for (parts, count) in
+        [(vec![&one, &two], 12), (vec![&one, &one], 14), (vec![&one, &two, &one], 19)]
+    {
+        std::fs::write(&path, parts.iter().flat_map(|part| gzip(part)).collect::<Vec<u8>>())
+            .unwrap();
         assert_eq!(open_particles(&path).unwrap().particles.len(), count);
     }
     // What follows a stream and is none is damage.
@@ -517,11 +556,15 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
     }
     for rows in [1 << 31, 1 << 63, u64::MAX] {
         for fortran in [false, true] {
-            cases.push((npy::read_particles, build::npy_header("<f8", fortran, &format!("({rows}, 3)"))));
+            cases.push((
+                npy::read_particles,
+                build::npy_header("<f8", fortran, &format!("({rows}, 3)")),
+            ));
         }
     }
     for wide in [false, true] {
-        let bytes = Bi4 { big: true, wide, double: false, mixed: false, pieces: 1, piece: 0 }.build(&points);
+        let bytes = Bi4 { big: true, wide, double: false, mixed: false, pieces: 1, piece: 0 }
+            .build(&points);
         let tags = bytes.windows(6).enumerate().filter(|(_, tag)| tag == b"\nARRAY");
         for tag in tags.map(|(at, _)| at).collect::<Vec<_>>() {
             // Past the tag, a name of 3 letters (all three are), the flag and the type.
@@ -535,11 +578,18 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
             cases.push((bi4::read_particles, bytes));
         }
     }
-    assert_eq!(cases.len(), 2 + 3 * 2 + 2 * 3, "two counts, six shapes, three arrays of either width");
+    assert_eq!(
+        cases.len(),
+        2 + 3 * 2 + 2 * 3,
+        "two counts, six shapes, three arrays of either width"
+    );
     for (reader, bytes) in cases {
         let (result, largest) = memory::largest_allocation(|| reader(bytes.into()));
         let fault = result.expect_err("refused");
-        assert!(matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. }), "{fault}");
+        assert!(
+            matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. }),
+            "{fault}"
+        );
         assert!(largest < 4096, "{largest} bytes for: {fault}");
     }
 }
@@ -563,16 +613,26 @@ fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() 
                 let width = if layout.wide { 8 } else { 4 };
                 let mut bytes = bytes.clone();
                 // Of the points' array, which the last element names.
-                let offset: usize =
-                    text.split("Name=\"Points\"").nth(1).unwrap().split('"').nth(5).unwrap().parse().unwrap();
+                let offset: usize = text
+                    .split("Name=\"Points\"")
+                    .nth(1)
+                    .unwrap()
+                    .split('"')
+                    .nth(5)
+                    .unwrap()
+                    .parse()
+                    .unwrap();
                 bytes[data + offset + field * width..][..width].fill(0x7f);
                 cases.push((VTU, bytes));
             }
         }
     }
-    for shape in
-        ["(2000000000, 3)", "(18446744073709551615, 3)", "(6148914691236517206, 3)", "(1, 2000000000)"]
-    {
+    for shape in [
+        "(2000000000, 3)",
+        "(18446744073709551615, 3)",
+        "(6148914691236517206, 3)",
+        "(1, 2000000000)",
+    ] {
         let array = [build::npy_header("<f4", false, shape), vec![0; 24]].concat();
         for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
             cases.push((NPZ, build::npz(&[("pos", array.clone())], compression)));
@@ -594,12 +654,21 @@ fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() 
 
 #[test]
 fn an_array_of_a_last_block_and_none_in_all_is_refused() {
-    for layout in VtkXml::all().into_iter().filter(|l| l.zlib && l.placed == build::Placed::AppendedRaw) {
+    for layout in
+        VtkXml::all().into_iter().filter(|l| l.zlib && l.placed == build::Placed::AppendedRaw)
+    {
         // Of two points the coordinates are one block, which is not full.
         let mut bytes = layout.build(&tuples(2));
         let text = String::from_utf8_lossy(&bytes).into_owned();
-        let offset: usize =
-            text.split("Name=\"Points\"").nth(1).unwrap().split('"').nth(5).unwrap().parse().unwrap();
+        let offset: usize = text
+            .split("Name=\"Points\"")
+            .nth(1)
+            .unwrap()
+            .split('"')
+            .nth(5)
+            .unwrap()
+            .parse()
+            .unwrap();
         let data = bytes.windows(2).position(|at| at == b" _").unwrap() + 2;
         bytes[data + offset..][..if layout.wide { 8 } else { 4 }].fill(0);
         assert!(fault(read(VTU, &bytes)).contains("a last block, and none in all"), "{layout:?}");
@@ -609,7 +678,8 @@ fn an_array_of_a_last_block_and_none_in_all_is_refused() {
 #[test]
 fn compressed_zeros_beyond_all_reason_are_refused() {
     let bomb = memory::unlimited(|| {
-        let zeros = [build::npy_header("<f4", false, "(12000000, 3)"), vec![0; 144_000_000]].concat();
+        let zeros =
+            [build::npy_header("<f4", false, "(12000000, 3)"), vec![0; 144_000_000]].concat();
         build::npz(&[("pos", zeros)], CompressionMethod::Deflated)
     });
     let (result, largest) = memory::largest_allocation(|| read(NPZ, &bomb));
@@ -621,7 +691,8 @@ fn compressed_zeros_beyond_all_reason_are_refused() {
 #[test]
 fn what_is_not_read_says_what_to_do() {
     let points = tuples(2);
-    let of_pieces = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3, piece: 0 };
+    let of_pieces =
+        Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3, piece: 0 };
     let mut info = of_pieces.build(&points);
     info[9..27].copy_from_slice(b"JPartDataBi4_Info ");
     let cases: [(Reader, Vec<u8>, &str); 9] = [
@@ -658,7 +729,11 @@ fn separators_comments_and_line_ends_do_not_change_a_table() {
         "\"Points:0\",\"Points:1\",\"Points:2\"\n1,2,3\n4,5,-0.6\n",
     ];
     for table in same {
-        assert_eq!(positions(&text(table).expect(table)), [[1.0, 2.0, 3.0], [4.0, 5.0, -0.6]], "{table:?}");
+        assert_eq!(
+            positions(&text(table).expect(table)),
+            [[1.0, 2.0, 3.0], [4.0, 5.0, -0.6]],
+            "{table:?}"
+        );
     }
 }
 
@@ -673,7 +748,8 @@ fn named_columns_become_attributes_with_their_components() {
     assert_eq!(attribute(&file, "Vel"), [4.0, 5.0, 6.0, -4.0, -5.0, -6.0]);
     assert_eq!(attribute(&file, "Rhop"), [1000.0, 1001.0]);
 
-    let file = text("id,vx,z,index,vy,y,x,vz,n:0,n:1,n:2,n:3\n1,2,3,8,4,5,6,7,9,10,11,12\n").unwrap();
+    let file =
+        text("id,vx,z,index,vy,y,x,vz,n:0,n:1,n:2,n:3\n1,2,3,8,4,5,6,7,9,10,11,12\n").unwrap();
     assert_eq!(positions(&file), [[6.0, 5.0, 3.0]]);
     assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("index", 1), ("n", 3), ("n:3", 1)]);
     assert_eq!(attribute(&file, "v"), [2.0, 4.0, 7.0]);
@@ -701,7 +777,10 @@ fn a_bad_line_is_named_by_its_number() {
             "line 1: neither three numbers nor the names of columns x, y and z: \"a\", \"b\", \"c\"",
         ),
         ("hello\n", "line 1: neither three numbers nor the names of columns x, y and z: \"hello\""),
-        ("x,y\n1,2\n", "line 1: neither three numbers nor the names of columns x, y and z: \"x\", \"y\""),
+        (
+            "x,y\n1,2\n",
+            "line 1: neither three numbers nor the names of columns x, y and z: \"x\", \"y\"",
+        ),
     ];
     for (table, said) in cases {
         assert_eq!(fault(text(table)), said, "{table:?}");
@@ -722,7 +801,9 @@ fn a_long_table_is_the_same_whoever_decodes_it() {
     let one = decode(1);
     assert_eq!(one, decode(3));
     assert_eq!(one.len(), rows as usize);
-    assert!(one.iter().zip(0..).all(|(p, i)| *p == [f64::from(i), f64::from(i) * 0.1, -f64::from(i)]));
+    assert!(
+        one.iter().zip(0..).all(|(p, i)| *p == [f64::from(i), f64::from(i) * 0.1, -f64::from(i)])
+    );
 
     let bad = table.replace("\n150000,", "\n150000.0.0,");
     assert_eq!(fault(text(&bad)), "line 150002: \"150000.0.0\" is not a number");
@@ -754,7 +835,9 @@ fn an_xyz_is_text_or_raw_by_its_bytes() {
 
 #[test]
 fn an_unknown_extension_is_refused_before_the_file_is_looked_for() {
-    for name in ["nowhere/a.obj", "nowhere/a", "nowhere/a.ibi4", "nowhere/.bgeo/a", "nowhere/a.obj.gz"] {
+    for name in
+        ["nowhere/a.obj", "nowhere/a", "nowhere/a.ibi4", "nowhere/.bgeo/a", "nowhere/a.obj.gz"]
+    {
         let fault = open_particles(Path::new(name)).expect_err("refused").fault;
         assert!(matches!(fault, ReadFault::UnknownExtension { .. }), "{name}: {fault}");
     }
@@ -764,7 +847,8 @@ fn an_unknown_extension_is_refused_before_the_file_is_looked_for() {
 
 #[test]
 fn the_spacing_is_found_beside_the_frames_or_above_them() {
-    let (spacing, scene) = spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
+    let (spacing, scene) =
+        spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
     assert_eq!((spacing, scene), (0.05, data("dambreak_small/scene.json")));
     let (spacing, case) =
         spacing_beside(&data("dualsphysics_dambreak/particles/PartFluid_0000.vtk")).unwrap();

@@ -1,4 +1,5 @@
-//! What tells other programs of a simulation: listings that are whole after each frame, and a stage of layers.
+//! What tells other programs of a simulation: listings that are whole after each frame, and a stage
+//! of layers.
 
 use std::fs;
 use std::path::Path;
@@ -73,7 +74,8 @@ fn times_are_the_files_where_they_grow_else_numbers_by_the_rate_else_numbers() {
         [0, 1].map(|i| json["frames"][i]["time"].as_f64().unwrap())
     };
     assert_eq!(listed(Some(25.0), [Some(0.1), Some(0.3)]), [0.1, 0.3]);
-    for untold in [[None, None], [Some(0.1), None], [Some(0.1), Some(0.1)], [Some(0.3), Some(0.1)]] {
+    for untold in [[None, None], [Some(0.1), None], [Some(0.1), Some(0.1)], [Some(0.3), Some(0.1)]]
+    {
         assert_eq!(listed(Some(25.0), untold), [3.0 / 25.0, 5.0 / 25.0], "{untold:?}");
         assert_eq!(listed(None, untold), [3.0, 5.0], "{untold:?}");
     }
@@ -152,7 +154,8 @@ fn a_layer_has_its_arrays_as_they_are_and_its_tables_where_it_says() {
     let contents = word(&bytes, 16);
     assert_eq!(word(&bytes, contents), 6);
     let mut end = None;
-    for (section, name) in (0..).zip(["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"]) {
+    for (section, name) in (0..).zip(["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"])
+    {
         let entry = contents + 8 + 32 * section;
         assert!(bytes[entry as usize..].starts_with(name.as_bytes()));
         let start = word(&bytes, entry + 16);
@@ -196,13 +199,20 @@ fn a_layer_is_the_same_on_any_number_of_threads_and_appears_under_either_extensi
     let folder = tempfile::tempdir().unwrap();
     let mesh = dressed(sphere(1.0, 5));
     let on = |threads| {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| layer(&mesh))
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
+            .install(|| layer(&mesh))
     };
     let bytes = on(1);
     assert_eq!(bytes, on(3));
     for name in ["a.usdc", "a.usd"] {
         let path = folder.path().join(name);
-        MeshOutput::prepare(&path, Replace::Refuse).unwrap().write(&mesh, CoordinateWidth::F32).unwrap();
+        MeshOutput::prepare(&path, Replace::Refuse)
+            .unwrap()
+            .write(&mesh, CoordinateWidth::F32)
+            .unwrap();
         assert_eq!(fs::read(path).unwrap(), bytes);
     }
 }

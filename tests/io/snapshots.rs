@@ -1,4 +1,5 @@
-//! Frames of large simulation codes in HDF5, each written by its own library: what is there is read, and whatever is damaged is refused.
+//! Frames of large simulation codes in HDF5, each written by its own library: what is there is
+//! read, and whatever is damaged is refused.
 //!
 //! `MENISCUS_EVERY_BYTE=1` cuts each file at every byte, and flips each.
 
@@ -116,14 +117,21 @@ fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
     assert_eq!(positions(&open_type(&data("pysph_40.hdf5"), "wall").unwrap()), points()[..3]);
     assert_eq!(open_type(&data("openpmd.h5#200"), "water").unwrap().particles.len(), 24);
     for (name, kind, says) in [
-        (GADGET[0], "PartType4", "no particles of the type PartType4; there are: PartType0, PartType1"),
+        (
+            GADGET[0],
+            "PartType4",
+            "no particles of the type PartType4; there are: PartType0, PartType1",
+        ),
         ("pysph_40.hdf5", "gas", "there are: fluid, wall"),
         ("openpmd.h5#100", "ions", "there are: water"),
         ("grid.vtkhdf", "ions", "none is called ions"),
         ("points.csv", "ions", "none is called ions"),
     ] {
         let error = open_type(&data(name), kind).unwrap_err();
-        assert!(matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)), "{error}");
+        assert!(
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
+            "{error}"
+        );
         assert!(error.path.ends_with(name), "{error}");
     }
 }
@@ -137,11 +145,14 @@ fn steps_are_frames_with_numbers_and_times_of_their_own() {
     }
     let second = open("steps.vtkhdf#1").unwrap();
     assert_eq!((second.particles.len(), second.time), (8, Some(0.75)));
-    let right: Vec<_> = points()[..8].iter().map(|p| p.map(|x| f64::from((x + 10.0) as f32))).collect();
+    let right: Vec<_> =
+        points()[..8].iter().map(|p| p.map(|x| f64::from((x + 10.0) as f32))).collect();
     assert_eq!(positions(&second), right);
     let later = open("openpmd.h5#200").unwrap();
     assert_eq!(later.time, Some(1.5));
-    assert!(positions(&later).iter().zip(points()).all(|(a, b)| (a[0] - b[0] - 10.0).abs() < 1e-12));
+    assert!(
+        positions(&later).iter().zip(points()).all(|(a, b)| (a[0] - b[0] - 10.0).abs() < 1e-12)
+    );
     for (name, says) in [
         ("steps.vtkhdf", "steps 0 to 2"),
         ("steps.vtkhdf#3", "no step 3"),
@@ -151,7 +162,10 @@ fn steps_are_frames_with_numbers_and_times_of_their_own() {
         ("swift_0003.hdf5#0", "one frame"),
     ] {
         let error = open(name).unwrap_err();
-        assert!(matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)), "{error}");
+        assert!(
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
+            "{error}"
+        );
     }
 }
 
@@ -221,7 +235,10 @@ fn a_snapshot_of_more_files_than_there_can_be_is_refused_at_once() {
     fs::write(&path, bytes).unwrap();
     let (result, largest) = memory::largest_allocation(|| open_type(&path, None));
     let error = result.unwrap_err();
-    assert!(error.path.ends_with("gadget_005.3.hdf5") && largest < 1 << 20, "{largest} bytes for {error}");
+    assert!(
+        error.path.ends_with("gadget_005.3.hdf5") && largest < 1 << 20,
+        "{largest} bytes for {error}"
+    );
 }
 
 #[test]
@@ -245,7 +262,10 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
         let file = open_wanted(&data(GADGET[0]), wanted, unpacking).unwrap();
         assert_eq!(
             (names(file.particles.attributes()), names(&file.unread)),
-            (read.iter().map(|n| n.to_string()).collect(), unread.iter().map(|n| n.to_string()).collect())
+            (
+                read.iter().map(|n| n.to_string()).collect(),
+                unread.iter().map(|n| n.to_string()).collect()
+            )
         );
         assert_eq!(positions(&file), positions(&open(GADGET[0]).unwrap()));
         bytes.push(file.particles.scratch_bytes());
@@ -333,8 +353,10 @@ fn the_files_of_snapshots_in_a_folder_are_a_frame_each() {
         frames.iter().map(file).collect::<Vec<_>>()
     };
     let expected = [("gadget_005.ply".to_owned(), 24), ("gadget_006.ply".to_owned(), 24)];
-    let names: Vec<String> =
-        [5, 6].iter().flat_map(|frame| (0..3).map(move |k| format!("gadget_00{frame}.{k}.hdf5"))).collect();
+    let names: Vec<String> = [5, 6]
+        .iter()
+        .flat_map(|frame| (0..3).map(move |k| format!("gadget_00{frame}.{k}.hdf5")))
+        .collect();
     let files: Vec<&str> = names.iter().map(String::as_str).collect();
     for inputs in [vec!["."], vec!["gadget_*.hdf5"], files] {
         let arguments = [&inputs[..], &["-o", "m/", "--spacing", "1", "--overwrite"]].concat();

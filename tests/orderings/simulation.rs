@@ -13,10 +13,12 @@ use loom::sync::Arc;
 use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 
-/// Whoever is inside with others, and at most so many; who is alone is alone, and everybody comes through.
+/// Whoever is inside with others, and at most so many; who is alone is alone, and everybody comes
+/// through.
 fn try_gate(lanes: usize, alone: &'static [bool]) {
     let mut model = loom::model::Builder::new();
-    // So many changes of thread where none waits: with them most orders are tried, and without a bound it takes for ever.
+    // So many changes of thread where none waits: with them most orders are tried, and without a
+    // bound it takes for ever.
     model.preemption_bound = Some(3);
     model.check(move || {
         let gate = Arc::new(Gate::new(lanes, 1));

@@ -27,7 +27,8 @@ fn folder_with_ball() -> TempDir {
     folder
 }
 
-/// Runs `reconstruct`, which must fail with `code`, say something of `says`, and leave the folder as it was.
+/// Runs `reconstruct`, which must fail with `code`, say something of `says`, and leave the folder
+/// as it was.
 #[track_caller]
 fn assert_refused(folder: &Path, arguments: &[&str], code: i32, says: &[&str]) {
     let before = names(folder);
@@ -61,8 +62,13 @@ fn every_bundled_frame_becomes_a_watertight_mesh_without_options() {
                 let mesh = read_mesh(&folder.path().join(output)).unwrap();
                 assert!(mesh.triangles.len() > 1000);
                 let report = check(&mesh);
-                assert!(report.is_closed_oriented_manifold(), "{} as {output}: {report}", frame.display());
-                let velocity = mesh.attributes.iter().any(|a| a.name == "velocity" && a.components == 3);
+                assert!(
+                    report.is_closed_oriented_manifold(),
+                    "{} as {output}: {report}",
+                    frame.display()
+                );
+                let velocity =
+                    mesh.attributes.iter().any(|a| a.name == "velocity" && a.components == 3);
                 assert_eq!(velocity, !["mesh.obj", "mesh.stl"].contains(&output), "{output}");
             }
         }
@@ -78,14 +84,29 @@ fn the_bytes_depend_on_neither_threads_nor_order_nor_run() {
     particles.reverse();
     fs::write(folder.path().join("b.xyz"), raw(&particles)).unwrap();
     let bytes = |input: &str, threads: &str| {
-        let options =
-            ["--cell-size", "0.9", "--normals", "--smooth", "1.4", "--overwrite", "--threads", threads];
-        let run = meniscus(folder.path(), &[&["reconstruct", input, "-o", "out.ply"], &options[..]].concat());
+        let options = [
+            "--cell-size",
+            "0.9",
+            "--normals",
+            "--smooth",
+            "1.4",
+            "--overwrite",
+            "--threads",
+            threads,
+        ];
+        let run = meniscus(
+            folder.path(),
+            &[&["reconstruct", input, "-o", "out.ply"], &options[..]].concat(),
+        );
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         fs::read(folder.path().join("out.ply")).unwrap()
     };
     let first = bytes("a.xyz", "1");
-    assert!(first == bytes("a.xyz", "1") && first == bytes("a.xyz", "2") && first == bytes("b.xyz", "3"));
+    assert!(
+        first == bytes("a.xyz", "1")
+            && first == bytes("a.xyz", "2")
+            && first == bytes("b.xyz", "3")
+    );
 }
 
 #[test]
@@ -153,12 +174,14 @@ fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
     let folder = folder_with_ball();
     for method in ["dif", "mueller", "zhu-bridson", "yu-turk"] {
         let out = format!("{method}.ply");
-        let arguments = ["reconstruct", "ball.xyz", "-o", &out, "--method", method, "--stats", "stats.jsonl"];
+        let arguments =
+            ["reconstruct", "ball.xyz", "-o", &out, "--method", method, "--stats", "stats.jsonl"];
         let run = meniscus(folder.path(), &arguments);
         assert!(run.status.success(), "{method}: {run:?}");
         assert!(meniscus(folder.path(), &["check", &out]).status.success(), "{method}");
         let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
-        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        let record: serde_json::Value =
+            serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
         assert_eq!(record["method"], method);
         assert!(record["triangles"].as_u64().unwrap() > 100);
     }
@@ -167,9 +190,20 @@ fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
 #[test]
 fn kernel_methods_say_nothing_of_an_indicator() {
     let folder = folder_with_ball();
-    for (method, says) in [("dif", true), ("mueller", false), ("zhu-bridson", false), ("yu-turk", false)] {
-        let given =
-            ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--cell", "0.6", "--method", method];
+    for (method, says) in
+        [("dif", true), ("mueller", false), ("zhu-bridson", false), ("yu-turk", false)]
+    {
+        let given = [
+            "reconstruct",
+            "ball.xyz",
+            "-o",
+            "a.ply",
+            "--overwrite",
+            "--cell",
+            "0.6",
+            "--method",
+            method,
+        ];
         let run = meniscus(folder.path(), &given);
         assert!(run.status.success(), "{method}: {run:?}");
         let notes = String::from_utf8(run.stderr).unwrap();
@@ -178,7 +212,8 @@ fn kernel_methods_say_nothing_of_an_indicator() {
 }
 
 #[test]
-fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_all_of_it_or_a_cell() {
+fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_all_of_it_or_a_cell()
+{
     let folder = folder_with_ball();
     for (more, cell, width, indicator) in [
         (&[][..], 0.25, 1.6, "cloud"),
@@ -190,12 +225,14 @@ fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_a
         (&["--indicator", "counting", "--cell", "0.5", "--sigma", "1.2"], 0.25, 1.2, "counting"),
         (&["--indicator", "symmetry", "--cell", "1"], 0.5, 1.0, "symmetry"),
     ] {
-        let [name, other] = if indicator == "cloud" { ["smooth", "sigma"] } else { ["sigma", "smooth"] };
+        let [name, other] =
+            if indicator == "cloud" { ["smooth", "sigma"] } else { ["sigma", "smooth"] };
         let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl"];
         let given = [&given[..], &["--spacing", "0.5"], more].concat();
         assert!(meniscus(folder.path(), &given).status.success());
         let stats = fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
-        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        let record: serde_json::Value =
+            serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
         let number = |name: &str| record[name].as_f64().unwrap();
         assert!(
             (number("cell_size") - cell).abs() < 1e-12 && (number(name) - width).abs() < 1e-12,
@@ -232,16 +269,28 @@ fn an_input_is_never_its_own_output() {
     let folder = TempDir::new().unwrap();
     fs::copy(data("spot.ply"), folder.path().join("spot.ply")).unwrap();
     let before = fs::read(folder.path().join("spot.ply")).unwrap();
-    assert_refused(folder.path(), &["spot.ply", "-o", "./spot.ply", "--overwrite"], 2, &["two purposes"]);
+    assert_refused(
+        folder.path(),
+        &["spot.ply", "-o", "./spot.ply", "--overwrite"],
+        2,
+        &["two purposes"],
+    );
     assert_eq!(fs::read(folder.path().join("spot.ply")).unwrap(), before);
 }
 
 #[test]
 fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
     let folder = folder_with_ball();
-    assert_refused(folder.path(), &["ball.xyz", "-o", "no/such/folder/out.ply"], 4, &["no/such/folder"]);
+    assert_refused(folder.path(), &["ball.xyz", "-o", "ball.xyz/no/out.ply"], 4, &["ball.xyz/no"]);
     // The output is tried first: the input is not even looked at.
-    assert_refused(folder.path(), &["missing.xyz", "-o", "no/such/folder/out.ply"], 4, &["no/such/folder"]);
+    assert_refused(
+        folder.path(),
+        &["missing.xyz", "-o", "ball.xyz/no/out.ply"],
+        4,
+        &["ball.xyz/no"],
+    );
+    // A folder that was made for an output does not outlive a run that fails.
+    assert_refused(folder.path(), &["missing.xyz", "-o", "made/for/out.ply"], 3, &["missing.xyz"]);
     fs::create_dir(folder.path().join("out.ply")).unwrap();
     let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
     assert_eq!(run.status.code(), Some(4));
@@ -263,9 +312,11 @@ fn a_full_disk_is_exit_4_and_leaves_nothing() {
 #[cfg(target_os = "linux")]
 fn no_more_memory_is_planned_for_than_ulimit_leaves() {
     let folder = folder_with_ball();
-    let run = in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
+    let run =
+        in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
     let plan = String::from_utf8_lossy(&run.stdout);
-    let budget: Option<f64> = plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
+    let budget: Option<f64> =
+        plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
     assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");
 }
 
@@ -313,8 +364,17 @@ fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
     let on_corners: Vec<[f64; 3]> = lattice.iter().map(|p| p.map(|c| c - 0.25)).collect();
     fs::write(folder.path().join("lattice.xyz"), raw(&on_corners)).unwrap();
     let notes = |more: &[&str], code: i32| {
-        let options =
-            ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "1", "--overwrite"];
+        let options = [
+            "reconstruct",
+            "lattice.xyz",
+            "-o",
+            "out.ply",
+            "--spacing",
+            "0.5",
+            "--cell",
+            "1",
+            "--overwrite",
+        ];
         let run = meniscus(folder.path(), &[&options[..], &["--indicator"], more].concat());
         assert_eq!(run.status.code(), Some(code));
         String::from_utf8(run.stderr).unwrap()
@@ -327,7 +387,10 @@ fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
     assert_eq!(names(folder.path()), ["lattice.xyz"]);
     assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"], 0).contains("warning"));
     let moved = notes(&["symmetry"], 0);
-    assert!(moved.contains("lattice: the grid's origin is") && !moved.contains("warning"), "{moved}");
+    assert!(
+        moved.contains("lattice: the grid's origin is") && !moved.contains("warning"),
+        "{moved}"
+    );
     assert!(!notes(&["counting"], 0).contains("warning"));
     assert!(!notes(&["cloud"], 0).contains("warning"));
 }
@@ -345,13 +408,19 @@ fn invalid_particles_are_left_out_and_counted_when_asked() {
     }
     fs::write(folder.path().join("bad.xyz"), raw(&bad)).unwrap();
     let run = |input: &str, output: &str| {
-        meniscus(folder.path(), &["reconstruct", input, "-o", output, "--spacing", "0.5", "--skip-invalid"])
+        meniscus(
+            folder.path(),
+            &["reconstruct", input, "-o", output, "--spacing", "0.5", "--skip-invalid"],
+        )
     };
     assert!(run("good.xyz", "good.ply").status.success());
     let skipped = run("bad.xyz", "bad.ply");
     let notes = String::from_utf8_lossy(&skipped.stderr);
     assert!(skipped.status.success(), "{notes}");
-    assert!(notes.contains("2 particles skipped") && notes.contains("1 particles skipped"), "{notes}");
+    assert!(
+        notes.contains("2 particles skipped") && notes.contains("1 particles skipped"),
+        "{notes}"
+    );
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("good.ply") == bytes("bad.ply"));
 }
@@ -364,7 +433,8 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 1e5 * random.unit())).collect();
     fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
     let run = |cell: &str| {
-        let options = ["reconstruct", "spray.xyz", "-o", "out.ply", "--memory", "16MiB", "--spacing", "1"];
+        let options =
+            ["reconstruct", "spray.xyz", "-o", "out.ply", "--memory", "16MiB", "--spacing", "1"];
         meniscus(folder.path(), &[&options[..], &["--cell-size", cell]].concat())
     };
     let refused = run("0.5");
@@ -392,8 +462,10 @@ fn a_dry_run_estimates_and_writes_nothing() {
 fn statistics_are_one_json_record_a_run() {
     let folder = folder_with_ball();
     for output in ["a.ply", "b.ply"] {
-        let run =
-            meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--stats", "stats.jsonl"]);
+        let run = meniscus(
+            folder.path(),
+            &["reconstruct", "ball.xyz", "-o", output, "--stats", "stats.jsonl"],
+        );
         assert!(run.status.success());
     }
     let text = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
@@ -408,7 +480,9 @@ fn statistics_are_one_json_record_a_run() {
 #[test]
 fn info_tells_particles_from_meshes() {
     let folder = folder_with_ball();
-    assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]).status.success());
+    assert!(
+        meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]).status.success()
+    );
     let run = meniscus(folder.path(), &["info", "--json", "ball.xyz", "ball.ply"]);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let infos: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
@@ -418,7 +492,8 @@ fn info_tells_particles_from_meshes() {
     assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
     assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
     // A file that is bad hides none of the others.
-    let run = meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
+    let run =
+        meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
     assert_eq!(run.status.code(), Some(3));
     let told = String::from_utf8_lossy(&run.stdout);
     assert!(told.contains("ball.xyz") && told.contains("ball.ply"), "{told}");
@@ -429,7 +504,9 @@ fn info_tells_particles_from_meshes() {
 #[test]
 fn check_exits_0_only_for_a_closed_oriented_manifold() {
     let folder = folder_with_ball();
-    assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.obj"]).status.success());
+    assert!(
+        meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.obj"]).status.success()
+    );
     let good = meniscus(folder.path(), &["check", "--json", "ball.obj"]);
     assert_eq!(good.status.code(), Some(0));
     let checked: serde_json::Value = serde_json::from_slice(&good.stdout).unwrap();
@@ -468,8 +545,10 @@ fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_o
 #[test]
 fn a_reader_that_goes_away_is_no_error() {
     let folder = folder_with_ball();
-    let mut child =
-        command(folder.path(), &["info", "ball.xyz"]).stdout(std::process::Stdio::piped()).spawn().unwrap();
+    let mut child = command(folder.path(), &["info", "ball.xyz"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
     drop(child.stdout.take());
     assert!(child.wait().unwrap().success());
 }
@@ -479,9 +558,19 @@ fn statistics_never_touch_the_input_or_the_output_and_are_not_begun_for_a_run_th
     let folder = folder_with_ball();
     let before = fs::read(folder.path().join("ball.xyz")).unwrap();
     for stats in ["ball.xyz", "out.ply", "./out.ply"] {
-        assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply", "--stats", stats], 2, &["two purposes"]);
+        assert_refused(
+            folder.path(),
+            &["ball.xyz", "-o", "out.ply", "--stats", stats],
+            2,
+            &["two purposes"],
+        );
     }
-    assert_refused(folder.path(), &["missing.xyz", "-o", "out.ply", "--stats", "s"], 3, &["missing.xyz"]);
+    assert_refused(
+        folder.path(),
+        &["missing.xyz", "-o", "out.ply", "--stats", "s"],
+        3,
+        &["missing.xyz"],
+    );
     assert_eq!(fs::read(folder.path().join("ball.xyz")).unwrap(), before);
 }
 
@@ -508,15 +597,18 @@ fn an_interrupt_is_exit_130_and_leaves_nothing() {
 fn the_readmes_first_command_leaves_a_watertight_mesh() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let readme = fs::read_to_string(root.join("README.md")).unwrap();
-    let line = readme.lines().find_map(|line| line.strip_prefix("cargo run --release -- ")).unwrap();
+    let line =
+        readme.lines().find_map(|line| line.strip_prefix("cargo run --release -- ")).unwrap();
     let folder = TempDir::new().unwrap();
     let arguments: Vec<String> = line
         .split(' ')
-        .map(
-            |word| {
-                if word.starts_with("tests/") { root.join(word).display().to_string() } else { word.into() }
-            },
-        )
+        .map(|word| {
+            if word.starts_with("tests/") {
+                root.join(word).display().to_string()
+            } else {
+                word.into()
+            }
+        })
         .collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let run = meniscus(folder.path(), &arguments);
@@ -560,11 +652,16 @@ fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
 /// Runs the program on a Vulkan device, with its pipelines cached in the folder.
 fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
     let mut command = command(folder, arguments);
-    command.env("XDG_CACHE_HOME", folder.join("cache")).envs(environment.iter().copied()).output().unwrap()
+    command
+        .env("XDG_CACHE_HOME", folder.join("cache"))
+        .envs(environment.iter().copied())
+        .output()
+        .unwrap()
 }
 
 /// No driver at all, as far as the Vulkan loader knows.
-const NO_DRIVER: [(&str, &str); 2] = [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_FILENAMES", "/nowhere")];
+const NO_DRIVER: [(&str, &str); 2] =
+    [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_FILENAMES", "/nowhere")];
 
 #[test]
 fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
@@ -573,7 +670,8 @@ fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
     }
     let folder = folder_with_ball();
     let run = |backend: &str, output: &str, more: &[&str]| {
-        let arguments = ["reconstruct", "ball.xyz", "-o", output, "--backend", backend, "--normals"];
+        let arguments =
+            ["reconstruct", "ball.xyz", "-o", output, "--backend", backend, "--normals"];
         let arguments = [&arguments[..], &["--cell", "0.8", "--stats", "stats"], more].concat();
         let run = on_vulkan(folder.path(), &arguments, &[]);
         let errors = String::from_utf8_lossy(&run.stderr);
@@ -582,7 +680,10 @@ fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
         let stats = fs::read_to_string(folder.path().join("stats")).unwrap();
         let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
         if backend == "vulkan" {
-            assert!(stats["backend"].as_str().unwrap().starts_with("Vulkan"), "{arguments:?}: {stats}");
+            assert!(
+                stats["backend"].as_str().unwrap().starts_with("Vulkan"),
+                "{arguments:?}: {stats}"
+            );
             // The ball is around the origin: a bin and a block of every octant hold a part of it.
             let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
             assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did a part of it");
@@ -656,7 +757,9 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         folder.path(),
         &all,
         3,
-        &["all of its 1 components are below the smallest component; a smaller --smallest-component"],
+        &[
+            "all of its 1 components are below the smallest component; a smaller --smallest-component",
+        ],
     );
 }
 
@@ -664,7 +767,8 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
 fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
     let folder = folder_with_ball();
     let run = |options: &[&str]| {
-        let arguments = [&["reconstruct", "ball.xyz", "--spacing", "0.5", "--overwrite"], options].concat();
+        let arguments =
+            [&["reconstruct", "ball.xyz", "--spacing", "0.5", "--overwrite"], options].concat();
         let output = meniscus(folder.path(), &arguments);
         assert!(output.status.success(), "{output:?}");
         String::from_utf8(output.stderr).unwrap()
@@ -673,7 +777,8 @@ fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
     let said = run(&["-o", "less.ply", "--simplify", "0.25", "--smallest-component", "10"]);
     assert!(said.contains("simplified within 0.25 cells"), "{said}");
     assert!(said.contains("0 components of less than 10 cells left out"), "{said}");
-    let [whole, less] = ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
+    let [whole, less] =
+        ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
     assert!(less.triangles.len() * 2 < whole.triangles.len());
     assert!(check(&less).is_closed_oriented_manifold());
     run(&["-o", "less.glb", "--simplify", "0.25", "--normals", "--compress"]);
@@ -705,7 +810,8 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
                 let more = ["--cell", cell, "--indicator", indicator];
                 let (_, notes) = drawn(folder.path(), frame.to_str().unwrap(), &more);
                 // Counting loses drops of one particle, which clouds keep.
-                let lost = indicator == "counting" && notes.contains("are in no surface; --indicator cloud");
+                let lost = indicator == "counting"
+                    && notes.contains("are in no surface; --indicator cloud");
                 assert!(lost || !notes.contains("warning"), "{notes}");
                 let measures = measure(&read_mesh(&folder.path().join("drawn.ply")).unwrap());
                 (measures.volume.unwrap(), measures.components)
@@ -716,7 +822,10 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
                 let what = format!("{} by {indicator} in cells of {cell}", frame.display());
                 assert!((fine / volume - 1.0).abs() < 0.03, "{what}: {fine} of {volume}");
                 let within = if indicator == "cloud" { pieces / 10 + 2 } else { 2 };
-                assert!(fine_pieces.abs_diff(pieces) <= within, "{what}: {fine_pieces} of {pieces} pieces");
+                assert!(
+                    fine_pieces.abs_diff(pieces) <= within,
+                    "{what}: {fine_pieces} of {pieces} pieces"
+                );
             }
         }
     }
@@ -728,16 +837,21 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
     // The one finds an interior, the other none.
-    for (indicator, told) in [("cloud", "as no fluid is deep enough"), ("counting", "the spacing tells")] {
+    for (indicator, told) in
+        [("cloud", "as no fluid is deep enough"), ("counting", "the spacing tells")]
+    {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
-        let (whole, notes) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
+        let (whole, notes) =
+            drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
         assert!(notes.contains(told), "{notes}");
         for more in [["--threads", "1"], ["--memory", "16MiB"]] {
             let more = [&fine[..], &["--attributes", "none"], &more].concat();
             assert!(whole == drawn(folder.path(), frame, &more).0, "{more:?}");
         }
-        let pack =
-            meniscus(folder.path(), &[&["pack", frame, "-o", "f.mnf", "--overwrite"], &fine[..]].concat());
+        let pack = meniscus(
+            folder.path(),
+            &[&["pack", frame, "-o", "f.mnf", "--overwrite"], &fine[..]].concat(),
+        );
         assert!(pack.status.success());
         assert!(whole == drawn(folder.path(), "f.mnf", &[]).0, "{indicator}, packed");
     }
@@ -747,12 +861,32 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
 fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let folder = folder_with_ball();
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
-    let says = ["ball.xyz", "less than 0.1 spacings", "use cells of 0.0505 or more (--cell 0.1 or more)"];
+    let says =
+        ["ball.xyz", "less than 0.1 spacings", "use cells of 0.0505 or more (--cell 0.1 or more)"];
     assert_refused(folder.path(), &finest, 2, &says);
-    let enough =
-        ["reconstruct", "ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--dry-run"];
+    let enough = [
+        "reconstruct",
+        "ball.xyz",
+        "-o",
+        "out.ply",
+        "--spacing",
+        "0.5",
+        "--cell",
+        "0.1",
+        "--dry-run",
+    ];
     assert_eq!(meniscus(folder.path(), &enough).status.code(), Some(0));
-    let fine = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--indicator", "counting"];
+    let fine = [
+        "ball.xyz",
+        "-o",
+        "out.ply",
+        "--spacing",
+        "0.5",
+        "--cell",
+        "0.1",
+        "--indicator",
+        "counting",
+    ];
     assert_refused(
         folder.path(),
         &fine,
@@ -775,15 +909,23 @@ fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
 }
 
 #[test]
-fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty_frame_of_a_sequence() {
+fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty_frame_of_a_sequence()
+ {
     let folder = folder_with_ball();
     fs::write(folder.path().join("d_1.xyz"), raw(&[[0.0; 3]])).unwrap();
     fs::rename(folder.path().join("ball.xyz"), folder.path().join("d_2.xyz")).unwrap();
     let coarse = ["--spacing", "0.05", "--cell-size", "1"];
     let alone = [&["d_1.xyz", "-o", "out.ply"], &coarse[..]].concat();
-    assert_refused(folder.path(), &alone, 3, &["d_1.xyz", "no cell's centre is inside", "use smaller cells"]);
-    let run =
-        meniscus(folder.path(), &[&["reconstruct", "d_{}.xyz", "-o", "m_{}.ply"], &coarse[..]].concat());
+    assert_refused(
+        folder.path(),
+        &alone,
+        3,
+        &["d_1.xyz", "no cell's centre is inside", "use smaller cells"],
+    );
+    let run = meniscus(
+        folder.path(),
+        &[&["reconstruct", "d_{}.xyz", "-o", "m_{}.ply"], &coarse[..]].concat(),
+    );
     let notes = String::from_utf8_lossy(&run.stderr);
     assert!(
         run.status.success()
@@ -797,7 +939,8 @@ fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty
 #[test]
 fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     let folder = folder_with_ball();
-    let notes = |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
+    let notes =
+        |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
     assert!(!notes(&[]).contains("warning"));
     let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
@@ -807,7 +950,10 @@ fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
     fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball).collect::<Vec<_>>())).unwrap();
     let lost = notes(&["--indicator", "counting"]);
-    assert!(lost.contains("% of the volume of") && lost.contains("--indicator cloud keeps"), "{lost}");
+    assert!(
+        lost.contains("% of the volume of") && lost.contains("--indicator cloud keeps"),
+        "{lost}"
+    );
     assert!(!notes(&[]).contains("% of the volume of"));
 }
 
@@ -819,7 +965,8 @@ fn cells_of_a_given_size_are_smoothed_over_as_much_as_those_of_a_given_ratio() {
     let spacing = info[0]["spacing"].as_f64().unwrap().to_string();
     let (estimated, notes) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15"]);
     assert!(notes.contains("estimated from the particles"), "{notes}");
-    let (given, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
+    let (given, _) =
+        drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
     assert!(estimated == given);
     let (calmer, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--smooth", "2"]);
     assert!(estimated != calmer);
@@ -848,7 +995,8 @@ fn completions_and_the_manual_know_all_commands_and_options() {
 #[test]
 fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
     let folder = TempDir::new().unwrap();
-    let text = |flag| String::from_utf8(meniscus(folder.path(), &["reconstruct", flag]).stdout).unwrap();
+    let text =
+        |flag| String::from_utf8(meniscus(folder.path(), &["reconstruct", flag]).stdout).unwrap();
     let [summary, help] = ["-h", "--help"].map(text);
     assert!(summary.lines().count() <= 50, "{} lines", summary.lines().count());
     let headings = help.lines().filter(|line| line.ends_with(':') && !line.starts_with(' '));
@@ -897,12 +1045,17 @@ fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_thei
     let points = "0 0 0 1 0 0 2 0 0\n";
     let vertices = "VERTICES 3 6\n1 0 1 1 1 2\nLINES 1 4\n3 0 1 2\n";
     let grid = "CELLS 3 6\n1 0 1 1 1 2\nCELL_TYPES 3\n1 1 1\n";
-    for (name, kind, cells) in [("a.vtk", "POLYDATA", vertices), ("b.vtk", "UNSTRUCTURED_GRID", grid)] {
-        let file =
-            format!("# vtk DataFile Version 3.0\n\nASCII\nDATASET {kind}\nPOINTS 3 float\n{points}{cells}");
+    for (name, kind, cells) in
+        [("a.vtk", "POLYDATA", vertices), ("b.vtk", "UNSTRUCTURED_GRID", grid)]
+    {
+        let file = format!(
+            "# vtk DataFile Version 3.0\n\nASCII\nDATASET {kind}\nPOINTS 3 float\n{points}{cells}"
+        );
         fs::write(folder.path().join(name), file).unwrap();
-        let run =
-            meniscus(folder.path(), &["reconstruct", name, "-o", "out.ply", "--spacing", "1", "--dry-run"]);
+        let run = meniscus(
+            folder.path(),
+            &["reconstruct", name, "-o", "out.ply", "--spacing", "1", "--dry-run"],
+        );
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     }
 }
@@ -937,8 +1090,14 @@ fn check_and_info_take_folders_globs_and_names_with_a_place_for_the_number() {
         for command in ["check", "info"] {
             let run = meniscus(folder.path(), &[command, meshes]);
             let said = String::from_utf8(run.stdout).unwrap();
-            assert!(run.status.success(), "{command} {meshes}: {}", String::from_utf8_lossy(&run.stderr));
-            let place = |name: &str| said.find(name).unwrap_or_else(|| panic!("{command} {meshes}: {said}"));
+            assert!(
+                run.status.success(),
+                "{command} {meshes}: {}",
+                String::from_utf8_lossy(&run.stderr)
+            );
+            let place = |name: &str| {
+                said.find(name).unwrap_or_else(|| panic!("{command} {meshes}: {said}"))
+            };
             assert!(place("m_2.ply") < place("m_10.ply"), "{said}");
         }
     }
@@ -957,8 +1116,10 @@ fn info_foretells_the_memory_of_a_run_and_names_all_files_that_it_looks_into() {
     let info = String::from_utf8(meniscus(folder.path(), &["info", frame]).stdout).unwrap();
     let (_, memory) = info.split_once("about ").unwrap();
     let (memory, _) = memory.split_once(" by default").unwrap();
-    let run =
-        meniscus(folder.path(), &["reconstruct", frame, "-o", "a.ply", "--dry-run", "--backend", "cpu"]);
+    let run = meniscus(
+        folder.path(),
+        &["reconstruct", frame, "-o", "a.ply", "--dry-run", "--backend", "cpu"],
+    );
     let run = String::from_utf8(run.stdout).unwrap();
     assert!(run.contains(&format!("memory: about {memory} of ")), "{memory}: {run}");
     assert!(run.contains("scratch: none") && run.contains("cells of 0.025 into"), "{run}");
@@ -972,7 +1133,8 @@ fn info_foretells_the_memory_of_a_run_and_names_all_files_that_it_looks_into() {
 #[test]
 fn figures_for_people_have_as_many_digits_as_tell_something_and_all_are_in_json() {
     let folder = folder_with_ball();
-    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "a.ply", "--spacing", "0.5"]);
+    let run =
+        meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "a.ply", "--spacing", "0.5"]);
     let notes = String::from_utf8(run.stderr).unwrap();
     assert!(notes.contains("spacing 0.5 (as given), cell size 0.25,"), "{notes}");
     assert!(
@@ -1002,12 +1164,14 @@ fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason(
     fs::write(folder.path().join("one.xyz"), "0 0 0\n").unwrap();
     for setting in Settings::ALL {
         let option = format!("--{setting}");
-        let is_told = |help: &str| help.split_whitespace().any(|word| word.trim_end_matches(',') == option);
+        let is_told =
+            |help: &str| help.split_whitespace().any(|word| word.trim_end_matches(',') == option);
         assert!(is_told(&reconstruct), "{option}");
         assert_eq!(is_told(&pack), setting.is_of_samples(), "{option}");
     }
     run_pack_with_the_default_method(folder.path());
-    for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]] {
+    for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]]
+    {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
         let said = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{said}");
@@ -1022,7 +1186,8 @@ fn run_pack_with_the_default_method(folder: &Path) {
     assert!(pack.status.success(), "{}", String::from_utf8_lossy(&pack.stderr));
     let draw = meniscus(folder, &["reconstruct", "said.mnf", "-o", "said.ply", "--method", "dif"]);
     assert!(draw.status.success(), "{}", String::from_utf8_lossy(&draw.stderr));
-    let named = meniscus(folder, &["reconstruct", "said.mnf", "-o", "named.ply", "--format", "csv"]);
+    let named =
+        meniscus(folder, &["reconstruct", "said.mnf", "-o", "named.ply", "--format", "csv"]);
     assert_eq!(named.status.code(), Some(2));
     let info = meniscus(folder, &["info", "said.mnf", "--format", "csv"]);
     assert!(String::from_utf8_lossy(&info.stdout).contains("packed frame"));

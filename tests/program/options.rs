@@ -103,7 +103,10 @@ impl Run {
         }
         let stem = self.output.split('.').next().unwrap();
         let own = |file: &&&String| file.starts_with(stem) || file.as_str() == "s.json";
-        self.must(new.iter().filter(own).count() == new.len(), &format!("{new:?} beside the output"));
+        self.must(
+            new.iter().filter(own).count() == new.len(),
+            &format!("{new:?} beside the output"),
+        );
         if MeshFormat::of(&mesh).unwrap().is_read() {
             let report = check(&read_mesh(&mesh).unwrap());
             self.must(report.is_closed_oriented_manifold(), &report.to_string());

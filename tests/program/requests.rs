@@ -1,5 +1,5 @@
-//! What the program does where it is used in ways that nobody planned: nothing is lost, nothing is overwritten, and what is
-//! refused is refused before the work.
+//! What the program does where it is used in ways that nobody planned: nothing is lost, nothing is
+//! overwritten, and what is refused is refused before the work.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -58,12 +58,32 @@ fn statistics_do_not_go_into_the_picture() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     refused(
         folder.path(),
-        &["reconstruct", "f_1.xyz", "-o", "a.ply", "--preview", "--stats", "a.png", "--spacing", "1"],
+        &[
+            "reconstruct",
+            "f_1.xyz",
+            "-o",
+            "a.ply",
+            "--preview",
+            "--stats",
+            "a.png",
+            "--spacing",
+            "1",
+        ],
         "a.png",
     );
     refused(
         folder.path(),
-        &["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--preview", "--stats", "m.png", "--spacing", "1"],
+        &[
+            "reconstruct",
+            "f_{}.xyz",
+            "-o",
+            "m_{}.ply",
+            "--preview",
+            "--stats",
+            "m.png",
+            "--spacing",
+            "1",
+        ],
         "m.png",
     );
 }
@@ -119,8 +139,9 @@ fn messages_that_nobody_can_read_are_dropped_and_the_work_goes_on() {
             assert_eq!(status.code(), Some(0), "{arguments:?}");
             fs::remove_file(folder.path().join(made)).unwrap();
         }
-        let wrong =
-            command(folder.path(), &["reconstruct", "none.xyz", "-o", "a.ply"]).stderr(stream()).status();
+        let wrong = command(folder.path(), &["reconstruct", "none.xyz", "-o", "a.ply"])
+            .stderr(stream())
+            .status();
         assert_eq!(wrong.unwrap().code(), Some(3));
     }
 }
@@ -133,7 +154,10 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
         let output = format!("f_{{}}.{extension}");
         run(folder.path(), &["reconstruct", ".", "-o", &output, "--spacing", "1"], 0);
         let made = tree(folder.path());
-        assert_eq!(made.keys().filter(|name| name.ends_with(&format!("_1.{extension}"))).count(), 1);
+        assert_eq!(
+            made.keys().filter(|name| name.ends_with(&format!("_1.{extension}"))).count(),
+            1
+        );
         // Those of this run, and those of the runs before.
         let again = ["reconstruct", ".", "-o", &output, "--spacing", "1", "--resume"];
         assert!(run(folder.path(), &again, 0).contains("2 of 2 frames are done already"));
@@ -141,7 +165,8 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
     run(folder.path(), &["reconstruct", "*.xyz", "-o", "g_{}.ply", "--spacing", "1"], 0);
     // A simulation that runs, into its own folder.
     let watching = frames(&["f_1.xyz"]);
-    let arguments = ["reconstruct", ".", "-o", "m_{}.vtk", "--spacing", "1", "--watch=30", "--end", "3"];
+    let arguments =
+        ["reconstruct", ".", "-o", "m_{}.vtk", "--spacing", "1", "--watch=30", "--end", "3"];
     let mut child = command(watching.path(), &arguments).stderr(Stdio::piped()).spawn().unwrap();
     for frame in 2..=3 {
         let made = format!("m_{}.vtk", frame - 1);
@@ -165,16 +190,36 @@ fn a_folder_of_meshes_is_refused_before_the_work() {
         &["reconstruct", "made", "-o", "again/", "--spacing", "1"],
         "holds meshes and no particles",
     );
-    refused(folder.path(), &["reconstruct", "made", "-o", "m_{}.ply", "--spacing", "1"], "holds meshes");
+    refused(
+        folder.path(),
+        &["reconstruct", "made", "-o", "m_{}.ply", "--spacing", "1"],
+        "holds meshes",
+    );
 }
 
 #[test]
 fn meshes_whose_names_would_make_frames_of_them_are_refused_before_the_work() {
     let folder = frames(&["f_1.ply", "f_2.ply"]);
-    refused(folder.path(), &["reconstruct", ".", "-o", "f_{:04}.ply"], "would be taken for a frame");
-    refused(folder.path(), &["reconstruct", "*.ply", "-o", "f_{:04}.ply"], "would be taken for a frame");
-    refused(folder.path(), &["reconstruct", "f_{}.ply", "-o", "f_1{}.ply"], "would be taken for a frame");
-    refused(folder.path(), &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"], "given for two purposes");
+    refused(
+        folder.path(),
+        &["reconstruct", ".", "-o", "f_{:04}.ply"],
+        "would be taken for a frame",
+    );
+    refused(
+        folder.path(),
+        &["reconstruct", "*.ply", "-o", "f_{:04}.ply"],
+        "would be taken for a frame",
+    );
+    refused(
+        folder.path(),
+        &["reconstruct", "f_{}.ply", "-o", "f_1{}.ply"],
+        "would be taken for a frame",
+    );
+    refused(
+        folder.path(),
+        &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"],
+        "given for two purposes",
+    );
     refused(folder.path(), &["reconstruct", ".", "-o", "./"], "given for two purposes");
     run(folder.path(), &["reconstruct", ".", "-o", "mesh_{}.ply", "--spacing", "1"], 0);
 }
@@ -186,7 +231,8 @@ fn inputs_are_not_overwritten_by_whatever_name_they_go() {
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path("out")).unwrap();
     let all = |more: &[&'static str]| -> Vec<&'static str> {
-        [&["reconstruct", "f_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "1", "--overwrite"], more].concat()
+        [&["reconstruct", "f_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "1", "--overwrite"], more]
+            .concat()
     };
     std::os::unix::fs::symlink(path("f_1.xyz"), path("out/m_2.ply")).unwrap();
     refused(folder.path(), &all(&[]), "f_1.xyz");
@@ -195,14 +241,28 @@ fn inputs_are_not_overwritten_by_whatever_name_they_go() {
     refused(folder.path(), &all(&[]), "f_2.xyz");
     fs::remove_file(path("out/m_1.ply")).unwrap();
     fs::hard_link(path("f_2.xyz"), path("linked.json")).unwrap();
-    for stats in
-        ["f_1.xyz", "./f_2.xyz", "linked.json", "out/m_1.ply", "out/../out/m_2.ply", "out/m.ply.series"]
-    {
+    for stats in [
+        "f_1.xyz",
+        "./f_2.xyz",
+        "linked.json",
+        "out/m_1.ply",
+        "out/../out/m_2.ply",
+        "out/m.ply.series",
+    ] {
         refused(folder.path(), &all(&["--stats", stats]), stats);
     }
     // The same of one frame.
-    let one =
-        ["reconstruct", "f_2.xyz", "-o", "a.ply", "--spacing", "1", "--overwrite", "--stats", "linked.json"];
+    let one = [
+        "reconstruct",
+        "f_2.xyz",
+        "-o",
+        "a.ply",
+        "--spacing",
+        "1",
+        "--overwrite",
+        "--stats",
+        "linked.json",
+    ];
     refused(folder.path(), &one, "linked.json");
     fs::hard_link(path("f_2.xyz"), path("b.ply")).unwrap();
     refused(
@@ -228,8 +288,12 @@ fn statistics_that_cannot_be_written_are_refused_before_the_work() {
 
 #[test]
 fn gaps_between_time_stamps_are_told_by_their_ends() {
-    let names =
-        ["f_0.xyz", "f_1700000000000000000.xyz", "f_1700000000016666667.xyz", "f_18446744073709551615.xyz"];
+    let names = [
+        "f_0.xyz",
+        "f_1700000000000000000.xyz",
+        "f_1700000000016666667.xyz",
+        "f_18446744073709551615.xyz",
+    ];
     let folder = frames(&names);
     let notes = run(folder.path(), &["reconstruct", ".", "-o", "m_{}.ply", "--spacing", "1"], 0);
     assert!(notes.contains("there are no frames 1 to 1699999999999999999"), "{notes}");
@@ -265,21 +329,35 @@ fn odd_numbers_are_refused_with_the_sentence_that_helps() {
     let with = |more: &[&'static str]| -> Vec<&'static str> {
         [&["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--spacing", "1"], more].concat()
     };
-    refused(folder.path(), &with(&["--origin", "nan,0,0"]), "--origin must be three finite numbers, not NaN");
+    refused(
+        folder.path(),
+        &with(&["--origin", "nan,0,0"]),
+        "--origin must be three finite numbers, not NaN",
+    );
     refused(
         folder.path(),
         &with(&["--origin", "0,-inf,0"]),
         "--origin must be three finite numbers, not -inf",
     );
     for fps in ["5e-324", "1e300", "0", "nan"] {
-        refused(folder.path(), &with(&["--fps", fps]), "--fps must be from 0.000000001 to 1000000000");
+        refused(
+            folder.path(),
+            &with(&["--fps", fps]),
+            "--fps must be from 0.000000001 to 1000000000",
+        );
     }
-    refused(folder.path(), &with(&["--start", "5", "--end", "3"]), "no frames from --start 5 to --end 3");
-    let notes = run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "tiny.ply", "--spacing", "1e-320"], 3);
+    refused(
+        folder.path(),
+        &with(&["--start", "5", "--end", "3"]),
+        "no frames from --start 5 to --end 3",
+    );
+    let notes =
+        run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "tiny.ply", "--spacing", "1e-320"], 3);
     assert!(notes.contains("cells of 4.99994e-321"), "{notes}");
     let tiny: Vec<[f64; 3]> = ball(4.0).iter().map(|p| p.map(|x| x * 1e-8)).collect();
     fs::write(folder.path().join("tiny.xyz"), raw(&tiny)).unwrap();
-    let notes = run(folder.path(), &["reconstruct", "tiny.xyz", "-o", "tiny.ply", "--spacing", "1e-8"], 0);
+    let notes =
+        run(folder.path(), &["reconstruct", "tiny.xyz", "-o", "tiny.ply", "--spacing", "1e-8"], 0);
     assert!(notes.contains("spacing 1e-8 (as given), cell size 5e-9"), "{notes}");
 }
 
@@ -344,7 +422,8 @@ fn values_that_32_bits_do_not_hold_are_said() {
     // The same within a budget that spills them.
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
     assert!(
-        run(folder.path(), &spilled, 0).contains(&format!("f_2.csv: 1 of {count} particles have no heat"))
+        run(folder.path(), &spilled, 0)
+            .contains(&format!("f_2.csv: 1 of {count} particles have no heat"))
     );
 }
 
@@ -353,12 +432,17 @@ fn a_scene_of_other_particles_is_doubted_with_both_spacings() {
     let folder = frames(&["f_1.xyz"]);
     let particles: Vec<[f64; 3]> = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 8.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&particles)).unwrap();
-    fs::write(folder.path().join("scene.json"), r#"{"Configuration": {"particleRadius": 10.0}}"#).unwrap();
+    fs::write(folder.path().join("scene.json"), r#"{"Configuration": {"particleRadius": 10.0}}"#)
+        .unwrap();
     for arguments in [["f_1.xyz", "-o", "a.ply"], ["f_{}.xyz", "-o", "m_{}.ply"]] {
         let notes = run(folder.path(), &[&["reconstruct"], &arguments[..]].concat(), 0);
-        assert!(notes.contains("spacing 20 (from ") && notes.contains("looks too large"), "{notes}");
+        assert!(
+            notes.contains("spacing 20 (from ") && notes.contains("looks too large"),
+            "{notes}"
+        );
     }
-    fs::write(folder.path().join("scene.json"), r#"{"Configuration": {"particleRadius": 0.5}}"#).unwrap();
+    fs::write(folder.path().join("scene.json"), r#"{"Configuration": {"particleRadius": 0.5}}"#)
+        .unwrap();
     let notes = run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "b.ply"], 0);
     assert!(!notes.contains("looks too"), "{notes}");
     // What is given is taken, and doubted.
@@ -377,7 +461,9 @@ fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
     let step = DVec3::new(7.13, 7.21, 7.37);
     let places = || (0..1728).map(|i| IVec3::new(i % 12, i / 12 % 12, i / 144));
     let mut random = Random::new(1);
-    for (particles, cell, tolerance) in [(1, "1.6", "1"), (1, "0.7", "2"), (2, "0.5", "2"), (3, "1.6", "2")] {
+    for (particles, cell, tolerance) in
+        [(1, "1.6", "1"), (1, "0.7", "2"), (2, "0.5", "2"), (3, "1.6", "2")]
+    {
         let mut drops = Vec::new();
         for place in places() {
             for _ in 0..particles {
@@ -386,7 +472,8 @@ fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
             }
         }
         fs::write(folder.path().join("drops.xyz"), raw(&drops)).unwrap();
-        let drawn = ["reconstruct", "drops.xyz", "-o", "drops.ply", "--spacing", "1", "--overwrite"];
+        let drawn =
+            ["reconstruct", "drops.xyz", "-o", "drops.ply", "--spacing", "1", "--overwrite"];
         run(folder.path(), &[&drawn[..], &["--cell", cell, "--simplify", tolerance]].concat(), 0);
         let checked = command(folder.path(), &["check", "drops.ply", "--json"]).output().unwrap();
         let report: Value = serde_json::from_slice(&checked.stdout).unwrap();
@@ -394,7 +481,8 @@ fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
         assert_eq!(checked.status.code(), Some(0), "cells of {cell}");
         // Nor does one turn inside out.
         let mesh = read_mesh(&folder.path().join("drops.ply")).unwrap();
-        let mut volumes: BTreeMap<[i32; 3], f64> = places().map(|place| (place.to_array(), 0.0)).collect();
+        let mut volumes: BTreeMap<[i32; 3], f64> =
+            places().map(|place| (place.to_array(), 0.0)).collect();
         for triangle in &mesh.triangles {
             let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
             let place = ((a - 0.45) / step).round();
@@ -428,8 +516,13 @@ fn a_compressed_archive_is_read_within_the_budget() {
     assert!(packed > 40 << 20, "{packed} bytes: a small archive tells nothing");
     let arguments =
         ["reconstruct", "f.npz", "-o", "f.ply", "--spacing", "1", "--cell", "1", "--threads", "1"];
-    run(folder.path(), &[&arguments[..], &["--memory", "24MiB", "--stats", "stats.jsonl"]].concat(), 0);
-    let stats: Value = serde_json::from_slice(&fs::read(folder.path().join("stats.jsonl")).unwrap()).unwrap();
+    run(
+        folder.path(),
+        &[&arguments[..], &["--memory", "24MiB", "--stats", "stats.jsonl"]].concat(),
+        0,
+    );
+    let stats: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("stats.jsonl")).unwrap()).unwrap();
     assert_eq!(stats["particles"], count);
     if let Some(peak) = stats["peak_resident_bytes"].as_u64() {
         assert!(peak < 32 << 20, "{peak} bytes");
@@ -446,14 +539,24 @@ fn vertices_that_stl_cannot_tell_apart_are_always_said() {
         let with = |output: &'static str| {
             run(
                 folder.path(),
-                &["reconstruct", "f_1.xyz", "-o", output, "--spacing", "1", "--cell", "0.25", "--overwrite"],
+                &[
+                    "reconstruct",
+                    "f_1.xyz",
+                    "-o",
+                    output,
+                    "--spacing",
+                    "1",
+                    "--cell",
+                    "0.25",
+                    "--overwrite",
+                ],
                 0,
             )
         };
         with("a.ply");
         let notes = with("a.stl");
-        let [whole, joined] =
-            ["a.ply", "a.stl"].map(|name| read_mesh(&folder.path().join(name)).unwrap().positions.len());
+        let [whole, joined] = ["a.ply", "a.stl"]
+            .map(|name| read_mesh(&folder.path().join(name)).unwrap().positions.len());
         assert_eq!(
             notes.contains("have the place of another"),
             joined < whole,
@@ -466,8 +569,17 @@ fn vertices_that_stl_cannot_tell_apart_are_always_said() {
             );
             merged += 1;
         }
-        let all =
-            ["reconstruct", "f_{}.xyz", "-o", "m_{}.stl", "--spacing", "1", "--cell", "0.25", "--overwrite"];
+        let all = [
+            "reconstruct",
+            "f_{}.xyz",
+            "-o",
+            "m_{}.stl",
+            "--spacing",
+            "1",
+            "--cell",
+            "0.25",
+            "--overwrite",
+        ];
         assert_eq!(
             run(folder.path(), &all, 0).contains("have the place of another"),
             joined < whole,
@@ -487,7 +599,8 @@ fn pieces_without_volume_are_told() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(
-        text.contains("components                2") && text.contains("components without volume 1"),
+        text.contains("components                2")
+            && text.contains("components without volume 1"),
         "{text}"
     );
 }
@@ -495,7 +608,8 @@ fn pieces_without_volume_are_told() {
 #[test]
 fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
     let folder = TempDir::new().unwrap();
-    let body = fill(22.0, 1.0, 0.2, 1, |p| p.length() < 22.0 && (p - DVec3::splat(5.0)).length() > 11.0);
+    let body =
+        fill(22.0, 1.0, 0.2, 1, |p| p.length() < 22.0 && (p - DVec3::splat(5.0)).length() > 11.0);
     let spray = (0..200).map(|i| {
         let [x, y] = [i % 20, i / 20].map(|i| 40.0 + 9.13 * f64::from(i));
         [if i % 2 == 0 { x } else { -x }, y, 0.0]
@@ -525,15 +639,29 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
         assert!(!notes.contains("in no surface"), "{few}: {notes}");
     }
     // Clouds keep every particle.
-    let clouds = run(folder.path(), &["reconstruct", "f_3.xyz", "-o", "b.ply", "--spacing", "1"], 0);
+    let clouds =
+        run(folder.path(), &["reconstruct", "f_3.xyz", "-o", "b.ply", "--spacing", "1"], 0);
     assert!(!clouds.contains("in no surface"), "{clouds}");
-    let kernels =
-        ["reconstruct", "f_3.xyz", "-o", "c.ply", "--spacing", "1", "--method", "zhu-bridson", "--cell", "4"];
+    let kernels = [
+        "reconstruct",
+        "f_3.xyz",
+        "-o",
+        "c.ply",
+        "--spacing",
+        "1",
+        "--method",
+        "zhu-bridson",
+        "--cell",
+        "4",
+    ];
     let kernels = run(folder.path(), &kernels, 0);
     assert!(kernels.contains("in no surface"), "{kernels}");
     // A simulation tells the sum, of frames with nothing else, too.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);
-    assert!(notes.contains(&format!("at least 202 of {} particles", 3 * body.len() + 202)), "{notes}");
+    assert!(
+        notes.contains(&format!("at least 202 of {} particles", 3 * body.len() + 202)),
+        "{notes}"
+    );
     assert!(notes.contains("12 particles skipped: a coordinate is not finite"), "{notes}");
     let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
     let lost = |line: &str| -> (u64, u64) {

@@ -1,4 +1,5 @@
-//! Inputs that are written to while they are read: an error of that frame, by name, and never a signal or a wrong mesh.
+//! Inputs that are written to while they are read: an error of that frame, by name, and never a
+//! signal or a wrong mesh.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -44,15 +45,17 @@ fn is_changed(error: &Error) -> bool {
 #[test]
 fn a_file_that_is_shortened_is_an_error_and_no_signal() {
     for left in [0, 1, 4096, 12 * 1000 + 5] {
-        let error = after(|path| OpenOptions::new().write(true).open(path).unwrap().set_len(left).unwrap());
+        let error =
+            after(|path| OpenOptions::new().write(true).open(path).unwrap().set_len(left).unwrap());
         assert!(is_changed(&error), "{left} bytes: {error}");
     }
 }
 
 #[test]
 fn a_file_that_grows_or_is_rewritten_is_an_error() {
-    let error =
-        after(|path| OpenOptions::new().append(true).open(path).unwrap().write_all(&[0; 12]).unwrap());
+    let error = after(|path| {
+        OpenOptions::new().append(true).open(path).unwrap().write_all(&[0; 12]).unwrap()
+    });
     assert!(is_changed(&error), "{error}");
     // As many bytes, at another time.
     let error = after(|path| {
@@ -84,7 +87,11 @@ fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
     let particles = fill(40.0, 2.0, 0.2, 3, |p| p.length() < 20.0);
     let count = particles.len();
     let rows = |separator: &str| {
-        particles.iter().map(|p| p.map(|x| x.to_string()).join(separator)).collect::<Vec<_>>().join("\n")
+        particles
+            .iter()
+            .map(|p| p.map(|x| x.to_string()).join(separator))
+            .collect::<Vec<_>>()
+            .join("\n")
     };
     let blanks = rows(" ");
     let ply = format!(
@@ -114,7 +121,8 @@ fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
         .to_vec()
 }
 
-/// The bytes that a process has read, of all its files; the largest number where the system does not count them.
+/// The bytes that a process has read, of all its files; the largest number where the system does
+/// not count them.
 fn bytes_read(child: &Child) -> u64 {
     let counts = fs::read_to_string(format!("/proc/{}/io", child.id())).unwrap_or_default();
     let read = counts.lines().find_map(|line| line.strip_prefix("rchar: "));
@@ -183,7 +191,8 @@ fn a_particle_that_moves_to_another_bin_between_two_readings_is_an_error_in_memo
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
             // Of so fine cells no places are kept from the first reading: there is a second.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
-            let restless = |still| Restless { particles: particles.clone(), still, readings: 0.into(), by };
+            let restless =
+                |still| Restless { particles: particles.clone(), still, readings: 0.into(), by };
             let calm = restless(usize::MAX);
             request.sample(&calm).unwrap();
             let readings = calm.readings.into_inner();

@@ -38,8 +38,12 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
     let scratch = TempDir::new().unwrap();
     for indicator in INDICATORS {
         for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
-            let mut sampling =
-                Sampling { method: indicator.into(), side: indicator.brick_side(), carried, ..sampling() };
+            let mut sampling = Sampling {
+                method: indicator.into(),
+                side: indicator.brick_side(),
+                carried,
+                ..sampling()
+            };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
@@ -48,8 +52,12 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
             for budget in [1 << 18, 1 << 20, 1 << 22] {
                 let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };
-                let what = format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);
-                let plan = Counted::of(&particles, &sampling).unwrap().estimate().plan(MemoryBudget(budget));
+                let what =
+                    format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);
+                let plan = Counted::of(&particles, &sampling)
+                    .unwrap()
+                    .estimate()
+                    .plan(MemoryBudget(budget));
                 assert!(matches!(plan, Plan::OutOfCore(_)), "{what}: nothing is spilled");
                 let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                 assert_eq!(surface.iso, expected.iso, "{what}");
@@ -68,14 +76,20 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
     let (mut random, grid) = (Random::new(5), sampling().grid);
     let spray: Vec<[f64; 3]> = (0..500).map(|_| [(); 3].map(|()| 160.0 * random.unit())).collect();
     for (particles, all_sparse) in [(splashes(6), false), (spray, true)] {
-        for (indicator, side) in
-            INDICATORS.into_iter().flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
+        for (indicator, side) in INDICATORS
+            .into_iter()
+            .flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
             // Two particles a cell.
             let spacing_cells = 2_f64.cbrt().recip();
             let rule = PageRule { indicator, spacing_cells, side, walls: None };
-            let plan =
-                BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
+            let plan = BinPlan::count(
+                &particles[..],
+                &grid,
+                None,
+                InvalidParticles::Refuse,
+                CountingRoom::BINS,
+            );
             let plan = plan.unwrap();
             let drawing = Drawing {
                 block_bytes: 4 * 41_u64.pow(3),
@@ -95,14 +109,27 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
                 let all = samples.dense(rule.shape());
                 let nonzero = all.iter().filter(|&&sample| sample > 0).count();
                 let few = side == BrickSide::Sixteen && nonzero <= all.len() / 8;
-                assert_eq!(samples.bytes(), if few { 4 * nonzero } else { 2 * all.len() }, "{rule:?}");
+                assert_eq!(
+                    samples.bytes(),
+                    if few { 4 * nonzero } else { 2 * all.len() },
+                    "{rule:?}"
+                );
                 assert!(samples.bytes() <= info.most_bytes(rule.shape()), "{rule:?}, {info:?}");
                 taken += samples.bytes() as u64;
                 sparse += usize::from(few);
             }
-            assert!(taken <= estimate.field, "{rule:?}: {taken} bytes, {} estimated", estimate.field);
+            assert!(
+                taken <= estimate.field,
+                "{rule:?}: {taken} bytes, {} estimated",
+                estimate.field
+            );
             if side == BrickSide::Sixteen {
-                assert_eq!(sparse == pages.len(), all_sparse, "{rule:?}: {sparse} of {}", pages.len());
+                assert_eq!(
+                    sparse == pages.len(),
+                    all_sparse,
+                    "{rule:?}: {sparse} of {}",
+                    pages.len()
+                );
                 assert_ne!(sparse, 0, "{rule:?}");
             }
         }
@@ -128,7 +155,8 @@ fn folder_with_splash() -> TempDir {
 #[test]
 fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
     let folder = folder_with_splash();
-    let arguments = "reconstruct splash.xyz -o small.ply --cell-size 1 --memory 16MiB --stats stats";
+    let arguments =
+        "reconstruct splash.xyz -o small.ply --cell-size 1 --memory 16MiB --stats stats";
     let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
@@ -173,7 +201,8 @@ fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
     };
     // What the program takes for itself, its code above all, is no part of the budget.
     fs::write(folder.path().join("drop.xyz"), [0; 12]).unwrap();
-    let drop = "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
+    let drop =
+        "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
     assert!(in_shell(folder.path(), "", drop).status.success());
     let own = peak(folder.path());
     fs::remove_file(folder.path().join("stats")).unwrap();
@@ -213,8 +242,7 @@ fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes(
     let folder = folder_with_splash();
     let scratch = folder.path().canonicalize().unwrap().join("scratch");
     fs::create_dir(&scratch).unwrap();
-    let arguments =
-        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch scratch --overwrite";
+    let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch scratch --overwrite";
     let start = || {
         let mut command = command(folder.path(), &[]);
         command.args(arguments.split(' ')).stderr(Stdio::null()).spawn().unwrap()
@@ -251,7 +279,9 @@ fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
         &["", "--smooth 0.9", "--smooth 2.5 --normals", "--memory 16MiB --smooth 4"],
     ];
     for (indicator, filters) in [("cloud", clouds), ("symmetry", paper), ("counting", paper)] {
-        run(&format!("pack splash.xyz -o packed.mnf --cell-size 1 --indicator {indicator} --overwrite"));
+        run(&format!(
+            "pack splash.xyz -o packed.mnf --cell-size 1 --indicator {indicator} --overwrite"
+        ));
         run(&format!(
             "pack splash.xyz -o small.mnf --cell-size 1 --indicator {indicator} --overwrite --memory 16MiB"
         ));
@@ -276,7 +306,8 @@ fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
 #[test]
 fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
     let folder = folder_with_splash();
-    let packed = Command::new("gzip").current_dir(folder.path()).args(["-1", "-k", "splash.xyz"]).status();
+    let packed =
+        Command::new("gzip").current_dir(folder.path()).args(["-1", "-k", "splash.xyz"]).status();
     assert!(packed.unwrap().success());
     let arguments = "reconstruct splash.xyz.gz -o small.ply --cell-size 1 --memory 16MiB";
     let run = in_shell(folder.path(), "", arguments);
@@ -285,35 +316,53 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
     assert!(bytes("whole.ply") == bytes("small.ply"));
     assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
     // Without room to unpack it: exit 4; cut short: exit 3.
-    let full = in_shell(folder.path(), "trap '' XFSZ; ulimit -f 1024", &arguments.replace("small", "full"));
+    let full = in_shell(
+        folder.path(),
+        "trap '' XFSZ; ulimit -f 1024",
+        &arguments.replace("small", "full"),
+    );
     assert_eq!(full.status.code(), Some(4), "{}", String::from_utf8_lossy(&full.stderr));
     let cut = bytes("splash.xyz.gz");
     fs::write(folder.path().join("cut.xyz.gz"), &cut[..cut.len() - 1000]).unwrap();
-    let cut = in_shell(folder.path(), "", "reconstruct cut.xyz.gz -o cut.ply --cell-size 1 --memory 16MiB");
+    let cut = in_shell(
+        folder.path(),
+        "",
+        "reconstruct cut.xyz.gz -o cut.ply --cell-size 1 --memory 16MiB",
+    );
     assert_eq!(cut.status.code(), Some(3), "{}", String::from_utf8_lossy(&cut.stderr));
-    assert_eq!(names(folder.path()), ["cut.xyz.gz", "small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
+    assert_eq!(
+        names(folder.path()),
+        ["cut.xyz.gz", "small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]
+    );
 }
 
 #[test]
 fn a_frame_that_fits_its_budget_touches_no_scratch() {
     let folder = folder_with_splash();
-    let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch no/such/folder";
+    let arguments =
+        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch no/such/folder";
     let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// 1.5 M particles as a table, a .ply and a .vtk, all of text, some 45 MB each, and their surface in `whole.ply`.
+/// 1.5 M particles as a table, a .ply and a .vtk, all of text, some 45 MB each, and their surface
+/// in `whole.ply`.
 fn folder_with_texts() -> TempDir {
     let folder = TempDir::new().unwrap();
-    let lines: Vec<String> = splash(1_500_000, 3).iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    let lines: Vec<String> =
+        splash(1_500_000, 3).iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     let n = lines.len();
-    let ply = format!("element vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header");
+    let ply = format!(
+        "element vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header"
+    );
     for (name, head) in [
         ("splash.csv", "x y z".to_owned()),
         ("splash.ply", format!("ply\nformat ascii 1.0\n{ply}")),
         (
             "splash.vtk",
-            format!("# vtk DataFile Version 3.0\nsplash\nASCII\nDATASET POLYDATA\nPOINTS {n} float"),
+            format!(
+                "# vtk DataFile Version 3.0\nsplash\nASCII\nDATASET POLYDATA\nPOINTS {n} float"
+            ),
         ),
     ] {
         fs::write(folder.path().join(name), format!("{head}\n{}", lines.concat())).unwrap();
@@ -338,8 +387,11 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
         // The program itself, mapped from its file, counts too, and is larger without optimisation.
         let peak = peak(folder.path());
         assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
-        let full =
-            in_shell(folder.path(), "trap '' XFSZ; ulimit -f 4096", &arguments.replace("small", "full"));
+        let full = in_shell(
+            folder.path(),
+            "trap '' XFSZ; ulimit -f 4096",
+            &arguments.replace("small", "full"),
+        );
         let errors = String::from_utf8_lossy(&full.stderr);
         assert_eq!(full.status.code(), Some(4), "{name}: {errors}");
         assert!(errors.contains("scratch"), "{name}: {errors}");

@@ -67,9 +67,15 @@ fn a_frame_in_more_pieces_than_may_be_open_is_that_of_one_file_in_memory_and_bey
     succeeds(limited(folder, "ball.xyz -o one.ply --spacing 0.5"));
     for (number, options) in ["", "--threads 1", "--memory 24MiB --cell 0.3"].iter().enumerate() {
         if number == 2 {
-            succeeds(limited(folder, &format!("ball.xyz -o one.ply --overwrite --spacing 0.5 {options}")));
+            succeeds(limited(
+                folder,
+                &format!("ball.xyz -o one.ply --overwrite --spacing 0.5 {options}"),
+            ));
         }
-        succeeds(limited(folder, &format!("ball.pvtp -o many.ply --overwrite --spacing 0.5 {options}")));
+        succeeds(limited(
+            folder,
+            &format!("ball.pvtp -o many.ply --overwrite --spacing 0.5 {options}"),
+        ));
         let [one, many] = ["one.ply", "many.ply"].map(|name| fs::read(folder.join(name)).unwrap());
         assert!(one == many, "with {options:?}");
     }
@@ -107,12 +113,16 @@ fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
 
 #[test]
 fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
-    let is_changed =
-        |error: &Error| matches!(error, Error::Frame { fault: FrameError::Unread(Unread::Changed), .. });
-    let shorter = |path: &Path| OpenOptions::new().write(true).open(path).unwrap().set_len(200).unwrap();
-    let longer = |path: &Path| OpenOptions::new().append(true).open(path).unwrap().write_all(b"\n").unwrap();
+    let is_changed = |error: &Error| {
+        matches!(error, Error::Frame { fault: FrameError::Unread(Unread::Changed), .. })
+    };
+    let shorter =
+        |path: &Path| OpenOptions::new().write(true).open(path).unwrap().set_len(200).unwrap();
+    let longer =
+        |path: &Path| OpenOptions::new().append(true).open(path).unwrap().write_all(b"\n").unwrap();
     let later = |path: &Path| {
-        let modified = fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
+        let modified =
+            fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
         File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
     };
     // Any may have been closed since, but not the last.
@@ -125,7 +135,8 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
     let many = 0..MAY_BE_OPEN;
     // Another file of its name, size and time.
     let replaced = |path: &Path| {
-        let (bytes, modified) = (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());
+        let (bytes, modified) =
+            (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());
         let other = path.with_extension("other");
         fs::write(&other, vec![b'x'; bytes.len()]).unwrap();
         File::options().write(true).open(&other).unwrap().set_modified(modified).unwrap();

@@ -35,7 +35,14 @@ fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
 
 /// Plans, makes the parts in some order, and merges them, all with the same options.
 #[track_caller]
-fn in_parts(folder: &Path, input: &str, output: &str, count: usize, order: &[usize], options: &[&str]) {
+fn in_parts(
+    folder: &Path,
+    input: &str,
+    output: &str,
+    count: usize,
+    order: &[usize],
+    options: &[&str],
+) {
     let number = count.to_string();
     let common = [&[input, "-o", output, "--parts", &number, "-q"], options].concat();
     run(folder, &[&common[..], &["--plan"]].concat(), 0);
@@ -45,7 +52,8 @@ fn in_parts(folder: &Path, input: &str, output: &str, count: usize, order: &[usi
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
 }
 
-/// A folder with a real frame of a dam break, spray, and a ball in disorder whose particles have velocities.
+/// A folder with a real frame of a dam break, spray, and a ball in disorder whose particles have
+/// velocities.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
     let copy = |from: &str, to: &str| fs::copy(data(from), folder.path().join(to)).unwrap();
@@ -73,17 +81,32 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
     let cases: [(&str, &str, &[usize], &[&str]); 13] = [
         ("dam.bgeo", "ply", &[1, 2, 3, 8, 64], &[]),
         ("dam.bgeo", "glb", &[3], &["--normals", "--compress"]),
-        ("dam.bgeo", "ply", &[5], &["--cell", "0.3", "--normals", "--attributes", "velocity,density"]),
+        (
+            "dam.bgeo",
+            "ply",
+            &[5],
+            &["--cell", "0.3", "--normals", "--attributes", "velocity,density"],
+        ),
         ("dam.bgeo", "ply", &[4], &["--simplify", "0.5", "--smallest-drop", "4"]),
         ("dam.bgeo", "obj", &[7], &["--domain", "-0.5,0,-0.3,0.6,0.8,0.4", "--cell", "0.4"]),
         ("dam.bgeo", "vtp", &[6], &["--indicator", "counting", "--detail"]),
         ("dam.bgeo", "stl", &[2], &["--indicator", "symmetry", "--iso", "0.2", "--cell", "1"]),
         ("dam.bgeo", "ply", &[3], &["--indicator", "symmetry", "--domain", "-2,-2,-2,2,2,2"]),
-        ("dam.bgeo", "usdc", &[2], &["--smooth", "3", "--cell", "0.9", "--origin", "0.01,0.02,0.03"]),
+        (
+            "dam.bgeo",
+            "usdc",
+            &[2],
+            &["--smooth", "3", "--cell", "0.9", "--origin", "0.01,0.02,0.03"],
+        ),
         ("dam.bgeo", "ply", &[4], &["--cell", "0.2", "--memory", "24MiB", "--threads", "1"]),
         ("spray.xyz", "ply", &[3, 20], &["--spacing", "1", "--normals"]),
         ("drop.xyz", "ply", &[1, 9], &["--spacing", "1"]),
-        ("splash.xyz", "ply", &[8], &["--spacing", "0.8", "--domain", "-13,-15,-11,12,9,14", "--normals"]),
+        (
+            "splash.xyz",
+            "ply",
+            &[8],
+            &["--spacing", "0.8", "--domain", "-13,-15,-11,12,9,14", "--normals"],
+        ),
     ];
     for (number, (input, format, counts, options)) in cases.into_iter().enumerate() {
         let one = format!("one_{number}.{format}");
@@ -94,14 +117,22 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
             // From the last to the first.
             let order: Vec<usize> = (0..count).rev().collect();
             in_parts(folder, input, &many, count, &order, options);
-            assert!(fs::read(folder.join(&many)).unwrap() == expected, "{input} in {count} {options:?}");
+            assert!(
+                fs::read(folder.join(&many)).unwrap() == expected,
+                "{input} in {count} {options:?}"
+            );
             assert_eq!(names(&folder.join(format!("{many}.meniscus-parts"))).len(), 1 + count);
             // All that is said of the surface is said again.
             let count = count.to_string();
             let merge =
-                [&[input, "-o", &many, "--parts", &count, "--merge", "--overwrite"], options].concat();
+                [&[input, "-o", &many, "--parts", &count, "--merge", "--overwrite"], options]
+                    .concat();
             let merged = run(folder, &merge, 0).replace(&many, &one);
-            assert_eq!(said(&merged, "meniscus-parts"), said(&single, input), "{input} {options:?}");
+            assert_eq!(
+                said(&merged, "meniscus-parts"),
+                said(&single, input),
+                "{input} {options:?}"
+            );
         }
     }
 }
@@ -110,7 +141,8 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
 fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    // Twice as dense as the spacing says, with drops that hold no cell's centre; and some values that are not there.
+    // Twice as dense as the spacing says, with drops that hold no cell's centre; and some values
+    // that are not there.
     let mut random = Random::new(11);
     let mut particles = fill(12.0, 2.0, 0.3, 1, |p| p.length() < 10.0);
     particles.extend((0..40).map(|_| std::array::from_fn(|_| 400.0 * random.unit() - 200.0)));
@@ -141,7 +173,9 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
     let merge = ["mist.csv", "-o", "many.ply", "--parts", "5", "--merge", "--overwrite"];
     let merged = run(folder, &[&merge, &options[..]].concat(), 0).replace("many.ply", "one.ply");
     assert_eq!(said(&merged, "meniscus-parts"), said(&single, "mist.csv"));
-    assert!(fs::read(folder.join("one.ply")).unwrap() == fs::read(folder.join("many.ply")).unwrap());
+    assert!(
+        fs::read(folder.join("one.ply")).unwrap() == fs::read(folder.join("many.ply")).unwrap()
+    );
 }
 
 #[test]
@@ -161,7 +195,8 @@ fn a_part_is_one_file_however_often_and_by_however_many_at_once_it_is_made() {
     }
     let once = fs::read(&path).unwrap();
     assert!(run(folder, &with(&["--part", "1"]), 0).contains("done already"));
-    // What is damaged is made again, to the same bytes, and what a process that was killed has left goes.
+    // What is damaged is made again, to the same bytes, and what a process that was killed has left
+    // goes.
     fs::write(&path, &once[..once.len() / 2]).unwrap();
     let left = folder.join("m.ply.meniscus-parts/.meniscus-abc.tmp");
     fs::write(&left, "half").unwrap();
@@ -214,7 +249,8 @@ fn what_has_changed_since_the_plan_is_refused_by_its_name() {
     fs::copy(folder.join("dam.bgeo"), &twin).unwrap();
     let time = folder.join("dam.bgeo").metadata().unwrap().modified().unwrap();
     fs::File::options().write(true).open(&twin).unwrap().set_modified(time).unwrap();
-    let of_twin = |step: &[&'static str]| [&["twin.bgeo", "-o", "m.ply", "--parts", "3"], step].concat();
+    let of_twin =
+        |step: &[&'static str]| [&["twin.bgeo", "-o", "m.ply", "--parts", "3"], step].concat();
     for step in [&["--plan"][..], &["--part", "0"], &["--merge"]] {
         assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: it is not what"));
     }
@@ -304,7 +340,10 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
         fs::write(&plan, damaged).unwrap();
         assert!(run(folder, &with(&["--part", "0", "--overwrite"]), 2).contains("plan.json"));
     }
-    assert!(run(folder, &with(&["--plan", "--resume"]), 2).contains("m.ply: "), "the mesh is there");
+    assert!(
+        run(folder, &with(&["--plan", "--resume"]), 2).contains("m.ply: "),
+        "the mesh is there"
+    );
     run(folder, &with(&["--plan", "--overwrite"]), 0);
     assert_eq!(fs::read_to_string(&plan).unwrap(), text);
 }
@@ -331,9 +370,15 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         (ask(&["--parts", "2", "--part", "2"]), "there is no part 2 of 2"),
         (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a simulation"),
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
-        (ask(&["--parts", "2", "--plan", "--method", "mueller"]), "--parts has no meaning for this --method"),
+        (
+            ask(&["--parts", "2", "--plan", "--method", "mueller"]),
+            "--parts has no meaning for this --method",
+        ),
         (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats goes with --merge"),
-        (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run has no meaning with --parts"),
+        (
+            ask(&["--parts", "2", "--part", "0", "--dry-run"]),
+            "--dry-run has no meaning with --parts",
+        ),
         (ask(&["--parts", "2", "--merge", "--resume"]), "--resume goes with --plan"),
         (vec!["frames", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["drop.xyz", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
@@ -378,13 +423,19 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
     assert!(planned.parts.iter().all(|part| part.kept >= part.particles && part.takes.is_some()));
     let made = [2, 0, 3, 1].map(|part| parts.part(part).unwrap());
     let surface = parts.merge().unwrap();
-    assert_eq!(made.iter().map(|part| part.triangles).sum::<u64>(), surface.report().whole_triangles);
+    assert_eq!(
+        made.iter().map(|part| part.triangles).sum::<u64>(),
+        surface.report().whole_triangles
+    );
     surface.write(&output).unwrap();
     let single = request.run_file(&input).unwrap();
     single.write(folder.path().join("one.ply")).unwrap();
     assert!(fs::read(&output).unwrap() == fs::read(folder.path().join("one.ply")).unwrap());
     let (one, many) = (single.report(), surface.report());
-    assert_eq!((one.facts, one.calibration, one.measured), (many.facts, many.calibration, many.measured));
+    assert_eq!(
+        (one.facts, one.calibration, one.measured),
+        (many.facts, many.calibration, many.measured)
+    );
     assert_eq!((&one.cells, one.lost, &one.warnings), (&many.cells, many.lost, &many.warnings));
     // By the calibration of another frame, which the plan keeps.
     let other = request.calibrated(Calibration::Clouds { plateau: 15_000 });
@@ -426,7 +477,8 @@ fn field_of(
     cells: CellBox,
 ) -> Block {
     let cell = |p: &[f64; 3]| DVec3::from(*p).floor().as_ivec3();
-    let near: Vec<[f64; 3]> = particles.iter().filter(|p| seen.contains(cell(p))).copied().collect();
+    let near: Vec<[f64; 3]> =
+        particles.iter().filter(|p| seen.contains(cell(p))).copied().collect();
     let frame = Frame::sample(&near[..], sampling, &mut Timings::default()).unwrap();
     field(&recipe(&frame), dif(&frame), cells)
 }
@@ -451,12 +503,15 @@ fn needed(normals: Normals) -> CellBox {
 
 #[test]
 fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds() {
-    // The widest Gaussians reach farthest where the water is calm, and what counts as inside where it is not.
+    // The widest Gaussians reach farthest where the water is calm, and what counts as inside where
+    // it is not.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
-        let sampling = Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
+        let sampling =
+            Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
         // Cells that are needed end in the middle of wide ones, of which those beyond tell most.
         for (sides, normals) in [(0..3, Normals::None), (3..6, Normals::Gradient)] {
-            let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
+            let surfacing =
+                Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
             let cells = needed(normals);
             let seen = sampling.sight(IndicatorKind::Cloud, &surfacing).cells(IVec3::ZERO);
             let outermost = if sides.start == 0 { seen.lo } else { seen.hi - 1 };
@@ -464,13 +519,16 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
                 let surfacing = &surfacing;
                 move |frame: &Frame| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
             };
-            // Particles that wide cells hold all in the same way, and that lie in the outermost cells that are seen.
+            // Particles that wide cells hold all in the same way, and that lie in the outermost
+            // cells that are seen.
             let lattice: Vec<[f64; 3]> = (seen.grown(20, 20).cubes(1))
                 .filter(|cell| (*cell - outermost) % spacing as i32 == IVec3::ZERO)
                 .map(|cell| (cell.as_dvec3() + 0.5).to_array())
                 .collect();
             let all = seen.grown(100, 100);
-            let of = |seen: CellBox, plateau: u16| field_of(&lattice, seen, &sampling, by(plateau), cells);
+            let of = |seen: CellBox, plateau: u16| {
+                field_of(&lattice, seen, &sampling, by(plateau), cells)
+            };
             // The greatest plateau by which all of it is inside: a little less fluid is not.
             let inside = |plateau: u16| of(all, plateau).samples().iter().all(|&x| x == u16::MAX);
             let (mut is, mut is_not) = (1_u16, u16::MAX);
@@ -479,12 +537,16 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
                 let middle = is + (is_not - is) / 2;
                 *(if inside(middle) { &mut is } else { &mut is_not }) = middle;
             }
-            // Where nothing is inside it is the filters that see so far: so shallow that the fine surface counts, too.
+            // Where nothing is inside it is the filters that see so far: so shallow that the fine
+            // surface counts, too.
             let plateau = if smooth > 2.0 { is / 2 * 3 } else { is };
             let whole = of(all, plateau);
             assert!(of(seen, plateau) == whole, "{spacing} {smooth}");
             for less in &narrower(seen)[sides] {
-                assert!(of(*less, plateau) != whole, "{spacing} {smooth}: {less:?} of {seen:?} is enough");
+                assert!(
+                    of(*less, plateau) != whole,
+                    "{spacing} {smooth}: {less:?} of {seen:?} is enough"
+                );
             }
         }
     }
@@ -515,7 +577,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
         let all = CellBox { lo: IVec3::splat(-1000), hi: IVec3::splat(1000) };
         for (side, less) in narrower(seen).into_iter().enumerate() {
             let (axis, up) = (side % 3, if side < 3 { -1 } else { 1 });
-            // A cell that is seen farthest, one from which its details are recovered in the outermost of those that are needed.
+            // A cell that is seen farthest, one from which its details are recovered in the
+            // outermost of those that are needed.
             let at = |place: i32| {
                 let mut cell = IVec3::splat(16);
                 cell[axis] = place;
@@ -523,7 +586,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
             };
             let edge = if up < 0 { cells.lo[axis] } else { cells.hi[axis] - 1 };
             let last = if up < 0 { seen.lo[axis] } else { seen.hi[axis] - 1 };
-            let frame = Frame::sample(&[middle(at(edge))][..], &sampling, &mut Timings::default()).unwrap();
+            let frame =
+                Frame::sample(&[middle(at(edge))][..], &sampling, &mut Timings::default()).unwrap();
             let Filters::Paper(filters) = by(1)(&frame).filters else { unreachable!() };
             let halo = filters.recovery.as_ref().map_or(0, Filter::halo);
             let between = at(edge + up * halo);
@@ -532,12 +596,14 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
             let mut threshold = 1000;
             if detail == Detail::Recovered {
                 particles.push(middle(between));
-                // What smoothing leaves of that cell alone is just lost, and with the other near it is not.
-                let alone = Frame::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
+                // What smoothing leaves of that cell alone is just lost, and with the other near it
+                // is not.
+                let alone =
+                    Frame::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
                 let none = Surfacing { detail: Detail::Smoothed, ..plain };
                 let smoothed = none.recipe(dif(&alone), &calibration(1));
-                threshold =
-                    field(&smoothed, dif(&alone), CellBox { lo: between, hi: between + 1 }).at(between);
+                threshold = field(&smoothed, dif(&alone), CellBox { lo: between, hi: between + 1 })
+                    .at(between);
             }
             let whole = field_of(&particles, all, &sampling, by(threshold), cells);
             // So that there is a frame at all.
@@ -560,7 +626,8 @@ fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted()
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };
-        let [bare, carrying] = [&sampling, &with].map(|s| s.sight(kind, &surfacing()).cells(IVec3::ZERO));
+        let [bare, carrying] =
+            [&sampling, &with].map(|s| s.sight(kind, &surfacing()).cells(IVec3::ZERO));
         let halo = surfacing().attribute_smoothing(kind, sampling.spacing, &sampling.grid).halo();
         let attributes = CellBox { lo: IVec3::splat(-halo), hi: IVec3::splat(BLOCK + 1 + halo) };
         assert_eq!(carrying, bare.union(&attributes));
@@ -571,16 +638,21 @@ fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted()
 fn a_part_counts_what_is_wanted_and_no_more() {
     let particles = splashes(7);
     let grid = Grid::new(DVec3::ZERO, 0.25).unwrap();
-    let sampling = Sampling { grid, method: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
+    let sampling =
+        Sampling { grid, method: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
     let surfacing = surfacing();
     let whole = Counted::for_surface(&particles[..], &sampling, &surfacing, None).unwrap();
     let all: Vec<_> = whole.bins().collect();
     let middle = all[all.len() / 2].0;
     let first = MortonKey::of(middle.coord().div_euclid(IVec3::splat(2)));
-    for stretch in [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first, ..Stretch::ALL }] {
-        let wanted = WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing) };
+    for stretch in
+        [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first, ..Stretch::ALL }]
+    {
+        let wanted =
+            WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing) };
         let part = Counted::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
-        let expected: Vec<_> = all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();
+        let expected: Vec<_> =
+            all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();
         assert!(!expected.is_empty() && expected.len() < all.len());
         assert_eq!(part.bins().collect::<Vec<_>>(), expected);
     }

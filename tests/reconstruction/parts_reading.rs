@@ -1,4 +1,5 @@
-//! Parts of a mesh read what touches their stretch of the curve, and see where any of that is not as it was planned.
+//! Parts of a mesh read what touches their stretch of the curve, and see where any of that is not
+//! as it was planned.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -12,8 +13,9 @@ use crate::common::files::raw;
 use crate::common::scene::Random;
 use crate::common::shuffle;
 
-/// A long pool along x, in the order of a simulation that goes through its cells: x by x. Blocks at its
-/// sides, where hardly a surface passes, come first along the curve, and are the first part's; the last is at its end.
+/// A long pool along x, in the order of a simulation that goes through its cells: x by x. Blocks at
+/// its sides, where hardly a surface passes, come first along the curve, and are the first part's;
+/// the last is at its end.
 fn pool() -> Vec<[f64; 3]> {
     let mut random = Random::new(3);
     let at = |i: usize| [i / 100, i / 10 % 10, i % 10].map(|c| 1.75 + 0.5 * c as f64);
@@ -41,7 +43,8 @@ fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Writes particles as a .pvtp of so many pieces, in which the first particles of the next one are ghosts.
+/// Writes particles as a .pvtp of so many pieces, in which the first particles of the next one are
+/// ghosts.
 fn in_pieces(folder: &Path, particles: &[[f64; 3]], pieces: usize) -> PathBuf {
     let path = folder.join("pool.pvtp");
     let mut list = String::from("<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData>\n");
@@ -99,12 +102,16 @@ fn a_part_reads_the_chunks_of_a_file_that_touch_it_and_no_others() {
     let planned = parts.plan().unwrap();
     let whole: Vec<_> = (0..8).map(|part| made(&parts, part)).collect();
     for (part, (_, read)) in planned.parts.iter().zip(&whole) {
-        assert!(*read as u64 >= part.kept && *read <= part.kept as usize + 2 * 4096, "{read} for {part:?}");
+        assert!(
+            *read as u64 >= part.kept && *read <= part.kept as usize + 2 * 4096,
+            "{read} for {part:?}"
+        );
     }
     let least = whole.iter().map(|(_, read)| read).min().unwrap();
     assert!(4 * least < particles.len(), "{least} of {}", particles.len());
 
-    // All that a part has to know is near it: what is at the other end may be anything, and not even a number.
+    // All that a part has to know is near it: what is at the other end may be anything, and not
+    // even a number.
     change_unseen(&input, |bytes| bytes[..12 * 8192].fill(0xff));
     assert_eq!(made(&parts, 7), whole[7]);
     // A part that has to know particles of those is none.
@@ -139,7 +146,8 @@ fn a_part_opens_the_pieces_that_touch_it_and_no_others() {
 fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_divided() {
     let folder = TempDir::new().unwrap();
     let mut particles = pool();
-    let single = asked().run(&particles[..].iter().map(|p| p.map(|x| x as f32)).collect::<Vec<_>>());
+    let single =
+        asked().run(&particles[..].iter().map(|p| p.map(|x| x as f32)).collect::<Vec<_>>());
     let expected = single.unwrap().to_mesh().unwrap();
     let file = |name: &str, particles: &[[f64; 3]]| {
         let path = folder.path().join(name);
@@ -157,11 +165,16 @@ fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_d
         assert!(parts.merge().unwrap().to_mesh().unwrap() == expected, "{}", input.display());
         let times = read as f64 / particles.len() as f64;
         let is_shuffled = input.ends_with("shuffled.xyz");
-        assert!(if is_shuffled { times == 6.0 } else { times < 3.5 }, "{}: {times}", input.display());
+        assert!(
+            if is_shuffled { times == 6.0 } else { times < 3.5 },
+            "{}: {times}",
+            input.display()
+        );
     }
 }
 
-/// Water in a periodic box along x and z, which is as long as some number of cells and a bit, up to a calm level: x by x.
+/// Water in a periodic box along x and z, which is as long as some number of cells and a bit, up to
+/// a calm level: x by x.
 fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
     let (edge, mut random) = ([200.2, 0.0, 13.7], Random::new(5));
     let particle = |i: usize| {
@@ -199,7 +212,8 @@ fn the_parts_of_a_periodic_box_make_the_mesh_of_a_single_run() {
         assert_eq!(merged.report().facts.census.binned, particles.len());
         assert!(merged.to_mesh().unwrap() == expected, "{ordered} {periodic_mesh:?}");
         for (part, &read) in planned.parts.iter().zip(&read) {
-            let enough = if ordered { part.kept as usize + particles.len() / 4 } else { particles.len() };
+            let enough =
+                if ordered { part.kept as usize + particles.len() / 4 } else { particles.len() };
             assert!(read <= enough && (ordered || read == enough), "{read} for {part:?}");
         }
         let least = read.iter().min().unwrap();

@@ -1,4 +1,5 @@
-//! Periodic boxes, as a caller and the program have them: what is drawn, what is counted, what is kept and what is refused.
+//! Periodic boxes, as a caller and the program have them: what is drawn, what is counted, what is
+//! kept and what is refused.
 
 use std::fs;
 
@@ -26,11 +27,14 @@ use crate::common::program::{command, run};
 use crate::common::scene::Random;
 use crate::common::{fill, sampling, shuffle, surfacing};
 
-const METHODS: [KernelMethod; 3] =
-    [KernelMethod::Mueller { iso: 0.5 }, KernelMethod::ZhuBridson, KernelMethod::YuTurk { iso: 0.4 }];
+const METHODS: [KernelMethod; 3] = [
+    KernelMethod::Mueller { iso: 0.5 },
+    KernelMethod::ZhuBridson,
+    KernelMethod::YuTurk { iso: 0.4 },
+];
 
-/// Particles that have a direction each: those of `first` for as many of them, again and again.
-/// All directions have a 1, so that what they are rounded to is the same whichever are seen together.
+/// Particles that have a direction each: those of `first` for as many of them, again and again. All
+/// directions have a 1, so that what they are rounded to is the same whichever are seen together.
 fn turned(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))
@@ -44,12 +48,17 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
 /// In cells of an edge, with particles 1 apart.
 fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
     let (method, grid) = (method.into(), Grid::new(DVec3::ZERO, cell).unwrap());
-    let periodic = Periodic::new(&grid, faces, surfacing().reach(method, Some(1.0), &grid)).unwrap();
+    let periodic =
+        Periodic::new(&grid, faces, surfacing().reach(method, Some(1.0), &grid)).unwrap();
     let periodic = Some(periodic);
     Sampling { method, grid, periodic, spacing: Some(1.0), side: method.brick_side(), ..sampling() }
 }
 
-fn drawn(particles: &(impl Particles + ?Sized), sampling: &Sampling, surfacing: &Surfacing) -> (Frame, Mesh) {
+fn drawn(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    surfacing: &Surfacing,
+) -> (Frame, Mesh) {
     let timings = &mut Timings::default();
     let frame = Frame::sample(particles, sampling, timings).unwrap();
     let mesh = frame.surface(surfacing, timings).unwrap().to_mesh().unwrap();
@@ -70,7 +79,8 @@ fn kernel_methods_have_the_mesh_of_the_fluid_repeated_too() {
             assert_watertight(&found, &format!("{method:?}, {periodic_mesh:?}"));
             let (_, expected) = drawn(&repeated(&particles, faces)[..], &alone, &surfacing);
             let margin = if periodic_mesh == PeriodicMesh::Cut { 1.51 } else { 0.0 };
-            let [found, expected] = [found, expected].map(|mesh| triangles_within(&mesh, faces, margin));
+            let [found, expected] =
+                [found, expected].map(|mesh| triangles_within(&mesh, faces, margin));
             assert!(found.len() > 1000 && found == expected, "{method:?}, {periodic_mesh:?}");
         }
     }
@@ -88,15 +98,24 @@ fn attributes_come_from_beyond_the_faces_as_well() {
     let alone = Sampling { periodic: None, ..sampling };
     let around = turned(&repeated(&fluid, faces), &fluid);
     let (frame, calibrated) = (Frame::sample(&around, &alone, &mut Timings::default()).unwrap(), {
-        let frame =
-            Frame::sample(&particles, &in_box(IndicatorKind::Cloud, 0.5, faces), &mut Timings::default());
+        let frame = Frame::sample(
+            &particles,
+            &in_box(IndicatorKind::Cloud, 0.5, faces),
+            &mut Timings::default(),
+        );
         surfacing.calibrate(frame.unwrap().dif().unwrap()).unwrap().calibration
     });
     let timings = &mut Timings::default();
-    let expected = frame.calibrate(&surfacing, Some(&calibrated), timings).unwrap().surface(timings).unwrap();
+    let expected =
+        frame.calibrate(&surfacing, Some(&calibrated), timings).unwrap().surface(timings).unwrap();
     let [found, expected] =
         [found, expected.to_mesh().unwrap()].map(|mesh| triangles_within(&mesh, faces, 0.0));
-    assert!(found.len() > 5000 && found == expected, "{} and {} triangles", found.len(), expected.len());
+    assert!(
+        found.len() > 5000 && found == expected,
+        "{} and {} triangles",
+        found.len(),
+        expected.len()
+    );
 }
 
 #[test]
@@ -119,7 +138,10 @@ fn neither_order_nor_threads_nor_memory_change_a_byte() {
             let sampling = Sampling { resources, ..sampling.clone() };
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                let plan = Counted::of(&shuffled, &sampling).unwrap().estimate().plan(MemoryBudget(budget));
+                let plan = Counted::of(&shuffled, &sampling)
+                    .unwrap()
+                    .estimate()
+                    .plan(MemoryBudget(budget));
                 assert_eq!(matches!(plan, Plan::OutOfCore(_)), budget < 1 << 30, "{budget} bytes");
                 let (_, mesh) = drawn(&shuffled, &sampling, &surfacing);
                 assert!(mesh == expected, "{kind:?}, {budget} bytes, {threads} threads");
@@ -149,7 +171,8 @@ fn a_slab_through_the_faces_is_as_high_there_as_anywhere() {
     let usual = || Reconstruction::new().spacing(1.0).cell(0.47);
     let periodic = usual().periodic([Some([0.0, edge]), None, Some([0.0, edge])]);
     for ends in [PeriodicMesh::Cut, PeriodicMesh::Overlap] {
-        let mesh = periodic.clone().periodic_mesh(ends).run(&particles[..]).unwrap().to_mesh().unwrap();
+        let mesh =
+            periodic.clone().periodic_mesh(ends).run(&particles[..]).unwrap().to_mesh().unwrap();
         let (near, far) = (level(&mesh, edge, 0.5..1.5), level(&mesh, edge, 6.0..20.0));
         assert!((near - far).abs() < 0.02, "{ends:?}: {near} at the faces, {far} elsewhere");
     }
@@ -200,7 +223,10 @@ fn images_are_counted_nowhere() {
         let usual = Surfacing { periodic_mesh, ..surfacing() };
         let surface = frame.surface(&usual, timings).unwrap();
         let lost = frame.lost(&surface).unwrap();
-        assert!((25..=45).contains(&lost), "{periodic_mesh:?}: {lost} of 30 and what spray there is");
+        assert!(
+            (25..=45).contains(&lost),
+            "{periodic_mesh:?}: {lost} of 30 and what spray there is"
+        );
         assert_eq!(frame.shortfall(&surface).unwrap(), None, "{periodic_mesh:?}");
         // Next to nothing is above this.
         let high = Surfacing { iso: Some(Isovalue::new(0.95).unwrap()), ..usual };
@@ -259,7 +285,11 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
         (&["--periodic", BOX, "--domain", "0,0,0,24,20,24"], 2, "x is periodic"),
         (&["--periodic", "0,-,0,1e9,-,24"], 2, "from the origin"),
         (&["--periodic", BOX, "--cell", "1e-12"], 2, "less than 0.1 spacings"),
-        (&["--periodic", BOX, "--cell", "1e-12", "--method", "mueller"], 2, "cells a spacing are more than"),
+        (
+            &["--periodic", BOX, "--cell", "1e-12", "--method", "mueller"],
+            2,
+            "cells a spacing are more than",
+        ),
         (&["--periodic-mesh", "overlap"], 2, "without a periodic box"),
         (&["--periodic", "0,-,0,23,-,24"], 3, "is outside of the periodic box along x"),
         (&["--periodic", BOX, "--domain", "-,0,-,-,inf,-"], 2, "corners must be finite"),
@@ -269,15 +299,19 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
         assert!(errors.contains(says), "{options:?} does not say {says:?}: {errors}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), before, "{options:?}");
     }
-    let astray = ["reconstruct", "astray.xyz", "--spacing", "1", "--periodic", BOX, "-o", "mesh.ply"];
+    let astray =
+        ["reconstruct", "astray.xyz", "--spacing", "1", "--periodic", BOX, "-o", "mesh.ply"];
     let errors = run(folder.path(), &astray, 3);
-    let named =
-        format!("particle {} at (24.5, 3, 3) is outside of the periodic box along x", particles.len() - 1);
+    let named = format!(
+        "particle {} at (24.5, 3, 3) is outside of the periodic box along x",
+        particles.len() - 1
+    );
     assert!(errors.contains(&named), "{errors}");
     let errors = run(folder.path(), &with(&astray, &["--skip-invalid"]), 0);
     assert!(errors.contains("1 particles not counted"), "{errors}");
     run(folder.path(), &with(&POOL, &["--periodic", BOX, "-o", "whole.ply"]), 0);
-    let [mesh, whole] = ["mesh.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
+    let [mesh, whole] =
+        ["mesh.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(mesh == whole, "a particle that is skipped leaves nothing");
 }
 
@@ -294,7 +328,8 @@ fn a_particle_on_an_upper_face_is_on_the_lower_one_whatever_its_coordinate_is_ro
         let faces = ["--spacing", "1", "--periodic", "0,-,0,24.1,-,24.1"];
         run(folder.path(), &with(&["reconstruct", &input, "-o", &output], &faces), 0);
     }
-    let [low, high] = ["low.ply", "high.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
+    let [low, high] =
+        ["low.ply", "high.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(low == high);
 }
 
@@ -314,8 +349,18 @@ fn a_domain_stands_along_the_open_axes_of_a_periodic_box() {
 #[test]
 fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
     let (folder, _) = pool();
-    let pack =
-        ["pack", "pool.xyz", "-o", "pool.mnf", "--spacing", "1", "--periodic", BOX, "--backend", "cpu"];
+    let pack = [
+        "pack",
+        "pool.xyz",
+        "-o",
+        "pool.mnf",
+        "--spacing",
+        "1",
+        "--periodic",
+        BOX,
+        "--backend",
+        "cpu",
+    ];
     run(folder.path(), &pack, 0);
     for ends in ["cut", "overlap"] {
         let mesh = ["--periodic-mesh", ends, "-o"];
@@ -326,12 +371,15 @@ fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
             &with(&["reconstruct", "pool.mnf", "--backend", "cpu"], &with(&mesh, &[&packed])),
             0,
         );
-        let [direct, packed] = [direct, packed].map(|name| fs::read(folder.path().join(name)).unwrap());
+        let [direct, packed] =
+            [direct, packed].map(|name| fs::read(folder.path().join(name)).unwrap());
         assert!(direct == packed, "{ends}");
     }
-    let errors = run(folder.path(), &["reconstruct", "pool.mnf", "--smooth", "2.5", "-o", "calm.ply"], 2);
+    let errors =
+        run(folder.path(), &["reconstruct", "pool.mnf", "--smooth", "2.5", "-o", "calm.ply"], 2);
     assert!(errors.contains("images up to"), "{errors}");
-    let errors = run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
+    let errors =
+        run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
     assert!(errors.contains("--periodic needs the particles themselves"), "{errors}");
     let said = command(folder.path(), &["info", "pool.mnf"]).output().unwrap().stdout;
     assert!(String::from_utf8(said).unwrap().contains("x 0 to 24, z 0 to 24"));
@@ -353,9 +401,11 @@ fn a_sequence_keeps_its_box_and_goes_on_with_no_other() {
         let [lo, hi] = measure(&mesh).bounds.unwrap();
         assert_eq!((lo[0], hi[0], lo[2], hi[2]), (0.0, 24.0, 0.0, 24.0));
     }
-    for other in
-        [&["--periodic", "0,-,-,24,-,-"][..], &[], &["--periodic", BOX, "--periodic-mesh", "overlap"]]
-    {
+    for other in [
+        &["--periodic", "0,-,-,24,-,-"][..],
+        &[],
+        &["--periodic", BOX, "--periodic-mesh", "overlap"],
+    ] {
         let errors = run(folder.path(), &with(&frames, &with(other, &["--frames", "3..3"])), 2);
         assert!(errors.contains("periodic"), "{other:?}: {errors}");
     }
@@ -365,7 +415,8 @@ fn a_sequence_keeps_its_box_and_goes_on_with_no_other() {
 #[test]
 fn the_library_and_the_program_write_the_same_bytes_of_a_periodic_box() {
     let (folder, particles) = pool();
-    let periodic = Reconstruction::new().spacing(1.0).periodic([Some([0.0, 24.0]), None, Some([0.0, 24.0])]);
+    let periodic =
+        Reconstruction::new().spacing(1.0).periodic([Some([0.0, 24.0]), None, Some([0.0, 24.0])]);
     for (ends, asked) in [("cut", PeriodicMesh::Cut), ("overlap", PeriodicMesh::Overlap)] {
         let output = format!("{ends}.ply");
         let options = ["--periodic", BOX, "--periodic-mesh", ends, "-o", &output];
@@ -377,6 +428,8 @@ fn the_library_and_the_program_write_the_same_bytes_of_a_periodic_box() {
         let surface = request.run(&single[..]).unwrap();
         assert!(bytes_of(&of_file) == bytes_of(&surface), "{ends}");
         let warnings = &surface.report().warnings;
-        assert!(!warnings.iter().any(|w| matches!(w, Warning::Shortfall { .. } | Warning::Lost { .. })));
+        assert!(
+            !warnings.iter().any(|w| matches!(w, Warning::Shortfall { .. } | Warning::Lost { .. }))
+        );
     }
 }

@@ -1,5 +1,6 @@
-//! Random particles, options and walls: what comes of them is closed, oriented and manifold, lies where it may, and is the same by whatever
-//! threads, order, memory, bricks, device and packing; or it is refused, the same way each time.
+//! Random particles, options and walls: what comes of them is closed, oriented and manifold, lies
+//! where it may, and is the same by whatever threads, order, memory, bricks, device and packing; or
+//! it is refused, the same way each time.
 //!
 //! `MENISCUS_FRAMES=100000` tries so many, and `MENISCUS_FRAME=77` one of them again.
 
@@ -14,7 +15,8 @@ use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::system::timings::Timings;
 use meniscus::mesh::Mesh;
 use meniscus::{
-    Cause, Error, IndicatorKind, KernelMethod, MemoryBudget, Particles, PeriodicMesh, Reconstruction, Surface,
+    Cause, Error, IndicatorKind, KernelMethod, MemoryBudget, Particles, PeriodicMesh,
+    Reconstruction, Surface,
 };
 
 use crate::common::scene::Random;
@@ -106,14 +108,18 @@ fn anywhere(random: &mut Random, half: f64) -> DVec3 {
 
 /// Particles at spacing 1 around the origin.
 fn some_particles(random: &mut Random) -> Vec<DVec3> {
-    let lattice =
-        |random: &mut Random, half: i32, jitter: f64, inside: &dyn Fn(DVec3) -> bool| -> Vec<DVec3> {
-            let steps = || -half..=half;
-            let cells = steps().flat_map(|x| {
-                steps().flat_map(move |y| steps().map(move |z| DVec3::new(x.into(), y.into(), z.into())))
-            });
-            cells.filter(|&p| inside(p)).map(|p| p + anywhere(random, jitter)).collect()
-        };
+    let lattice = |random: &mut Random,
+                   half: i32,
+                   jitter: f64,
+                   inside: &dyn Fn(DVec3) -> bool|
+     -> Vec<DVec3> {
+        let steps = || -half..=half;
+        let cells = steps().flat_map(|x| {
+            steps()
+                .flat_map(move |y| steps().map(move |z| DVec3::new(x.into(), y.into(), z.into())))
+        });
+        cells.filter(|&p| inside(p)).map(|p| p + anywhere(random, jitter)).collect()
+    };
     let jitter = pick(random, &[0.0, 0.0, 0.1, 0.3, 0.5]);
     match random.bits() % 9 {
         0 => (0..1 + random.bits() % 60).map(|_| anywhere(random, 6.0)).collect(),
@@ -133,7 +139,9 @@ fn some_particles(random: &mut Random) -> Vec<DVec3> {
             .map(|i| DVec3::new(i as f64 * 1.3 - 20.0, (i as f64).sin(), 0.0))
             .collect(),
         // On faces and corners of cells and walls.
-        7 => (0..1 + random.bits() % 200).map(|_| (anywhere(random, 5.0) * 2.0).round() / 2.0).collect(),
+        7 => (0..1 + random.bits() % 200)
+            .map(|_| (anywhere(random, 5.0) * 2.0).round() / 2.0)
+            .collect(),
         _ => {
             let hole = anywhere(random, 2.0);
             lattice(random, 4, jitter, &|p| p.distance(hole) > 2.3)
@@ -147,7 +155,8 @@ impl Frame {
         let random = &mut random;
         let spacing = pick(random, &[1.0, 1.0, 1.0, 0.05, 1e-4, 37.5, 1e6]);
         let centre =
-            pick(random, &[DVec3::ZERO, DVec3::splat(0.37), DVec3::new(-900.0, 3.0, 12_345.0)]) * spacing;
+            pick(random, &[DVec3::ZERO, DVec3::splat(0.37), DVec3::new(-900.0, 3.0, 12_345.0)])
+                * spacing;
         let mut positions: Vec<[f64; 3]> =
             some_particles(random).iter().map(|&p| (p * spacing + centre).to_array()).collect();
         if one_in(random, 20) {
@@ -155,10 +164,15 @@ impl Frame {
             positions[at][1] = pick(random, &[f64::NAN, f64::INFINITY, 1e300, f64::MIN_POSITIVE]);
         }
         let walls = one_in(random, 3).then(|| {
-            let mut half = || DVec3::from_array(std::array::from_fn(|_| between(random, 0.5, 6.0))) * spacing;
+            let mut half =
+                || DVec3::from_array(std::array::from_fn(|_| between(random, 0.5, 6.0))) * spacing;
             let [lo, hi] = [half(), half()];
             // Some in no order, which are no walls.
-            if seed.is_multiple_of(50) { [centre + hi, centre - lo] } else { [centre - lo, centre + hi] }
+            if seed.is_multiple_of(50) {
+                [centre + hi, centre - lo]
+            } else {
+                [centre - lo, centre + hi]
+            }
         });
         let mut faces = [None; 3];
         if one_in(random, if walls.is_some() { 30 } else { 6 }) {
@@ -170,7 +184,16 @@ impl Frame {
         let kernels = one_in(random, 10);
         let (cloud, counting) = (IndicatorKind::Cloud, IndicatorKind::Counting);
         let indicator = pick(random, &[cloud, cloud, counting, IndicatorKind::Symmetry]);
-        Self { seed, spacing, centre, water: Water::new(positions), walls, faces, kernels, indicator }
+        Self {
+            seed,
+            spacing,
+            centre,
+            water: Water::new(positions),
+            walls,
+            faces,
+            kernels,
+            indicator,
+        }
     }
 
     /// How the particles are sampled.
@@ -189,7 +212,8 @@ impl Frame {
             _ => request,
         };
         if one_in(random, 6) {
-            request = request.origin((anywhere(random, 0.5) * self.spacing + self.centre).to_array());
+            request =
+                request.origin((anywhere(random, 0.5) * self.spacing + self.centre).to_array());
         }
         if let Some([lo, hi]) = self.walls {
             request = request.domain(lo.to_array(), hi.to_array());
@@ -204,7 +228,11 @@ impl Frame {
             let iso = between(random, 0.2, 0.8);
             return request.method(pick(
                 random,
-                &[KernelMethod::Mueller { iso }, KernelMethod::ZhuBridson, KernelMethod::YuTurk { iso }],
+                &[
+                    KernelMethod::Mueller { iso },
+                    KernelMethod::ZhuBridson,
+                    KernelMethod::YuTurk { iso },
+                ],
             ));
         }
         request = request.indicator(self.indicator);
@@ -265,20 +293,20 @@ impl Frame {
             wrong = wrong.or(Some(format!("it encloses {volume}")));
         }
         let unit = |n: &[f32; 3]| (DVec3::from(n.map(f64::from)).length() - 1.0).abs() < 1e-3;
-        if mesh
-            .normals
-            .as_ref()
-            .is_some_and(|normals| normals.len() != mesh.positions.len() || !normals.iter().all(unit))
-        {
+        if mesh.normals.as_ref().is_some_and(|normals| {
+            normals.len() != mesh.positions.len() || !normals.iter().all(unit)
+        }) {
             wrong = wrong.or(Some("its normals are none".into()));
         }
         for attribute in &mesh.attributes {
-            let (least, most) = if attribute.name == "velocity" { (-4.0, 8.0) } else { (-4.0, 6.0) };
+            let (least, most) =
+                if attribute.name == "velocity" { (-4.0, 8.0) } else { (-4.0, 6.0) };
             let fits = |&x: &f32| x.is_nan() || (least - 0.01..=most + 0.01).contains(&x);
             if attribute.values.len() != attribute.components * mesh.positions.len()
                 || !attribute.values.iter().all(fits)
             {
-                wrong = wrong.or(Some(format!("{} is beyond that of any particle", attribute.name)));
+                wrong =
+                    wrong.or(Some(format!("{} is beyond that of any particle", attribute.name)));
             }
         }
         let cell = facts.grid.cell_size();
@@ -294,12 +322,13 @@ impl Frame {
             wrong = wrong.or_else(|| within(walls, "the walls"));
         }
         let finite = self.water.positions.iter().map(|&p| DVec3::from(p)).filter(|p| p.is_finite());
-        let bounds =
-            finite.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[lo, hi], p| [lo.min(p), hi.max(p)]);
+        let bounds = finite
+            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[lo, hi], p| [lo.min(p), hi.max(p)]);
         let reach = 12.0 * facts.spacing.unwrap_or(self.spacing) + 40.0 * cell;
         if self.faces.iter().all(Option::is_none) {
-            wrong =
-                wrong.or_else(|| within([bounds[0] - reach, bounds[1] + reach], "what its particles reach"));
+            wrong = wrong.or_else(|| {
+                within([bounds[0] - reach, bounds[1] + reach], "what its particles reach")
+            });
         }
         wrong
     }
@@ -344,7 +373,11 @@ fn try_frame(seed: u64) -> bool {
     let surface = request.run(&frame.water);
     if let Err(error) = &surface {
         let told = error.to_string();
-        assert!(matches!(error.cause(), Cause::Request | Cause::Input), "{told}: {:?}", error.cause());
+        assert!(
+            matches!(error.cause(), Cause::Request | Cause::Input),
+            "{told}: {:?}",
+            error.cause()
+        );
         assert!(!told.is_empty() && !told.contains('\n'), "{told:?}");
     }
     let mesh = surface.as_ref().ok().map(|surface| surface.to_mesh().unwrap());
@@ -362,7 +395,11 @@ fn try_frame(seed: u64) -> bool {
     let found = outcome(request.clone().threads(threads).run(&other));
     // Which of several particles is told of first depends on their order.
     if expected.is_ok() || found.is_ok() {
-        assert_same(&found, &expected, &format!("frame {seed}, {threads} threads and another order"));
+        assert_same(
+            &found,
+            &expected,
+            &format!("frame {seed}, {threads} threads and another order"),
+        );
     }
     if expected.is_ok() && one_in(random, 4) {
         let budget = MemoryBudget(pick(random, &[16, 24, 48]) << 20);
@@ -405,7 +442,9 @@ fn packed(frame: &Frame) -> Result<Mesh, String> {
 fn in_bricks(frame: &Frame) {
     let Ok(surface) = frame.sampling().run(&frame.water) else { return };
     let facts = surface.report().facts;
-    if facts.periodic.is_some() || facts.census.not_finite + facts.census.too_far + facts.census.outside > 0 {
+    if facts.periodic.is_some()
+        || facts.census.not_finite + facts.census.too_far + facts.census.outside > 0
+    {
         return;
     }
     let sampling = |side| Sampling {
@@ -419,7 +458,9 @@ fn in_bricks(frame: &Frame) {
     let mesh = |side| {
         let timings = &mut Timings::default();
         let sampled = Sampled::sample(&frame.water, &sampling(side), timings)?;
-        Ok::<_, FrameError>(sampled.surface(&crate::common::surfacing(), timings)?.to_mesh().unwrap())
+        Ok::<_, FrameError>(
+            sampled.surface(&crate::common::surfacing(), timings)?.to_mesh().unwrap(),
+        )
     };
     let meshes = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
     let [four, eight, sixteen] = meshes.map(|side| mesh(side).map_err(|fault| fault.to_string()));
@@ -429,7 +470,8 @@ fn in_bricks(frame: &Frame) {
 
 #[test]
 fn random_frames_are_watertight_or_refused_and_the_same_however_they_are_made() {
-    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
+    let number =
+        |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
     if let Some(seed) = number("MENISCUS_FRAME") {
         try_frame(seed);
         return;
@@ -465,7 +507,9 @@ fn the_definition_of_watertight_tells_meshes_that_are_not() {
         change(&mut mesh);
         watertight::defect(&mesh).expect("a defect")
     };
-    assert!(told(|mesh| mesh.triangles.truncate(mesh.triangles.len() - 1)).contains("one side only"));
+    assert!(
+        told(|mesh| mesh.triangles.truncate(mesh.triangles.len() - 1)).contains("one side only")
+    );
     assert!(told(|mesh| mesh.triangles[0].swap(0, 1)).contains("two triangles go along"));
     assert!(told(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
     assert!(told(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));

@@ -1,5 +1,6 @@
-//! Spacings, wherever they come from: estimated, given, in a file, a scene, a state or a packed frame, each doubted where the
-//! particles say otherwise; particles in a plane, in one place, and far from the origin.
+//! Spacings, wherever they come from: estimated, given, in a file, a scene, a state or a packed
+//! frame, each doubted where the particles say otherwise; particles in a plane, in one place, and
+//! far from the origin.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -10,7 +11,8 @@ use meniscus::error::{Error, Untold};
 use meniscus::internals::io::output::read_mesh;
 use meniscus::mesh::{check, measure};
 use meniscus::{
-    Cells, Doubt, Event, LiveSimulation, Mistake, Reconstruction, Simulation, SpacingSource, Summary, Surface,
+    Cells, Doubt, Event, LiveSimulation, Mistake, Reconstruction, Simulation, SpacingSource,
+    Summary, Surface,
 };
 use meniscus::{Slab, Warning};
 use tempfile::TempDir;
@@ -80,10 +82,12 @@ fn a_given_spacing_is_doubted_from_a_fifth_off_on_and_the_mistake_is_named() {
         (10.0, Some(Mistake::Unit(10.0))),
     ] {
         let surface = Reconstruction::new().spacing(wrong * SPACING).run(&ball).unwrap();
-        let (found, named) = contradiction(&cells(&surface).doubts).unwrap_or_else(|| panic!("{wrong}"));
+        let (found, named) =
+            contradiction(&cells(&surface).doubts).unwrap_or_else(|| panic!("{wrong}"));
         assert!((found / SPACING - 1.0).abs() < 0.05, "{wrong}: {found}");
         assert_eq!(named, mistake, "{wrong}");
-        let warned = |warning: &Warning| matches!(warning, Warning::Spacing(Doubt::Contradicted { .. }));
+        let warned =
+            |warning: &Warning| matches!(warning, Warning::Spacing(Doubt::Contradicted { .. }));
         assert_eq!(surface.report().warnings.iter().filter(|warning| warned(warning)).count(), 1);
     }
 }
@@ -93,8 +97,11 @@ fn many_particles_bear_out_a_spacing_while_they_are_counted() {
     // More than are held in memory to tell it.
     let pool = fill(45.0, 1.0, 0.25, 7, |_| true);
     assert!(pool.len() > 600_000);
-    for (given, doubted) in [(0.5, true), (0.7, true), (0.9, false), (1.2, false), (1.5, true), (4.0, true)] {
-        let request = Reconstruction::new().spacing(given).cell(if given < 1.0 { 1.0 } else { 0.5 });
+    for (given, doubted) in
+        [(0.5, true), (0.7, true), (0.9, false), (1.2, false), (1.5, true), (4.0, true)]
+    {
+        let request =
+            Reconstruction::new().spacing(given).cell(if given < 1.0 { 1.0 } else { 0.5 });
         let frame = request.sample(&pool).unwrap();
         let found = frame.warnings().into_iter().find_map(|warning| match warning {
             Warning::Spacing(Doubt::Contradicted { found, .. }) => Some(found),
@@ -121,7 +128,8 @@ fn the_program_names_both_figures_and_the_option_to_use() {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("f_1.xyz"), raw(&ball())).unwrap();
     for given in [["--spacing", "0.025"], ["--radius", "0.0125"]] {
-        let arguments = ["reconstruct", "f_1.xyz", "-o", "m.ply", "--overwrite", given[0], given[1]];
+        let arguments =
+            ["reconstruct", "f_1.xyz", "-o", "m.ply", "--overwrite", given[0], given[1]];
         let said = run(folder.path(), &arguments, 0);
         assert!(said.contains("spacing 0.025") && said.contains("about 0.050"), "{said}");
         assert!(said.contains("--radius 0.025 or --spacing 0.050"), "{said}");
@@ -143,7 +151,9 @@ fn the_spacing_of_a_packed_frame_is_doubted_when_it_is_packed_and_when_it_is_dra
         for arguments in [&pack[..], &draw[..]] {
             let said = run(folder.path(), arguments, 0);
             match how {
-                Some(how) => assert!(said.contains(&format!("looks too {how}")), "{spacing}: {said}"),
+                Some(how) => {
+                    assert!(said.contains(&format!("looks too {how}")), "{spacing}: {said}")
+                }
                 None => assert!(!said.contains("looks too"), "{said}"),
             }
         }
@@ -172,8 +182,9 @@ fn a_simulation_doubts_a_given_spacing_once_and_one_of_its_state_when_it_goes_on
     };
     (1..4).for_each(|number| frame(number, 1.0));
     let [inputs, outputs] = ["f_{}.xyz", "m_{}.ply"].map(|name| folder.path().join(name));
-    let by =
-        |spacing| Simulation::new(&inputs, &outputs).reconstruction(Reconstruction::new().spacing(spacing));
+    let by = |spacing| {
+        Simulation::new(&inputs, &outputs).reconstruction(Reconstruction::new().spacing(spacing))
+    };
     let doubts = doubts_of(&by(0.5 * SPACING).overwrite());
     assert_eq!(doubts.len(), 1, "{doubts:?}");
     assert!(contradiction(&doubts).is_some());
@@ -182,15 +193,18 @@ fn a_simulation_doubts_a_given_spacing_once_and_one_of_its_state_when_it_goes_on
     frame(4, 3.0);
     frame(5, 3.0);
     let doubts = doubts_of(&by(SPACING).resume());
-    let of_state = |doubt: &Doubt| matches!(doubt, Doubt::Contradicted { source: SpacingSource::State, .. });
+    let of_state =
+        |doubt: &Doubt| matches!(doubt, Doubt::Contradicted { source: SpacingSource::State, .. });
     assert!(doubts.len() == 1 && of_state(&doubts[0]), "{doubts:?}");
 }
 
 #[test]
 fn a_live_simulation_doubts_a_given_spacing() {
-    let mut simulation = LiveSimulation::new(&Reconstruction::new().spacing(0.5 * SPACING)).unwrap();
+    let mut simulation =
+        LiveSimulation::new(&Reconstruction::new().spacing(0.5 * SPACING)).unwrap();
     let surface = simulation.frame(&ball()).unwrap();
-    let doubted = |warning: &Warning| matches!(warning, Warning::Spacing(Doubt::Contradicted { .. }));
+    let doubted =
+        |warning: &Warning| matches!(warning, Warning::Spacing(Doubt::Contradicted { .. }));
     assert!(surface.report().warnings.iter().any(doubted));
 }
 
@@ -199,19 +213,29 @@ fn particles_in_a_plane_are_a_slab_of_one_spacing_with_flat_ends() {
     for at in [0.0, -3.7] {
         let particles = plane(at);
         let surface = Reconstruction::new().run(&particles).unwrap();
-        let Some(Slab { axis: 1, faces: [lo, hi] }) = cells(&surface).slab else { panic!("no slab") };
+        let Some(Slab { axis: 1, faces: [lo, hi] }) = cells(&surface).slab else {
+            panic!("no slab")
+        };
         let spacing = surface.report().facts.spacing.unwrap();
         assert!((spacing / SPACING - 1.0).abs() < 0.03, "{spacing}");
-        assert!((lo - (at - spacing / 2.0)).abs() < 1e-12 && (hi - (at + spacing / 2.0)).abs() < 1e-12);
+        assert!(
+            (lo - (at - spacing / 2.0)).abs() < 1e-12 && (hi - (at + spacing / 2.0)).abs() < 1e-12
+        );
         let expected = particles.len() as f64 * SPACING.powi(3);
-        assert!((volume(&surface) / expected - 1.0).abs() < 0.08, "{} of {expected}", volume(&surface));
+        assert!(
+            (volume(&surface) / expected - 1.0).abs() < 0.08,
+            "{} of {expected}",
+            volume(&surface)
+        );
         let heights: Vec<f64> = surface.to_mesh().unwrap().positions.iter().map(|p| p[1]).collect();
-        let ends = heights.iter().filter(|y| (**y - lo).abs() < 1e-9 || (**y - hi).abs() < 1e-9).count();
+        let ends =
+            heights.iter().filter(|y| (**y - lo).abs() < 1e-9 || (**y - hi).abs() < 1e-9).count();
         assert!(heights.iter().all(|y| (lo - 1e-9..=hi + 1e-9).contains(y)));
         assert!(2 * ends > heights.len(), "{ends} of {} vertices are on the faces", heights.len());
         // The same as by walls that are asked for.
         let [x, z] = [f64::NEG_INFINITY; 2];
-        let walled = Reconstruction::new().domain([x, lo, z], [-x, hi, -z]).spacing(spacing).run(&particles);
+        let walled =
+            Reconstruction::new().domain([x, lo, z], [-x, hi, -z]).spacing(spacing).run(&particles);
         assert_eq!(bytes_of(&surface), bytes_of(&walled.unwrap()));
     }
     let domain = Reconstruction::new().domain([-9.0; 3], [9.0; 3]).run(&plane(0.0)).unwrap();
@@ -290,7 +314,8 @@ fn particles_far_from_the_origin_get_a_grid_near_them() {
 
 /// The only state file below a folder.
 fn state_file(folder: &Path) -> std::path::PathBuf {
-    let folders = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path().join("state.json"));
+    let folders =
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path().join("state.json"));
     folders.into_iter().find(|path| path.is_file()).unwrap()
 }
 
@@ -311,7 +336,10 @@ fn coordinates_in_single_precision_that_are_too_coarse_are_named_with_their_step
         assert!(cells(&surface).doubts.iter().any(coarse), "{:?}", cells(&surface).doubts);
     }
     let error = Reconstruction::new().run(&single(3e6)).unwrap_err();
-    assert!(matches!(error, Error::NoSpacing { why: Untold::SinglePrecision { step: 0.25 }, .. }), "{error}");
+    assert!(
+        matches!(error, Error::NoSpacing { why: Untold::SinglePrecision { step: 0.25 }, .. }),
+        "{error}"
+    );
 }
 
 #[test]
@@ -322,7 +350,9 @@ fn coincident_particles_are_counted_and_a_clump_of_unused_slots_is_reported() {
         let spacing = surface.report().facts.spacing.unwrap();
         assert!((spacing / SPACING - 1.0).abs() < 0.05, "{spacing}");
         surface.report().warnings.iter().find_map(|warning| match warning {
-            Warning::Coincident { found, .. } => Some((found.particles, found.most, found.alone, found.at)),
+            Warning::Coincident { found, .. } => {
+                Some((found.particles, found.most, found.alone, found.at))
+            }
             _ => None,
         })
     };

@@ -7,7 +7,8 @@ use crate::common::alone::alone;
 #[test]
 fn a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program() {
     // A process has one such pool, which is made once.
-    let name = "thread_pool::a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program";
+    let name =
+        "thread_pool::a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program";
     alone(name, reconstruct_and_make_the_shared_pool);
 }
 

@@ -1,4 +1,5 @@
-//! Simulations by the library: the program's bytes, events, an early end, frames from memory, and frames that are sampled once.
+//! Simulations by the library: the program's bytes, events, an early end, frames from memory, and
+//! frames that are sampled once.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,8 +9,8 @@ use std::sync::Mutex;
 use meniscus::error::Conflict;
 use meniscus::files::Replace;
 use meniscus::{
-    Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress, Reconstruction,
-    Simulation, Stage, Summary, Warning,
+    Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress,
+    Reconstruction, Simulation, Stage, Summary, Warning,
 };
 use tempfile::TempDir;
 
@@ -34,8 +35,9 @@ fn write(path: &Path, particles: &[[f32; 3]]) {
 fn simulated(frames: u64) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
-    (1..=frames)
-        .for_each(|frame| write(&folder.path().join(format!("sim/drop_{frame}.xyz")), &falling(frame)));
+    (1..=frames).for_each(|frame| {
+        write(&folder.path().join(format!("sim/drop_{frame}.xyz")), &falling(frame))
+    });
     folder
 }
 
@@ -62,11 +64,17 @@ fn the_library_and_the_program_write_the_same_files() {
     ];
     for (number, (options, ask)) in asked.into_iter().enumerate() {
         let [program, library] = ["program", "library"].map(|by| format!("{by}_{number}"));
-        let mut command = command(folder.path(), &["reconstruct", "sim/drop_{}.xyz", "--spacing", "0.5"]);
-        command.arg("-o").arg(format!("{program}/drop_{{}}.ply")).args(["--quiet", "--backend", "cpu"]);
+        let mut command =
+            command(folder.path(), &["reconstruct", "sim/drop_{}.xyz", "--spacing", "0.5"]);
+        command.arg("-o").arg(format!("{program}/drop_{{}}.ply")).args([
+            "--quiet",
+            "--backend",
+            "cpu",
+        ]);
         assert!(command.args(options).status().unwrap().success(), "{options:?}");
         let request = ask(Reconstruction::new().spacing(0.5));
-        let summaries = simulation(folder.path(), &library).reconstruction(request).run(|_| {}).unwrap();
+        let summaries =
+            simulation(folder.path(), &library).reconstruction(request).run(|_| {}).unwrap();
         assert!(
             matches!(&summaries[..], [whole @ Summary { made: 4, .. }] if whole.is_complete()),
             "{summaries:?}"
@@ -113,9 +121,13 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     };
     let summaries = simulation(folder.path(), "mesh").run(tell).unwrap();
     assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
-    assert!(shares.contains(&1.0) && shares.iter().any(|share| 0.0 < *share && *share < 1.0), "{shares:?}");
-    let place =
-        |line: &str| told.iter().position(|told| told == line).unwrap_or_else(|| panic!("{line}: {told:?}"));
+    assert!(
+        shares.contains(&1.0) && shares.iter().any(|share| 0.0 < *share && *share < 1.0),
+        "{shares:?}"
+    );
+    let place = |line: &str| {
+        told.iter().position(|told| told == line).unwrap_or_else(|| panic!("{line}: {told:?}"))
+    };
     assert!(place("begins 0 of 4") < place("done 1"));
     for frame in [1, 2, 5] {
         for stage in ["reading", "counting", "sampling", "meshing", "writing"] {
@@ -124,7 +136,8 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     }
     assert!(place("failed 3") < place("ended") && place("measured") < place("ended"));
     let [summary] = &summaries[..] else { panic!("{summaries:?}") };
-    let failed: Vec<_> = summary.failed.iter().map(|failed| (failed.frame, failed.error.cause())).collect();
+    let failed: Vec<_> =
+        summary.failed.iter().map(|failed| (failed.frame, failed.error.cause())).collect();
     assert_eq!((summary.made, &failed[..], summary.lacking()), (3, &[(3, Cause::Input)][..], 2));
     assert_eq!((summary.missing[0].first, summary.missing[0].last), (4, 4));
     assert!(!summary.is_complete());
@@ -135,7 +148,8 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
     let folder = simulated(40);
     let cancel = Cancel::new();
     let request = Reconstruction::new().spacing(0.5).threads(1).memory(MemoryBudget(1 << 30));
-    let all = simulation(folder.path(), "mesh").reconstruction(request.clone().cancel(cancel.clone()));
+    let all =
+        simulation(folder.path(), "mesh").reconstruction(request.clone().cancel(cancel.clone()));
     let (mut done, mut failed) = (0, 0);
     let hear = |event| match event {
         Event::Done(_) => {
@@ -177,7 +191,8 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
     let cancel = Cancel::new();
     let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
     let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
-    let request = Reconstruction::new().spacing(1.0).cell(0.15).threads(1).memory(MemoryBudget(64 << 20));
+    let request =
+        Reconstruction::new().spacing(1.0).cell(0.15).threads(1).memory(MemoryBudget(64 << 20));
     let error = request
         .cancel(cancel)
         .progress(move |progress| {
@@ -195,7 +210,9 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
     let stages: Vec<Stage> = told.iter().map(|progress| progress.stage).collect();
     assert!(stages.is_sorted() && stages.contains(&Stage::Sampling), "{stages:?}");
     assert_eq!(
-        told.iter().filter(|progress| progress.stage == Stage::Meshing && progress.done > 0.0).count(),
+        told.iter()
+            .filter(|progress| progress.stage == Stage::Meshing && progress.done > 0.0)
+            .count(),
         1
     );
 }
@@ -210,7 +227,8 @@ fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
         let cancel = Cancel::new();
         let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
         let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
-        let request = Reconstruction::new().spacing(1.0).indicator(kind).threads(threads).cancel(cancel);
+        let request =
+            Reconstruction::new().spacing(1.0).indicator(kind).threads(threads).cancel(cancel);
         let error = request
             .progress(move |progress| {
                 hear.lock().unwrap().push(progress);
@@ -231,7 +249,9 @@ fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
     let folder = TempDir::new().unwrap();
     let input = folder.path().join("water.xyz");
     fs::write(&input, raw(&fill(30.0, 1.0, 0.3, 5, |_| true))).unwrap();
-    for last in [Stage::Counting, Stage::Sampling, Stage::Meshing, Stage::Simplifying, Stage::Writing] {
+    for last in
+        [Stage::Counting, Stage::Sampling, Stage::Meshing, Stage::Simplifying, Stage::Writing]
+    {
         for format in ["ply", "glb", "obj"] {
             let cancel = Cancel::new();
             let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
@@ -249,8 +269,15 @@ fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
             assert_eq!(error.cause(), Cause::Cancelled, "{error}");
             let told = told.lock().unwrap();
             let end = told.last().unwrap();
-            assert!(end.stage == last && end.done > 0.0 && end.done < 1.0, "{last} of .{format}: {told:?}");
-            assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "{last} of .{format} left a file");
+            assert!(
+                end.stage == last && end.done > 0.0 && end.done < 1.0,
+                "{last} of .{format}: {told:?}"
+            );
+            assert_eq!(
+                fs::read_dir(&folder).unwrap().count(),
+                1,
+                "{last} of .{format} left a file"
+            );
         }
     }
 }
@@ -262,8 +289,10 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
     let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
     let hear = std::sync::Arc::clone(&told);
     let asked = || Reconstruction::new().spacing(0.5).simplify(0.5);
-    let surface =
-        asked().progress(move |progress| hear.lock().unwrap().push(progress)).run_file(&input).unwrap();
+    let surface = asked()
+        .progress(move |progress| hear.lock().unwrap().push(progress))
+        .run_file(&input)
+        .unwrap();
     surface.write(folder.path().join("mesh.ply")).unwrap();
     // Nobody holds it when the last file is written.
     let told = std::mem::take(&mut *told.lock().unwrap());
@@ -287,8 +316,10 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
     }
     // A file that is being written does not get its name.
     let cancel = Cancel::new();
-    let output =
-        asked().cancel(cancel.clone()).output(folder.path().join("late.ply"), Replace::Refuse).unwrap();
+    let output = asked()
+        .cancel(cancel.clone())
+        .output(folder.path().join("late.ply"), Replace::Refuse)
+        .unwrap();
     cancel.cancel();
     assert!(matches!(surface.write_to(output), Err(Error::Cancelled)));
     assert!(!folder.path().join("late.ply").exists());
@@ -389,7 +420,8 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
         ("iso", asked().method(meniscus::KernelMethod::ZhuBridson).iso(0.5)),
         ("indicator", mueller().indicator(IndicatorKind::Cloud)),
     ] {
-        let refused = |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting.name() == setting);
+        let refused =
+            |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting.name() == setting);
         assert!(refused(request.check("none.bgeo").unwrap_err()), "{setting}");
         assert!(refused(request.run(&falling(1)[..]).unwrap_err()), "{setting}");
         assert!(refused(request.run_file("there/is/none.bgeo").unwrap_err()), "{setting}");

@@ -1,5 +1,5 @@
-//! What the program promises for the frames of a simulation: the same bytes however they are made, every frame that can
-//! be, and nothing left behind.
+//! What the program promises for the frames of a simulation: the same bytes however they are made,
+//! every frame that can be, and nothing left behind.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -75,7 +75,9 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
     let out = folder.path().join("out");
     let whole = tree(&out);
     let times = || -> Vec<_> {
-        (1..=8).map(|i| out.join(format!("m_{i}.ply")).metadata().unwrap().modified().unwrap()).collect()
+        (1..=8)
+            .map(|i| out.join(format!("m_{i}.ply")).metadata().unwrap().modified().unwrap())
+            .collect()
     };
     let before = times();
 
@@ -133,9 +135,11 @@ fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
 
     let errors = run(folder.path(), &with(&["--stats", "stats.jsonl"]), 1);
     assert!(errors.contains("3 frames failed"), "{errors}");
-    for cause in
-        ["frame 5: in/f_5.xyz: ", "frame 11: in/f_11.xyz: missing", "frame 17: in/f_17.xyz: particle 0"]
-    {
+    for cause in [
+        "frame 5: in/f_5.xyz: ",
+        "frame 11: in/f_11.xyz: missing",
+        "frame 17: in/f_17.xyz: particle 0",
+    ] {
         assert!(errors.contains(cause), "{cause}: {errors}");
     }
     let out = tree(&folder.path().join("out"));
@@ -154,7 +158,10 @@ fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
     fs::write(input(1), "").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 1);
     assert!(errors.contains("frame 1: in/f_1.xyz: the file is empty"), "{errors}");
-    assert_eq!(tree(&folder.path().join("other")).keys().filter(|name| name.starts_with("f_")).count(), 16);
+    assert_eq!(
+        tree(&folder.path().join("other")).keys().filter(|name| name.starts_with("f_")).count(),
+        16
+    );
 }
 
 #[test]
@@ -203,15 +210,23 @@ fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
     assert!(outputs.iter().all(|out| *out == outputs[0]));
     assert!(outputs[0].contains_key("m_008.ply") && outputs[0].contains_key("m_011.ply"));
     let manifest: Value = serde_json::from_slice(&outputs[0]["m.ply.json"]).unwrap();
-    let files: Vec<_> =
-        manifest["frames"].as_array().unwrap().iter().map(|f| f["file"].as_str().unwrap()).collect();
+    let files: Vec<_> = manifest["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f["file"].as_str().unwrap())
+        .collect();
     assert_eq!(files, ["m_008.ply", "m_009.ply", "m_010.ply", "m_011.ply"]);
 
     run(folder.path(), &["in", "-o", "some/", "--start", "9", "--step", "2", "--fps", "25"], 0);
     let some = tree(&folder.path().join("some"));
     let manifest: Value = serde_json::from_slice(&some["f.ply.json"]).unwrap();
-    let times: Vec<_> =
-        manifest["frames"].as_array().unwrap().iter().map(|f| f["time"].as_f64().unwrap()).collect();
+    let times: Vec<_> = manifest["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f["time"].as_f64().unwrap())
+        .collect();
     assert_eq!(times, [9.0 / 25.0, 11.0 / 25.0]);
 }
 
@@ -222,8 +237,14 @@ fn bars_are_drawn_where_they_are_asked_for_and_lines_elsewhere() {
     assert_eq!(lines.matches("vertices").count(), 3, "{lines}");
     assert!(!lines.contains('\x1b'), "{lines}");
     let bars = run(folder.path(), &with(&["--overwrite", "--progress", "always"]), 0);
-    assert!(bars.contains('\x1b') && bars.contains("of 3 frames") && bars.contains(" left"), "{bars}");
-    assert_eq!(run(folder.path(), &with(&["--overwrite", "--progress", "always", "--quiet"]), 0), "");
+    assert!(
+        bars.contains('\x1b') && bars.contains("of 3 frames") && bars.contains(" left"),
+        "{bars}"
+    );
+    assert_eq!(
+        run(folder.path(), &with(&["--overwrite", "--progress", "always", "--quiet"]), 0),
+        ""
+    );
 }
 
 #[test]
@@ -234,13 +255,21 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
     let before = tree(folder.path());
     for (arguments, code, says) in [
         (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
-        (vec!["in", "-o", "out_{}.ply"], 2, "several simulations: f_{}.xyz (3), g_{}.xyz (1); name one"),
+        (
+            vec!["in", "-o", "out_{}.ply"],
+            2,
+            "several simulations: f_{}.xyz (3), g_{}.xyz (1); name one",
+        ),
         (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"], 2, "--compress goes with .glb"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
-        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"], 2, "--simplify"),
+        (
+            vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"],
+            2,
+            "--simplify",
+        ),
         (vec!["in/f_{}.xyz", "-o", "out_{}.glb", "--up", "z"], 2, "--particles-up"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.abc"], 2, "unknown extension"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.stl", "--normals"], 2, "normals"),
@@ -302,8 +331,16 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
     let spacing = frozen["spacing"].to_string();
     for frame in 1..=3 {
         let input = format!("in/f_{frame}.xyz");
-        let single =
-            [&input, "-o", "one.ply", "--overwrite", "--method", "zhu-bridson", "--spacing", &spacing];
+        let single = [
+            &input,
+            "-o",
+            "one.ply",
+            "--overwrite",
+            "--method",
+            "zhu-bridson",
+            "--spacing",
+            &spacing,
+        ];
         run(folder.path(), &single, 0);
         assert!(
             fs::read(folder.path().join("one.ply")).unwrap() == first[&format!("m_{frame}.ply")],
@@ -316,10 +353,16 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
     let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
     assert!(errors.contains("other settings (method)"), "{errors}");
     let errors = run(folder.path(), &with(&["--method", "yu-turk", "--resume"]), 2);
-    assert!(errors.contains("other settings (method)") && errors.contains("--overwrite"), "{errors}");
+    assert!(
+        errors.contains("other settings (method)") && errors.contains("--overwrite"),
+        "{errors}"
+    );
     assert!(tree(&folder.path().join("out")) == first, "nothing is replaced that was not to be");
     let (other, notes) = made(&["--method", "yu-turk", "--overwrite"]);
-    assert!((1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]), "{notes}");
+    assert!(
+        (1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]),
+        "{notes}"
+    );
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
     assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
     let (_, notes) = made(&["--resume", "--overwrite"]);
@@ -352,7 +395,8 @@ fn nothing_is_replaced_that_the_conversion_did_not_make() {
 }
 
 #[test]
-fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_for_where_it_may_come() {
+fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_for_where_it_may_come()
+ {
     let folder = falling(1..=2);
     let missing = ["none/f_{}.xyz", "none/"];
     for input in missing {
@@ -363,7 +407,8 @@ fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_
     for (number, input) in ["none/f_{}.xyz", "none"].into_iter().enumerate() {
         let _ = fs::remove_dir_all(folder.path().join("none"));
         let output = format!("out_{number}/m_{{}}.ply");
-        let mut watching = command(folder.path(), &[input, "-o", &output, "--watch=6", "--spacing", "0.5"]);
+        let mut watching =
+            command(folder.path(), &[input, "-o", &output, "--watch=6", "--spacing", "0.5"]);
         let watching = watching.stderr(Stdio::piped()).spawn().unwrap();
         std::thread::sleep(Duration::from_millis(500));
         fs::create_dir(folder.path().join("none")).unwrap();
@@ -377,7 +422,10 @@ fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_
         let ended = watching.wait_with_output().unwrap();
         assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
         for frame in 1..=2 {
-            assert!(folder.path().join(format!("out_{number}/m_{frame}.ply")).exists(), "{input}: {frame}");
+            assert!(
+                folder.path().join(format!("out_{number}/m_{frame}.ply")).exists(),
+                "{input}: {frame}"
+            );
         }
     }
 }
@@ -389,12 +437,24 @@ fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_i
     let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
     for indicator in ["counting", "symmetry"] {
-        let more = ["--indicator", indicator, "--cell-size", "0.6", "--spacing", "0.5", "--origin", "0,0,0"];
+        let more = [
+            "--indicator",
+            indicator,
+            "--cell-size",
+            "0.6",
+            "--spacing",
+            "0.5",
+            "--origin",
+            "0,0,0",
+        ];
         run(folder.path(), &with(&[&more[..], &["--overwrite"]].concat()), 0);
         let made = tree(&folder.path().join("out"));
         let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
         let frozen = &state["frozen"];
-        assert!(frozen["frame"] == 1 && frozen["mu0"].is_null() == (indicator == "symmetry"), "{frozen}");
+        assert!(
+            frozen["frame"] == 1 && frozen["mu0"].is_null() == (indicator == "symmetry"),
+            "{frozen}"
+        );
         let [mu0, iso] = ["mu0", "isovalue"].map(|key| frozen[key].to_string());
         let single = |known: &[&str]| {
             let alone = ["in/f_2.xyz", "-o", "one.ply", "--overwrite"];
@@ -459,12 +519,15 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
     for more in [&[][..], &["--resume"], &["--frames", "3..3"], &["--plan"]] {
         let errors = run(folder.path(), &with(more), 2);
         assert!(
-            ["state.json", "of another surface", "--overwrite"].iter().all(|word| errors.contains(word)),
+            ["state.json", "of another surface", "--overwrite"]
+                .iter()
+                .all(|word| errors.contains(word)),
             "{more:?}: {errors}"
         );
         assert!(tree(folder.path()) == before, "{more:?}");
     }
-    // As the program before wrote it, with an option that is gone: other settings, which --overwrite makes anew.
+    // As the program before wrote it, with an option that is gone: other settings, which
+    // --overwrite makes anew.
     let settings = state["settings"].as_object_mut().unwrap();
     settings.insert("smooth".into(), 2.0.into());
     settings.insert("adaptive".into(), false.into());
@@ -477,7 +540,8 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
 }
 
 #[test]
-fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a_lattice_tells_the_same() {
+fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a_lattice_tells_the_same()
+ {
     let ball: Vec<_> = ball(1);
     let single = vec![[0.3, 0.2, 0.1]];
     let mut random = Random::new(4);
@@ -489,19 +553,28 @@ fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a
         for (number, frame) in (1..).zip(frames) {
             let rows = frame.iter().map(|[x, y, z]| format!("{x},{y},{z}\n"));
             let rows = ["x,y,z\n".to_owned()].into_iter().chain(rows);
-            fs::write(folder.path().join(format!("f_{number}.csv")), rows.collect::<String>()).unwrap();
+            fs::write(folder.path().join(format!("f_{number}.csv")), rows.collect::<String>())
+                .unwrap();
         }
-        // The spacing says more than a third too many particles, so that it would tell another plateau.
-        run(folder.path(), &["f_{}.csv", "-o", "m_{}.ply", "--spacing", "0.45", "--origin", "0,0,0"], 0);
+        // The spacing says more than a third too many particles, so that it would tell another
+        // plateau.
+        run(
+            folder.path(),
+            &["f_{}.csv", "-o", "m_{}.ply", "--spacing", "0.45", "--origin", "0,0,0"],
+            0,
+        );
         let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
         let state: Value = serde_json::from_slice(&state).unwrap();
         let last = read_mesh(&folder.path().join(format!("m_{}.ply", frames.len()))).unwrap();
         (state["frozen"]["plateau"].as_f64().unwrap(), measure(&last).volume.unwrap())
     };
     let (alone, volume) = plateau(&[&ball]);
-    for (name, first, within) in
-        [("spray", &spray, 0.0), ("one", &single, 0.0), ("none", &empty, 0.0), ("a lattice", &lattice, 0.015)]
-    {
+    for (name, first, within) in [
+        ("spray", &spray, 0.0),
+        ("one", &single, 0.0),
+        ("none", &empty, 0.0),
+        ("a lattice", &lattice, 0.015),
+    ] {
         let (found, with) = plateau(&[first, &ball]);
         assert!((found / alone - 1.0).abs() <= within, "{name}: {found} and {alone}");
         assert!((with / volume - 1.0).abs() <= 0.5 * within, "{name}: {with} and {volume}");
@@ -512,12 +585,16 @@ fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a
 fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_warning() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=65 {
-        let spray: Vec<[f64; 3]> = (0..3).map(|i| [3.0 * f64::from(i), f64::from(frame), 0.0]).collect();
+        let spray: Vec<[f64; 3]> =
+            (0..3).map(|i| [3.0 * f64::from(i), f64::from(frame), 0.0]).collect();
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&spray)).unwrap();
     }
     fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
     let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
-    assert!(notes.contains("warning: next to no fluid is deeper than the filters reach"), "{notes}");
+    assert!(
+        notes.contains("warning: next to no fluid is deeper than the filters reach"),
+        "{notes}"
+    );
     assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
     let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
     let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);
@@ -542,7 +619,10 @@ fn the_spacing_is_estimated_on_fluid_however_many_frames_of_spray_come_first() {
         let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
         let state: Value = serde_json::from_slice(&state).unwrap();
         let spacing = state["frozen"]["spacing"].as_f64().unwrap();
-        assert!((spacing - 1.0).abs() < 0.1, "{spray} of {frames}, ball of {radius}: {spacing}: {notes}");
+        assert!(
+            (spacing - 1.0).abs() < 0.1,
+            "{spray} of {frames}, ball of {radius}: {spacing}: {notes}"
+        );
     }
 }
 
@@ -563,10 +643,13 @@ fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made
         state["frozen"][key] = value.parse().unwrap();
         fs::write(&path, state.to_string()).unwrap();
         let errors = run(folder.path(), &with(&["--resume"]), 2);
-        assert!(errors.contains("state.json") && errors.contains("--overwrite"), "{key} {value}: {errors}");
         assert!(
-            (1..=2)
-                .all(|i| fs::read(out.join(format!("m_{i}.ply"))).unwrap() == whole[&format!("m_{i}.ply")])
+            errors.contains("state.json") && errors.contains("--overwrite"),
+            "{key} {value}: {errors}"
+        );
+        assert!(
+            (1..=2).all(|i| fs::read(out.join(format!("m_{i}.ply"))).unwrap()
+                == whole[&format!("m_{i}.ply")])
         );
         run(folder.path(), &with(&["--overwrite"]), 0);
         assert!(tree(&out) == whole, "{key} {value}");
@@ -606,7 +689,11 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_r
             // Not by reading: what has no vertices has no values to tell an attribute by.
             let bytes = fs::read(folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
             let names = |word: &[u8]| bytes.windows(word.len()).any(|window| window == word);
-            assert_eq!(names(b"velocity") || names(b"float vx"), !whole.attributes.is_empty(), "{extension}");
+            assert_eq!(
+                names(b"velocity") || names(b"float vx"),
+                !whole.attributes.is_empty(),
+                "{extension}"
+            );
         }
     }
 }
@@ -619,13 +706,19 @@ fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
     let thin = fill(20.0, 1.26, 0.3, 1, |p| p.length() < 6.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&dense)).unwrap();
     fs::write(folder.path().join("f_2.xyz"), raw(&thin)).unwrap();
-    let notes =
-        run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5", "--indicator", "counting"], 0);
+    let notes = run(
+        folder.path(),
+        &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5", "--indicator", "counting"],
+        0,
+    );
     let warnings: Vec<&str> = notes.lines().filter(|line| line.contains("warning")).collect();
     let [warning, lost] = warnings[..] else { panic!("{notes}") };
     assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
     let all = dense.len() + thin.len();
-    assert!(lost.contains(&format!("{} of {all} particles are in no surface", thin.len())), "{notes}");
+    assert!(
+        lost.contains(&format!("{} of {all} particles are in no surface", thin.len())),
+        "{notes}"
+    );
     assert!(folder.path().join("m_2.ply").exists());
 }
 
@@ -647,13 +740,16 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     };
     let number = |value: &Value| value.as_f64().unwrap();
     // Its own isovalue is 0.0003; that of the last frame alone 0.2093.
-    let symmetry = ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
+    let symmetry =
+        ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
     run(folder.path(), &symmetry, 0);
     let symmetry = frozen("s.ply.meniscus");
     assert_eq!(symmetry["frame"], 1);
     assert!((number(&symmetry["isovalue"]) - 0.2093).abs() < 0.01, "{symmetry}");
-    // Counts on a lattice are all 1, and its plateau too: a share of that would thin the splash by a third.
-    let counting = ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--cell", "1", "--indicator", "counting"];
+    // Counts on a lattice are all 1, and its plateau too: a share of that would thin the splash by
+    // a third.
+    let counting =
+        ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--cell", "1", "--indicator", "counting"];
     run(folder.path(), &counting, 0);
     let counting = frozen("c.ply.meniscus");
     assert_ne!(counting["frame"], 1);
@@ -695,11 +791,20 @@ fn pool(slope: DQuat, jitter: f64, shift: [f64; 3]) -> Vec<[f64; 3]> {
 #[test]
 fn a_fluid_at_rest_does_not_flicker() {
     let slope = DQuat::from_euler(EulerRot::XYZ, 0.6, 0.1, 0.4);
-    let shifts =
-        [[0.0; 3], [0.0; 3], [0.25, 0.0, 0.0], [0.25, 0.5, 0.0], [0.4, 0.6, 0.8], [1.4, 0.6, -0.2], [0.5; 3]];
-    for (name, slope, jitter) in
-        [("level", DQuat::IDENTITY, 0.0), ("in disorder", DQuat::IDENTITY, 0.3), ("on a slope", slope, 0.3)]
-    {
+    let shifts = [
+        [0.0; 3],
+        [0.0; 3],
+        [0.25, 0.0, 0.0],
+        [0.25, 0.5, 0.0],
+        [0.4, 0.6, 0.8],
+        [1.4, 0.6, -0.2],
+        [0.5; 3],
+    ];
+    for (name, slope, jitter) in [
+        ("level", DQuat::IDENTITY, 0.0),
+        ("in disorder", DQuat::IDENTITY, 0.3),
+        ("on a slope", slope, 0.3),
+    ] {
         let folder = TempDir::new().unwrap();
         for (frame, shift) in shifts.into_iter().enumerate() {
             let particles = raw(&pool(slope, jitter, shift));
@@ -748,12 +853,23 @@ fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
         ("400MiB", "m_{}.glb", &["--simplify", "0.1", "--compress"]),
     ] {
         let stats = format!("{memory}{}.jsonl", options.len());
-        let arguments =
-            ["f_{}.xyz", "-o", output, "--spacing", "1", "--memory", memory, "--threads", "2", "--overwrite"];
+        let arguments = [
+            "f_{}.xyz",
+            "-o",
+            output,
+            "--spacing",
+            "1",
+            "--memory",
+            memory,
+            "--threads",
+            "2",
+            "--overwrite",
+        ];
         run(folder.path(), &[&arguments[..], options, &["--stats", &stats]].concat(), 0);
         let text = fs::read_to_string(folder.path().join(stats)).unwrap();
         let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
-        // Resident pages of mapped inputs count too: four megabytes each, in as many lanes as there are.
+        // Resident pages of mapped inputs count too: four megabytes each, in as many lanes as there
+        // are.
         let budget: u64 = memory.trim_end_matches("MiB").parse::<u64>().unwrap() << 20;
         assert!(last["peak_resident_bytes"].as_u64().unwrap() <= budget, "{memory}: {last}");
     }
@@ -765,7 +881,9 @@ fn a_killed_run_resumes_to_the_same_bytes_with_nothing_left_behind() {
     run(folder.path(), &ALL, 0);
     let out = folder.path().join("out");
     let whole = tree(&out);
-    for made in ["", "m.ply.meniscus", "m.ply.meniscus/state.json", "m_1.ply", "m_4.ply", "m_12.ply"] {
+    for made in
+        ["", "m.ply.meniscus", "m.ply.meniscus/state.json", "m_1.ply", "m_4.ply", "m_12.ply"]
+    {
         fs::remove_dir_all(&out).unwrap();
         let child = command(folder.path(), &ALL).stderr(Stdio::null()).spawn().unwrap();
         program::kill_when(child, made, |_| out.join(made).exists());
@@ -781,7 +899,9 @@ fn an_interrupted_sequence_keeps_what_is_done_and_goes_on() {
     let mut child = command(folder.path(), &ALL).stderr(Stdio::piped()).spawn().unwrap();
     let out = folder.path().join("out");
     program::wait_until(&mut child, "m_3.ply", |_| out.join("m_3.ply").exists());
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert!(
+        Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success()
+    );
     assert_eq!(child.wait().unwrap().code(), Some(130));
     let left = tree(&out);
     assert!(left.keys().all(|name| !name.contains(".tmp")), "{:?}", left.keys());
@@ -795,8 +915,10 @@ fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame()
     let folder = falling(1..=2);
     let plain = falling(1..=5);
     run(plain.path(), &ALL, 0);
-    let child =
-        command(folder.path(), &with(&["--watch=20", "--end", "5"])).stderr(Stdio::piped()).spawn().unwrap();
+    let child = command(folder.path(), &with(&["--watch=20", "--end", "5"]))
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
     let path = |frame: u64| -> PathBuf { folder.path().join(format!("in/f_{frame}.xyz")) };
     for frame in 3..=5 {
         // A writer that pauses for longer than a file has to rest.
@@ -810,7 +932,10 @@ fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame()
     let errors = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(0), "{errors}");
     let meshes = |folder: &TempDir| -> BTreeMap<String, Vec<u8>> {
-        tree(&folder.path().join("out")).into_iter().filter(|(name, _)| name.starts_with("m_")).collect()
+        tree(&folder.path().join("out"))
+            .into_iter()
+            .filter(|(name, _)| name.starts_with("m_"))
+            .collect()
     };
     assert!(meshes(&folder) == meshes(&plain), "{errors}");
 }
@@ -846,7 +971,8 @@ fn listings_are_the_same_whoever_made_the_frames_and_name_them_all_with_their_bo
         let json: Value = serde_json::from_slice(&whole[&format!("m.{extension}.json")]).unwrap();
         let last = &json["frames"][4];
         assert_eq!((&last["frame"], &last["time"]), (&12.into(), &(12.0 / 25.0).into()));
-        let coordinate = |corner: usize, axis: usize| last["bounds"][corner][axis].as_f64().unwrap();
+        let coordinate =
+            |corner: usize, axis: usize| last["bounds"][corner][axis].as_f64().unwrap();
         // A ball of radius 5 in cells of 1, 0.84 below the origin.
         for (axis, middle) in [0.0, -0.84, 0.0].into_iter().enumerate() {
             assert!((coordinate(0, axis) + 5.0 - middle).abs() < 0.6, "{last}");
@@ -873,8 +999,18 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
         let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
     }
-    let frozen =
-        ["--indicator", "counting", "--cell-size", "1", "--iso", "0.2", "--mu0", "1", "--origin", "0,0,0"];
+    let frozen = [
+        "--indicator",
+        "counting",
+        "--cell-size",
+        "1",
+        "--iso",
+        "0.2",
+        "--mu0",
+        "1",
+        "--origin",
+        "0,0,0",
+    ];
     let mut sizes = Vec::new();
     for (extension, options) in [
         ("ply", &[][..]),
@@ -915,14 +1051,16 @@ fn up_turns_places_normals_and_directions_and_back() {
     let table = format!("x,y,z,vx,vy,vz,mass\n{rows}");
     fs::write(folder.path().join("f.csv"), table).unwrap();
     let mesh = |name: &str, options: &[&str]| {
-        let common = ["f.csv", "-o", name, "--normals", "--attributes", "velocity,mass", "--spacing", "0.5"];
+        let common =
+            ["f.csv", "-o", name, "--normals", "--attributes", "velocity,mass", "--spacing", "0.5"];
         run(folder.path(), &[&common[..], options].concat(), 0);
         read_mesh(&folder.path().join(name)).unwrap()
     };
     let y = mesh("y.vtk", &[]);
     let z = mesh("z.vtk", &["--up", "z"]);
-    let values =
-        |mesh: &Mesh, name: &str| mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone();
+    let values = |mesh: &Mesh, name: &str| {
+        mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone()
+    };
     assert_eq!(y.positions.len(), z.positions.len());
     assert!(y.positions.iter().zip(&z.positions).all(|(a, b)| [a[0], -a[2], a[1]] == *b));
     let normals = y.normals.iter().flatten().zip(z.normals.iter().flatten());
@@ -961,12 +1099,16 @@ fn the_times_of_the_files_are_the_times_of_the_listings() {
 fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
     let folder = falling(1..=3);
     for frame in 2..=5 {
-        fs::write(folder.path().join(format!("in/oil_{frame}.xyz")), raw(&ball(frame + 10))).unwrap();
+        fs::write(folder.path().join(format!("in/oil_{frame}.xyz")), raw(&ball(frame + 10)))
+            .unwrap();
     }
     run(folder.path(), &["in", "-o", "out/"], 0);
     let out = tree(&folder.path().join("out"));
     let meshes: Vec<_> = out.keys().filter(|name| name.ends_with(".ply")).collect();
-    assert_eq!(meshes, ["f_1.ply", "f_2.ply", "f_3.ply", "oil_2.ply", "oil_3.ply", "oil_4.ply", "oil_5.ply"]);
+    assert_eq!(
+        meshes,
+        ["f_1.ply", "f_2.ply", "f_3.ply", "oil_2.ply", "oil_3.ply", "oil_4.ply", "oil_5.ply"]
+    );
     for (prefix, frames) in [("f", 3), ("oil", 4)] {
         let json: Value = serde_json::from_slice(&out[&format!("{prefix}.ply.json")]).unwrap();
         assert_eq!(json["frames"].as_array().unwrap().len(), frames);

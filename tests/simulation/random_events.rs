@@ -1,5 +1,6 @@
-//! Random events in the life of a conversion: jobs side by side, killed and interrupted, inputs that come, grow and are written again,
-//! outputs that are damaged. Whatever they were, a last run with `--resume` leaves what one run alone makes by the same state, and nothing else.
+//! Random events in the life of a conversion: jobs side by side, killed and interrupted, inputs
+//! that come, grow and are written again, outputs that are damaged. Whatever they were, a last run
+//! with `--resume` leaves what one run alone makes by the same state, and nothing else.
 //!
 //! `MENISCUS_SEQUENCES=500` tries so many, and `MENISCUS_SEQUENCE=77` one of them again.
 
@@ -36,9 +37,17 @@ impl Sequence {
         let mut random = Random::new(seed.wrapping_mul(0x9e37_79b9).wrapping_add(1));
         let format = ["ply", "vtp", "ply", "pvtp", "obj", "usdc"][(random.bits() % 6) as usize];
         let folder = tempfile::tempdir().unwrap();
-        ["in", "out", "alone"].iter().for_each(|name| fs::create_dir(folder.path().join(name)).unwrap());
-        let mut sequence =
-            Self { folder, random, frames: 0, written: 0, format, told: format!("{seed}, .{format}:") };
+        ["in", "out", "alone"]
+            .iter()
+            .for_each(|name| fs::create_dir(folder.path().join(name)).unwrap());
+        let mut sequence = Self {
+            folder,
+            random,
+            frames: 0,
+            written: 0,
+            format,
+            told: format!("{seed}, .{format}:"),
+        };
         for _ in 0..2 + sequence.pick(4) {
             sequence.grow();
         }
@@ -84,7 +93,9 @@ impl Sequence {
         let output = format!("{out}/m_{{}}.{}", self.format);
         let usual = ["reconstruct", "in/f_{}.xyz", "-o", &output, "-q"];
         let mut command = program::command(self.folder.path(), &usual);
-        command.args(["--spacing", "1", "--cell", "1", "--threads", "1", "--backend", "cpu"]).args(more);
+        command
+            .args(["--spacing", "1", "--cell", "1", "--threads", "1", "--backend", "cpu"])
+            .args(more);
         command.stderr(Stdio::piped());
         command
     }
@@ -189,7 +200,8 @@ impl Sequence {
             self.event();
         }
         self.whole("out");
-        // A state is measured once, on what could be read then: a frame that was just being written is passed over.
+        // A state is measured once, on what could be read then: a frame that was just being written
+        // is passed over.
         let state = format!("m.{}.meniscus/state.json", self.format);
         let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
         fs::create_dir_all(to.parent().unwrap()).unwrap();
@@ -202,8 +214,8 @@ impl Sequence {
             .iter()
             .filter(|(name, bytes)| out[*name] != **bytes)
             .map(|(name, bytes)| {
-                let [found, expected] =
-                    [&out[name], bytes].map(|bytes| String::from_utf8_lossy(&bytes[..bytes.len().min(3000)]));
+                let [found, expected] = [&out[name], bytes]
+                    .map(|bytes| String::from_utf8_lossy(&bytes[..bytes.len().min(3000)]));
                 format!("{name}: {found}\nin place of {expected}")
             })
             .collect();
@@ -217,7 +229,8 @@ impl Sequence {
 
 #[test]
 fn whatever_happens_to_a_conversion_resuming_it_leaves_what_one_run_makes() {
-    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
+    let number =
+        |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
     if let Some(seed) = number("MENISCUS_SEQUENCE") {
         return Sequence::new(seed).live();
     }

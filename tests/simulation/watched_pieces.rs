@@ -27,7 +27,9 @@ fn piece(half: usize) -> Vec<u8> {
 }
 
 fn write_pieces(folder: &Path, frame: u64) {
-    (0..2).for_each(|half| fs::write(folder.join(format!("f_{frame}_{half}.vtp")), piece(half)).unwrap());
+    (0..2).for_each(|half| {
+        fs::write(folder.join(format!("f_{frame}_{half}.vtp")), piece(half)).unwrap()
+    });
 }
 
 fn write_index(folder: &Path, frame: u64) {
@@ -38,7 +40,12 @@ fn write_index(folder: &Path, frame: u64) {
 
 fn start(folder: &Path, input: &str, more: &[&str]) -> Child {
     let usual = ["reconstruct", input, "-o", "out/m_{}.ply", "--spacing", "0.5", "-q"];
-    command(folder, &usual).args(["--backend", "cpu"]).args(more).stderr(Stdio::piped()).spawn().unwrap()
+    command(folder, &usual)
+        .args(["--backend", "cpu"])
+        .args(more)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
 }
 
 /// The meshes that are there when it ends.
@@ -73,8 +80,14 @@ fn pieces_without_their_frame_are_known_by_those_of_another() {
     let folder = TempDir::new().unwrap();
     (1..=2).for_each(|frame| write_pieces(folder.path(), frame));
     write_index(folder.path(), 1);
-    for (input, more) in [(".", &[][..]), (".", &["--watch=2", "--overwrite"]), ("f*", &["--overwrite"])] {
-        assert_eq!(meshes(start(folder.path(), input, more), folder.path()), ["m_1.ply"], "{input} {more:?}");
+    for (input, more) in
+        [(".", &[][..]), (".", &["--watch=2", "--overwrite"]), ("f*", &["--overwrite"])]
+    {
+        assert_eq!(
+            meshes(start(folder.path(), input, more), folder.path()),
+            ["m_1.ply"],
+            "{input} {more:?}"
+        );
     }
 }
 

@@ -1,5 +1,6 @@
-//! Milliseconds a stage on a Vulkan device, transfers apart, beside the CPU's, and what share of the device's memory
-//! bandwidth each stage uses: by clouds, and by the paper's indicator with details. As a Markdown table. Fails where bytes differ.
+//! Milliseconds a stage on a Vulkan device, transfers apart, beside the CPU's, and what share of
+//! the device's memory bandwidth each stage uses: by clouds, and by the paper's indicator with
+//! details. As a Markdown table. Fails where bytes differ.
 //!
 //! `cargo bench --bench backends [-- --device DEVICE] [--cells 256,384,512] [--millions 1,10,100]`
 
@@ -24,7 +25,8 @@ use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError,
 };
 
-/// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as there is room for.
+/// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as
+/// there is room for.
 const COPIED: [u64; 2] = [1 << 30, 64 << 20];
 /// The device's stages, in order.
 const STAGES: [&str; 12] = [
@@ -89,11 +91,16 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
         let particles = scene::splash((millions * 1e6) as usize, 1);
         let width = particles.iter().flatten().fold(0.0_f32, |a, &b| a.max(b));
         let spacing = estimate(&particles[..]);
-        for (&cells, kind) in options.cells.iter().flat_map(|cells| KINDS.map(|kind| (cells, kind))) {
+        for (&cells, kind) in options.cells.iter().flat_map(|cells| KINDS.map(|kind| (cells, kind)))
+        {
             let mut sampling = sampling(f64::from(width) / f64::from(cells), kind, spacing);
             let (cpu, expected) = match run(&particles, &sampling) {
                 Err(FrameError::TooFine(why)) => {
-                    println!("| {cells} | {:.2} | {} | {why} |", particles.len() as f64 / 1e6, kind.name());
+                    println!(
+                        "| {cells} | {:.2} | {} | {why} |",
+                        particles.len() as f64 / 1e6,
+                        kind.name()
+                    );
                     continue;
                 }
                 done => done?,
@@ -106,9 +113,11 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
             let (timings, found) = run(&particles, &sampling)?;
             let wall = start.elapsed().as_secs_f64();
             let on_kernels = device.take_timings();
-            let stages: Vec<String> = STAGES.iter().map(|name| entry(&on_kernels, name, bandwidth)).collect();
+            let stages: Vec<String> =
+                STAGES.iter().map(|name| entry(&on_kernels, name, bandwidth)).collect();
             let ms = |timings: &Timings, name| {
-                timings.seconds().iter().filter(|lap| lap.0 == name).map(|lap| lap.1).sum::<f64>() * 1e3
+                timings.seconds().iter().filter(|lap| lap.0 == name).map(|lap| lap.1).sum::<f64>()
+                    * 1e3
             };
             let on_device = ms(&timings, "indicate") + ms(&timings, "mesh");
             println!(

@@ -1,5 +1,5 @@
-//! Two ways from positions on a Vulkan device to the sums of its cells: sorted by bins and added up in shared memory,
-//! or added straight to the cells in the device's memory.
+//! Two ways from positions on a Vulkan device to the sums of its cells: sorted by bins and added up
+//! in shared memory, or added straight to the cells in the device's memory.
 //!
 //! `cargo bench --bench binning [-- MILLIONS_OF_PARTICLES]`
 
@@ -13,7 +13,8 @@ use std::time::Instant;
 
 use glam::DVec3;
 use meniscus::internals::brick::vulkan::{
-    BinPipelines, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
+    BinPipelines, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED,
+    bin,
 };
 use meniscus::internals::brick::{BrickSide, InvalidParticles};
 use meniscus::internals::field::indicator::vulkan::{BinEntry, Pipelines, indicate};
@@ -21,7 +22,8 @@ use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::grid::{BIN, Grid, MortonKey};
 use meniscus::internals::shaders::{CLOUDS, INDICATE};
 use meniscus::internals::vulkan::{
-    Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Shader, View, VulkanError,
+    Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Shader, View,
+    VulkanError,
 };
 
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -34,12 +36,17 @@ struct Push {
 }
 
 fn row(what: &str, particles: usize, seconds: f64) {
-    println!("{what:<44} {:>8.1} M particles/s {:>9.1} ms", particles as f64 / seconds / 1e6, seconds * 1e3);
+    println!(
+        "{what:<44} {:>8.1} M particles/s {:>9.1} ms",
+        particles as f64 / seconds / 1e6,
+        seconds * 1e3
+    );
 }
 
 fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, VulkanError> {
     let bytes = size_of_val(values) as u64;
-    let (staged, buffer) = (device.buffer(Place::Upload, bytes)?, device.buffer(Place::Device, bytes)?);
+    let (staged, buffer) =
+        (device.buffer(Place::Upload, bytes)?, device.buffer(Place::Device, bytes)?);
     // SAFETY: nobody else has the buffer yet.
     unsafe { staged.write(0, values) };
     run(device, |batch| {
@@ -78,7 +85,8 @@ fn table(bins: &DeviceBins) -> (Vec<[u32; 4]>, Vec<u32>) {
         let mut hash = low.wrapping_mul(0x9e37_79b1) ^ high.wrapping_mul(0x85eb_ca77);
         hash = (hash ^ (hash >> 15)).wrapping_mul(0x2c1b_3c6d);
         let first = (hash ^ (hash >> 12)) as usize;
-        let free = (first..first + PROBES as usize).map(|at| at % len).find(|&at| slots[at][0] == 0);
+        let free =
+            (first..first + PROBES as usize).map(|at| at % len).find(|&at| slots[at][0] == 0);
         let at = free.expect("the table is large");
         slots[at] = [SETTLED, 0, low, high];
         numbers[at] = number;
@@ -94,8 +102,11 @@ fn main() -> Result<(), compile::Fault> {
     let count = particles.len();
     println!("{count} particles in random order, cell = spacing, on {}", device.name());
     let grid = Grid::new(DVec3::ZERO, 1.0)?;
-    let positions =
-        DevicePositions { view: upload(&device, &particles)?, count, coordinate: Coordinate::Single };
+    let positions = DevicePositions {
+        view: upload(&device, &particles)?,
+        count,
+        coordinate: Coordinate::Single,
+    };
     let pipelines = BinPipelines::new(&device)?;
 
     let mut sorted = None;
@@ -105,8 +116,15 @@ fn main() -> Result<(), compile::Fault> {
         drop(device.take_timings());
         let start = Instant::now();
         let positions = std::slice::from_ref(&positions);
-        sorted =
-            Some(bin(&device, &pipelines, positions, &grid, None, InvalidParticles::Refuse, usize::MAX)?);
+        sorted = Some(bin(
+            &device,
+            &pipelines,
+            positions,
+            &grid,
+            None,
+            InvalidParticles::Refuse,
+            usize::MAX,
+        )?);
         whole = whole.min(start.elapsed().as_secs_f64());
     }
     let bins = sorted.expect("three runs");
@@ -122,13 +140,16 @@ fn main() -> Result<(), compile::Fault> {
     };
     let entries: Vec<BinEntry> = bins.keys.iter().zip(bins.first.windows(2)).map(entry).collect();
     let entries_view = upload(&device, &entries)?;
-    let pages = device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
+    let pages =
+        device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
     let [indicate_pipeline, clouds] =
         [&INDICATE, &CLOUDS].map(|shader| device.pipeline(shader).map(Arc::new));
     let pipelines = Pipelines { indicate: indicate_pipeline?, clouds: clouds? };
     let (indicator, side) = (IndicatorKind::Symmetry, BrickSide::default());
     let rule = PageRule { indicator, spacing_cells: 1.0, side, walls: None };
-    let [(_, records)] = &bins.runs[..] else { return Err("too many particles for one run".into()) };
+    let [(_, records)] = &bins.runs[..] else {
+        return Err("too many particles for one run".into());
+    };
     let seconds = best(|| {
         run(&device, |batch| {
             let views = [&entries_view, &records.whole(), &pages];
@@ -146,7 +167,8 @@ fn main() -> Result<(), compile::Fault> {
     }));
     let pipeline = Arc::new(device.pipeline(direct)?);
     let (slots, numbers) = table(&bins);
-    let sums: Arc<Buffer> = device.buffer(Place::Device, 28 * BIN.pow(3) as u64 * entries.len() as u64)?;
+    let sums: Arc<Buffer> =
+        device.buffer(Place::Device, 28 * BIN.pow(3) as u64 * entries.len() as u64)?;
     let grid = upload(&device, &[DeviceGrid::new(&grid, None)])?;
     let mask = slots.len() as u32 - 1;
     let (slots, numbers) = (upload(&device, &slots)?, upload(&device, &numbers)?);
@@ -163,7 +185,8 @@ fn main() -> Result<(), compile::Fault> {
             for first in (0..count).step_by(chunk) {
                 let len = chunk.min(count - first);
                 let positions = positions.view.part(12 * first as u64, 12 * len as u64);
-                let buffers = [grid.clone(), positions, slots.clone(), numbers.clone(), sums.whole()];
+                let buffers =
+                    [grid.clone(), positions, slots.clone(), numbers.clone(), sums.whole()];
                 let push = Push { first: 0, count: len as u32, width: 1, mask };
                 batch.dispatch(&pipeline, &buffers, &push, [pipeline.groups(len as u32), 1, 1])?;
             }

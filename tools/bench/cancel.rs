@@ -1,7 +1,9 @@
-//! Measures how soon a frame ends once it is cancelled, and how long its progress stands still, stage by stage.
+//! Measures how soon a frame ends once it is cancelled, and how long its progress stands still,
+//! stage by stage.
 //!
-//! `cargo run --release --example cancel -- INPUT OUTPUT.glb [RUNS]` reconstructs INPUT with simplification, once as a whole and then
-//! RUNS times with a cancel at another moment each, equally spaced over the whole.
+//! `cargo run --release --example cancel -- INPUT OUTPUT.glb [RUNS]` reconstructs INPUT with
+//! simplification, once as a whole and then RUNS times with a cancel at another moment each,
+//! equally spaced over the whole.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -14,7 +16,12 @@ use meniscus::{Cancel, Cause, Error, Progress, Reconstruction, Stage};
 type Heard = (Instant, Stage, f64);
 
 /// Reconstructs and writes a frame, and adds every report of progress to `heard`.
-fn run(input: &Path, output: &Path, cancel: &Cancel, heard: &Arc<Mutex<Vec<Heard>>>) -> Result<(), Error> {
+fn run(
+    input: &Path,
+    output: &Path,
+    cancel: &Cancel,
+    heard: &Arc<Mutex<Vec<Heard>>>,
+) -> Result<(), Error> {
     let heard = Arc::clone(heard);
     let note = move |Progress { stage, done, .. }: Progress| {
         heard.lock().expect("nobody panics").push((Instant::now(), stage, done));
@@ -76,7 +83,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             None => slowest.push((stage, took, done)),
         }
     }
-    println!("{:12} {:>9} {:>14} {:>22}", "stage", "seconds", "longest still", "slowest cancel, at");
+    println!(
+        "{:12} {:>9} {:>14} {:>22}",
+        "stage", "seconds", "longest still", "slowest cancel, at"
+    );
     for (stage, longest, all) in still {
         let cancel = slowest.iter().find(|(other, ..)| *other == stage);
         let cancel = cancel.map_or("not hit".to_owned(), |(_, took, done)| {

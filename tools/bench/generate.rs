@@ -1,5 +1,6 @@
-//! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or a .pvtp whose pieces each hold a box of
-//! space, as simulations on many nodes write them. In random order, or in rows of cells.
+//! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or a
+//! .pvtp whose pieces each hold a box of space, as simulations on many nodes write them. In random
+//! order, or in rows of cells.
 //!
 //! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES | rows]`
 
@@ -14,7 +15,9 @@ fn main() -> io::Result<()> {
     let (Some(millions), Some(path)) =
         (arguments.next().and_then(|a| a.parse::<f64>().ok()), arguments.next())
     else {
-        eprintln!("usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz|OUTPUT.pvtp [PIECES | rows]");
+        eprintln!(
+            "usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz|OUTPUT.pvtp [PIECES | rows]"
+        );
         std::process::exit(2);
     };
     let (count, last) = ((millions * 1e6) as usize, arguments.next());
@@ -48,7 +51,8 @@ fn write_numbers(out: &mut impl Write, particles: &[[f32; 3]]) -> io::Result<()>
     particles.iter().flatten().try_for_each(|coordinate| out.write_all(&coordinate.to_le_bytes()))
 }
 
-/// Cuts particles across their longest extent until there are so many pieces of about equally many, and passes each on.
+/// Cuts particles across their longest extent until there are so many pieces of about equally many,
+/// and passes each on.
 fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f32; 3]])) {
     if pieces <= 1 || particles.is_empty() {
         return take(particles);
@@ -74,7 +78,8 @@ fn write_pieces(path: &Path, particles: &[[f32; 3]], pieces: &[usize]) -> io::Re
     std::fs::create_dir_all(&folder)?;
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut list = BufWriter::new(File::create(path)?);
-    let points = "<DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>";
+    let points =
+        "<DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>";
     writeln!(list, "<VTKFile type=\"PPolyData\" version=\"1.0\">\n<PPolyData GhostLevel=\"0\">")?;
     let mut rest = particles;
     for (number, &count) in pieces.iter().enumerate() {

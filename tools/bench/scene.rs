@@ -1,7 +1,9 @@
-//! A seeded scene of any size, in units of the particle spacing: a pool with waves, a sphere falling
-//! into it, a thin sheet and spray; a jittered lattice, in random order or in that of a simulation.
+//! A seeded scene of any size, in units of the particle spacing: a pool with waves, a sphere
+//! falling into it, a thin sheet and spray; a jittered lattice, in random order or in that of a
+//! simulation.
 
-/// A small generator of numbers that only have to look random, the same on every machine (splitmix64).
+/// A small generator of numbers that only have to look random, the same on every machine
+/// (splitmix64).
 pub struct Random(u64);
 
 impl Random {
@@ -33,8 +35,8 @@ pub fn splash(count: usize, seed: u64) -> Vec<[f32; 3]> {
     particles
 }
 
-/// About `count` particles at spacing 1, in the order of a simulation that sorts them by the cells of its search for neighbours: rows
-/// of cells, and the spray where it came up last.
+/// About `count` particles at spacing 1, in the order of a simulation that sorts them by the cells
+/// of its search for neighbours: rows of cells, and the spray where it came up last.
 pub fn splash_in_rows(count: usize, random: &mut Random) -> Vec<[f32; 3]> {
     // The pool is four times as wide as deep and holds nearly all particles.
     let depth = (count as f64 * 0.96 / 16.0).cbrt();

@@ -1,4 +1,5 @@
-//! Throughput of each stage and of a whole frame in memory, beside the machine's own memory bandwidth.
+//! Throughput of each stage and of a whole frame in memory, beside the machine's own memory
+//! bandwidth.
 //!
 //! `cargo bench --bench stages [-- MILLIONS_OF_PARTICLES]`
 
@@ -44,12 +45,17 @@ fn main() {
     let millions = std::env::args().skip(1).find_map(|a| a.parse::<f64>().ok()).unwrap_or(10.0);
     let particles = scene::splash((millions * 1e6) as usize, 1);
     let count = particles.len() as f64;
-    println!("{count} particles in random order, cell = spacing, {} threads", rayon::current_num_threads());
+    println!(
+        "{count} particles in random order, cell = spacing, {} threads",
+        rayon::current_num_threads()
+    );
 
     let from = vec![1_u8; 1 << 28];
     let mut to = vec![0_u8; 1 << 28];
     let (seconds, ()) = best_seconds(3, || {
-        to.par_chunks_mut(1 << 20).zip(from.par_chunks(1 << 20)).for_each(|(a, b)| a.copy_from_slice(b));
+        to.par_chunks_mut(1 << 20)
+            .zip(from.par_chunks(1 << 20))
+            .for_each(|(a, b)| a.copy_from_slice(b));
     });
     row("memory copy (read + write)", 2.0 * from.len() as f64, "MB/s", seconds);
     drop((from, to));
@@ -73,8 +79,9 @@ fn main() {
     }
 
     let weights = Weights::gaussian(Sigma::new(1.0).expect("a valid sigma"));
-    let block =
-        Block::<u16>::zero(CellBox::cube(glam::IVec3::ZERO, 33).grown(weights.reach(), weights.reach()));
+    let block = Block::<u16>::zero(
+        CellBox::cube(glam::IVec3::ZERO, 33).grown(weights.reach(), weights.reach()),
+    );
     let blocks = 4096;
     // Each with a copy of the block that it works in.
     let (seconds, _) = best_seconds(3, || {
@@ -116,11 +123,18 @@ fn main() {
         .map(|cells| (cells, field(&recipe, sampled, Normals::None.cells(cells))))
         .collect();
     let (seconds, mesh) = best_seconds(3, || {
-        let surfaces: Vec<_> =
-            fields.par_iter().map(|(cells, field)| contour(field, *cells, recipe.iso, None)).collect();
+        let surfaces: Vec<_> = fields
+            .par_iter()
+            .map(|(cells, field)| contour(field, *cells, recipe.iso, None))
+            .collect();
         let mut spool = Spool::in_memory(false, Vec::new());
-        surfaces.into_iter().try_for_each(|surface| spool.push(surface)).expect("nothing is written");
-        Stitched::new(spool, grid, None, recipe.iso, Vec::new()).to_mesh().expect("few enough vertices")
+        surfaces
+            .into_iter()
+            .try_for_each(|surface| spool.push(surface))
+            .expect("nothing is written");
+        Stitched::new(spool, grid, None, recipe.iso, Vec::new())
+            .to_mesh()
+            .expect("few enough vertices")
     });
     row("marching cubes and stitching", mesh.triangles.len() as f64, "M triangles/s", seconds);
     drop((frame, fields, mesh));

@@ -1,5 +1,5 @@
-//! How far surfaces lie from the meshes that were filled with particles (the paper's figure 13), and how much that
-//! depends on how the particles' lattice falls on the grid.
+//! How far surfaces lie from the meshes that were filled with particles (the paper's figure 13),
+//! and how much that depends on how the particles' lattice falls on the grid.
 
 use glam::{DQuat, DVec3};
 use meniscus::internals::frame::{FrameError, Normals};
@@ -77,14 +77,15 @@ pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
 }
 
 pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
-    let axes = [(DVec3::new(1.0, 2.0, 3.0), 0.4), (DVec3::X, 0.785), (DVec3::new(3.0, -1.0, 2.0), 1.1)];
+    let axes =
+        [(DVec3::new(1.0, 2.0, 3.0), 0.4), (DVec3::X, 0.785), (DVec3::new(3.0, -1.0, 2.0), 1.1)];
     let turned = axes.map(|(axis, angle)| DQuat::from_axis_angle(axis.normalize(), angle));
     let straight = places(options, cell, jitter);
     turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
 }
 
-/// None where a method finds no surface: a narrow filter at a high isovalue sees single particles only, and some cells are too
-/// fine.
+/// None where a method finds no surface: a narrow filter at a high isovalue sees single particles
+/// only, and some cells are too fine.
 pub fn errors(
     solid: &Solid,
     method: &Method,
@@ -93,8 +94,13 @@ pub fn errors(
 ) -> Outcome<Option<Vec<Errors>>> {
     let of = |lattice: &Lattice| {
         let particles = fill(solid, lattice);
-        let surface =
-            method.surface(&particles[..], grid(cell)?, 1.0, Normals::None, &mut Timings::default());
+        let surface = method.surface(
+            &particles[..],
+            grid(cell)?,
+            1.0,
+            Normals::None,
+            &mut Timings::default(),
+        );
         match surface {
             Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),
             surface => Errors::of(solid, &surface?.to_mesh()?).map(Some),
@@ -122,7 +128,8 @@ fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
 pub fn run(options: &Options) -> Outcome<()> {
     let methods = Method::WITH_OTHER_ISOVALUES;
     // By sampling, cell and method: of all solids.
-    let mut all = vec![vec![vec![Some(Vec::new()); methods.len()]; cells(options).len()]; SAMPLINGS.len()];
+    let mut all =
+        vec![vec![vec![Some(Vec::new()); methods.len()]; cells(options).len()]; SAMPLINGS.len()];
     for solid in &solids(options)? {
         for (s, (sampling, jitter)) in SAMPLINGS.into_iter().enumerate() {
             let mut tables = [(); 2].map(|()| Table::new(&HEAD));
@@ -165,18 +172,24 @@ fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Erro
         for ((sampling, _), by_cell) in SAMPLINGS.iter().zip(all) {
             for (cell, by_method) in cells(options).iter().zip(by_cell) {
                 let of_all = |errors: &Vec<Errors>| mean(errors.iter().map(of));
-                let means: Vec<_> = by_method.iter().map(|errors| errors.as_ref().map(of_all)).collect();
+                let means: Vec<_> =
+                    by_method.iter().map(|errors| errors.as_ref().map(of_all)).collect();
                 let least = means.iter().flatten().copied().fold(f64::INFINITY, f64::min);
                 let text = |mean: &Option<f64>| match *mean {
                     None => "none".into(),
                     Some(mean) if mean == least => format!("**{mean:.3}**"),
                     Some(mean) => figure(mean),
                 };
-                table.row([(*sampling).to_owned(), figure(*cell)].into_iter().chain(means.iter().map(text)));
+                table.row(
+                    [(*sampling).to_owned(), figure(*cell)]
+                        .into_iter()
+                        .chain(means.iter().map(text)),
+                );
             }
         }
-        table
-            .print(&format!("{what} in spacings, mean over all bodies, places and turns, the least in bold"));
+        table.print(&format!(
+            "{what} in spacings, mean over all bodies, places and turns, the least in bold"
+        ));
     }
 }
 

@@ -11,7 +11,8 @@ use meniscus::picture::{Colour, Image, Picture, Scope, View};
 use crate::Outcome;
 
 const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
-/// Distance from which a ball fills the height of a picture, in radii: half of what is seen upright is 14 degrees.
+/// Distance from which a ball fills the height of a picture, in radii: half of what is seen upright
+/// is 14 degrees.
 const DISTANCE: f64 = 4.011;
 /// What is not coloured by something else: opaque, so that all that is seen is the surface.
 const WATER: Colour = Colour::Solid([92, 158, 214]);
@@ -73,8 +74,10 @@ mod tests {
         let camera = Camera { centre: DVec3::ONE, radius: 2.0 };
         let mut ball = sphere(1.0, 5);
         ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x + 1.0));
-        let [image, nothing] = [ball, Mesh::default()].map(|mesh| camera.picture(&mesh, [200, 200]).unwrap());
-        let differ = image.rgb().chunks(3).zip(nothing.rgb().chunks(3)).filter(|(a, b)| a != b).count();
+        let [image, nothing] =
+            [ball, Mesh::default()].map(|mesh| camera.picture(&mesh, [200, 200]).unwrap());
+        let differ =
+            image.rgb().chunks(3).zip(nothing.rgb().chunks(3)).filter(|(a, b)| a != b).count();
         // From so far, the ball's radius on a picture one high is a quarter.
         let expected = std::f64::consts::PI * 50.0 * 50.0;
         assert!((differ as f64 / expected - 1.0).abs() < 0.05, "{differ} pixels, not {expected}");

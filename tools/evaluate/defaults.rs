@@ -46,11 +46,13 @@ pub fn run(options: &Options) -> Outcome<()> {
                 let mut found: [Vec<Errors>; 2] = Default::default();
                 for solid in &solids {
                     for (found, (_, jitter)) in found.iter_mut().zip(SAMPLINGS) {
-                        let lattices = [places(options, cell, jitter), turns(options, cell, jitter)].concat();
+                        let lattices =
+                            [places(options, cell, jitter), turns(options, cell, jitter)].concat();
                         found.extend(errors(solid, &method, cell, &lattices)?.unwrap_or_default());
                     }
                 }
-                let [regular, jittered] = found.each_ref().map(|found| mean(found.iter().map(|e| e.mean)));
+                let [regular, jittered] =
+                    found.each_ref().map(|found| mean(found.iter().map(|e| e.mean)));
                 let all = || found.iter().flatten();
                 let (seconds, triangles) = cost(&method, &frame, cell)?;
                 table.row([
@@ -87,7 +89,8 @@ fn cost(method: &Method, frame: &[[f32; 3]], cell: f64) -> Outcome<(f64, usize)>
     let mut least = (f64::INFINITY, 0);
     for _ in 0..RUNS {
         let start = Instant::now();
-        let surface = method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Timings::default())?;
+        let surface =
+            method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Timings::default())?;
         let triangles = surface.to_mesh()?.triangles.len();
         least = (start.elapsed().as_secs_f64().min(least.0), triangles);
         held(&surface, frame.len(), 1.0)?;

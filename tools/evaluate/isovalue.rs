@@ -1,7 +1,8 @@
-//! Which rule for the isovalue places the surface best, whatever way a lattice of particles falls on the grid.
+//! Which rule for the isovalue places the surface best, whatever way a lattice of particles falls
+//! on the grid.
 //!
-//! Along the diagonal of a cell a lattice's indicator goes through all that it can be, for symmetry from 1 in the
-//! cells' centres to 0 on their corners.
+//! Along the diagonal of a cell a lattice's indicator goes through all that it can be, for symmetry
+//! from 1 in the cells' centres to 0 on their corners.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::backend::field;
@@ -70,8 +71,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     let head = |first: &[&'static str]| -> Vec<String> {
         first.iter().map(|&text| text.to_owned()).chain(names.iter().cloned()).collect()
     };
-    let table =
-        |first: &[&'static str]| Table::new(&head(first).iter().map(|text| &**text).collect::<Vec<_>>());
+    let table = |first: &[&'static str]| {
+        Table::new(&head(first).iter().map(|text| &**text).collect::<Vec<_>>())
+    };
     let mut averages = table(&["indicator", "sampling", "cell / spacing", "lattices"]);
     let mut along = table(&["indicator", "cell / spacing", "place", "plateau"]);
     let cells = options.choose(&CELLS[..], &CELLS[2..3]);
@@ -79,16 +81,25 @@ pub fn run(options: &Options) -> Outcome<()> {
         for (sampling, jitter) in SAMPLINGS {
             for &cell in cells {
                 let measure = |lattices: &[Lattice]| -> Outcome<Vec<Vec<Found>>> {
-                    let of = |solid| lattices.par_iter().map(|l| found(solid, indicator, cell, l)).collect();
+                    let of = |solid| {
+                        lattices.par_iter().map(|l| found(solid, indicator, cell, l)).collect()
+                    };
                     solids.iter().map(of).collect()
                 };
-                let lattice =
-                    |shift| Lattice { shift, turn: DQuat::IDENTITY, jitter, inset: options.inset, seed: 3 };
+                let lattice = |shift| Lattice {
+                    shift,
+                    turn: DQuat::IDENTITY,
+                    jitter,
+                    inset: options.inset,
+                    seed: 3,
+                };
                 let about = [indicator.name().into(), sampling.into(), figure(cell)];
                 let count = options.choose(8, 2);
                 if jitter == 0.0 {
                     let diagonal: Vec<Lattice> = (0..count)
-                        .map(|n| lattice(DVec3::splat(cell * (n as f64 + 0.5) / count as f64) - 0.5))
+                        .map(|n| {
+                            lattice(DVec3::splat(cell * (n as f64 + 0.5) / count as f64) - 0.5)
+                        })
                         .collect();
                     let found = measure(&diagonal)?;
                     for n in 0..count {
@@ -106,7 +117,8 @@ pub fn run(options: &Options) -> Outcome<()> {
                     let first = about.iter().cloned().chain(["on the diagonal".into()]);
                     averages.row(first.chain(per_rule(&all)));
                 }
-                let anywhere: Vec<Lattice> = (0..count / 2).map(|n| lattice(cell * place(n))).collect();
+                let anywhere: Vec<Lattice> =
+                    (0..count / 2).map(|n| lattice(cell * place(n))).collect();
                 let found = measure(&anywhere)?;
                 let all: Vec<&Found> = found.iter().flatten().collect();
                 averages.row(about.into_iter().chain(["anywhere".into()]).chain(per_rule(&all)));
@@ -140,10 +152,12 @@ fn per_rule(found: &[&Found]) -> Vec<String> {
 
 fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) -> Outcome<Found> {
     let particles = fill(solid, lattice);
-    let sample =
-        |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Timings::default());
+    let sample = |grid: Grid| {
+        Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Timings::default())
+    };
     let frame = sample(grid(cell)?)?;
-    let (asked, sampled) = (surfacing(None, None), frame.dif().ok_or("an indicator makes the field")?);
+    let (asked, sampled) =
+        (surfacing(None, None), frame.dif().ok_or("an indicator makes the field")?);
     let Ok(Calibrated { calibration, plateau, .. }) = asked.calibrate(sampled) else {
         return Ok(Found { plateau: f64::NAN, errors: vec![None; RULES.len()] });
     };
@@ -155,7 +169,9 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
             Some(mean) => error_at(solid, &frame, Some(share * mean)),
             None => Ok(None),
         },
-        Rule::Volume => error_at(solid, &frame, Some(values.above(particles.len() as f64 / cell.powi(3)))),
+        Rule::Volume => {
+            error_at(solid, &frame, Some(values.above(particles.len() as f64 / cell.powi(3))))
+        }
         Rule::Moved => {
             let origin = sound_origin(&particles[..], DVec3::ZERO, cell).unwrap_or(DVec3::ZERO);
             error_at(solid, &sample(Grid::new(origin, cell)?)?, None)
@@ -177,7 +193,8 @@ fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Erro
 struct Values {
     /// From the greatest down.
     sorted: Vec<u16>,
-    /// Over cells whose filters see nothing but fluid, by the truth; in small bodies there are none.
+    /// Over cells whose filters see nothing but fluid, by the truth; in small bodies there are
+    /// none.
     interior_mean: Option<f64>,
 }
 
@@ -193,7 +210,8 @@ impl Values {
             // A part of the cells tells enough.
             for ([y, z], row) in field.rows(cells).filter(|([y, z], _)| y % 2 == 0 && z % 2 == 0) {
                 let centre = |x| grid.world_from_cells(IVec3::new(x, y, z).as_dvec3() + 0.5);
-                let deep = row.iter().zip(cells.lo.x..).filter(|&(_, x)| solid.depth(centre(x)) > deep);
+                let deep =
+                    row.iter().zip(cells.lo.x..).filter(|&(_, x)| solid.depth(centre(x)) > deep);
                 interior.extend(deep.map(|(&value, _)| f64::from(value) / f64::from(FULL)));
             }
         }

@@ -1,5 +1,5 @@
-//! Measures the paper's methods against each other and prints Markdown tables: accuracy, roughness, speed, resolution,
-//! parameters, pictures.
+//! Measures the paper's methods against each other and prints Markdown tables: accuracy, roughness,
+//! speed, resolution, parameters, pictures.
 //!
 //! `cargo run --release --example evaluate -- [TOPIC] [--out DIR] [--quick] [MESH...]`
 
@@ -40,7 +40,8 @@ struct Options {
     /// Where pictures go.
     #[arg(long, value_name = "DIR", default_value = "target/evaluate")]
     out: PathBuf,
-    /// Particle files for the topic spacing, as FILE=SPACING; without the spacing where the file or its name says it.
+    /// Particle files for the topic spacing, as FILE=SPACING; without the spacing where the file or
+    /// its name says it.
     #[arg(long, value_name = "FILE[=SPACING]", num_args = 1..)]
     files: Vec<String>,
     /// Particles to take pictures of, y up, instead of a splash.
@@ -58,7 +59,8 @@ struct Options {
     /// Particles in a mesh.
     #[arg(long, value_name = "COUNT")]
     particles: Option<usize>,
-    /// How deep in a mesh its particles lie at the least, in spacings: 0.5 is spheres that touch its surface.
+    /// How deep in a mesh its particles lie at the least, in spacings: 0.5 is spheres that touch
+    /// its surface.
     #[arg(long, value_name = "SPACINGS", default_value = "0")]
     inset: f64,
 }
@@ -83,7 +85,8 @@ enum Topic {
     Isovalue,
     /// Cell, sigma and indicator: error against cost.
     Defaults,
-    /// The estimated spacing over the true one, of files and of made particles, and what is said of wrong ones.
+    /// The estimated spacing over the true one, of files and of made particles, and what is said of
+    /// wrong ones.
     Spacing,
     /// Side by side with other programs.
     Quality,

@@ -53,8 +53,14 @@ impl Method {
     pub const ZHU_BRIDSON: Self = Self::Kernels(KernelMethod::ZhuBridson);
     pub const YU_TURK: Self = Self::Kernels(KernelMethod::YuTurk { iso: KernelMethod::HALF });
     /// Ours, and the paper's five with the surface half-way between inside and outside.
-    pub const ALL: &[Self] =
-        &[Self::CLOUD, Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
+    pub const ALL: &[Self] = &[
+        Self::CLOUD,
+        Self::SYMMETRY,
+        Self::COUNTING,
+        Self::MUELLER,
+        Self::ZHU_BRIDSON,
+        Self::YU_TURK,
+    ];
     /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.
     pub const WITH_OTHER_ISOVALUES: &[Self] = &[
         Self::CLOUD,
@@ -79,7 +85,12 @@ impl Method {
     }
 
     pub const fn counting(sigma: f64, iso: Iso) -> Self {
-        Self::Dif { indicator: COUNTING, sigma: Sigmas::Cells(sigma), iso, detail: Detail::Smoothed }
+        Self::Dif {
+            indicator: COUNTING,
+            sigma: Sigmas::Cells(sigma),
+            iso,
+            detail: Detail::Smoothed,
+        }
     }
 
     /// By default, with what smoothing loses treated otherwise.
@@ -158,11 +169,14 @@ impl Iso {
     }
 }
 
-/// How much of the volume of so many particles a surface holds, 1 being all. What is timed has to hold half of it at least.
+/// How much of the volume of so many particles a surface holds, 1 being all. What is timed has to
+/// hold half of it at least.
 pub fn held(surface: &Stitched, particles: usize, spacing: f64) -> Outcome<f64> {
     match Shortfall::of(surface, None, particles, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
-        Some(shortfall) => Err(format!("what was timed is no surface of the fluid: {shortfall}").into()),
+        Some(shortfall) => {
+            Err(format!("what was timed is no surface of the fluid: {shortfall}").into())
+        }
     }
 }
 

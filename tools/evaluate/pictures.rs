@@ -1,4 +1,5 @@
-//! A picture of every method through one camera, and meshes coloured by their distance from the truth.
+//! A picture of every method through one camera, and meshes coloured by their distance from the
+//! truth.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
@@ -60,8 +61,9 @@ impl Scene {
                 (Box::new(file.particles), file.spacing)
             }
         };
-        let spacing =
-            known.or_else(|| spacing::estimate(&*particles)).ok_or("the spacing is not to be found")?;
+        let spacing = known
+            .or_else(|| spacing::estimate(&*particles))
+            .ok_or("the spacing is not to be found")?;
         let bounds = bounds(&*particles).ok_or("there are no particles")?;
         Ok(Self { particles, spacing, camera: Camera::of([bounds.lo, bounds.hi]) })
     }
@@ -98,15 +100,23 @@ pub fn run(options: &Options) -> Outcome<()> {
 
 /// A body's surface, blue where it lies inside of the truth and red where it lies outside.
 fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
-    let lattice =
-        Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: options.inset, seed: 1 };
+    let lattice = Lattice {
+        shift: place(0),
+        turn: DQuat::IDENTITY,
+        jitter: JITTER,
+        inset: options.inset,
+        seed: 1,
+    };
     let particles = fill(solid, &lattice);
-    let surface = method.surface(&particles[..], grid(1.0)?, 1.0, Normals::None, &mut Timings::default())?;
+    let surface =
+        method.surface(&particles[..], grid(1.0)?, 1.0, Normals::None, &mut Timings::default())?;
     let mut mesh = surface.to_mesh()?;
     let distances: Vec<f64> = mesh.positions.par_iter().map(|&p| -solid.depth(p.into())).collect();
-    let colours: Vec<Vec3> = distances.iter().map(|distance| colour(distance / FULL_COLOUR)).collect();
+    let colours: Vec<Vec3> =
+        distances.iter().map(|distance| colour(distance / FULL_COLOUR)).collect();
     let stem = format!("{}-{}", solid.name, method.slug());
-    let (ply, png) = (options.out.join(format!("{stem}.ply")), options.out.join(format!("{stem}.png")));
+    let (ply, png) =
+        (options.out.join(format!("{stem}.ply")), options.out.join(format!("{stem}.png")));
     write_coloured(&mesh, &colours, &ply)?;
     let reach = DVec3::splat(solid.radius / 3_f64.sqrt());
     let camera = Camera::of([solid.centre - reach, solid.centre + reach]);

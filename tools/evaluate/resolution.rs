@@ -1,5 +1,5 @@
-//! Stage times by resolution (the paper's figure 14), on the processor and on a Vulkan device where there is one, and
-//! what recovering details costs and brings (its figure 15).
+//! Stage times by resolution (the paper's figure 14), on the processor and on a Vulkan device where
+//! there is one, and what recovering details costs and brings (its figure 15).
 
 use std::time::Instant;
 
@@ -50,7 +50,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     for &cells in options.choose(&CELLS[..], &CELLS[..1]) {
         let cell = side / f64::from(cells);
         let mut row = |on: String, (stages, whole, triangles): Figures| {
-            let ms = |seconds: Option<f64>| seconds.map_or("-".into(), |s| format!("{:.1}", s * 1e3));
+            let ms =
+                |seconds: Option<f64>| seconds.map_or("-".into(), |s| format!("{:.1}", s * 1e3));
             let stages = stages.into_iter().map(ms);
             let about = [format!("{cells}^3"), on].into_iter();
             table.row(about.chain(stages).chain([ms(Some(whole)), triangles.to_string()]));
@@ -90,11 +91,17 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let start = Instant::now();
     let sampled = frame.dif().ok_or("an indicator makes the field")?;
     let recipe = surfacing.recipe(sampled, &surfacing.calibrate(sampled)?.calibration);
-    let regions =
-        Surfaces { sampled, recipe: &recipe, normals: Normals::None, periodic_mesh: PeriodicMesh::Cut }
-            .regions();
-    let fields: Vec<_> =
-        regions.par_iter().map(|&cells| field(&recipe, sampled, Normals::None.cells(cells))).collect();
+    let regions = Surfaces {
+        sampled,
+        recipe: &recipe,
+        normals: Normals::None,
+        periodic_mesh: PeriodicMesh::Cut,
+    }
+    .regions();
+    let fields: Vec<_> = regions
+        .par_iter()
+        .map(|&cells| field(&recipe, sampled, Normals::None.cells(cells)))
+        .collect();
     let smoothing = start.elapsed().as_secs_f64();
 
     let start = Instant::now();
@@ -108,7 +115,11 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let mesh = Stitched::new(spool, grid(cell)?, None, recipe.iso, Vec::new()).to_mesh()?;
     let isosurface = start.elapsed().as_secs_f64();
     assert_eq!(mesh.triangles.len(), surface.triangles.len());
-    Ok(([Some(dif), Some(smoothing), Some(isosurface), None], whole, surface.triangles.len() as u64))
+    Ok((
+        [Some(dif), Some(smoothing), Some(isosurface), None],
+        whole,
+        surface.triangles.len() as u64,
+    ))
 }
 
 fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
@@ -129,8 +140,9 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
     drop(device.take_timings());
     let (whole, triangles) = run()?;
     let timings = device.take_timings();
-    let seconds =
-        |parts: &[&str]| timings.iter().filter(|t| parts.contains(&t.stage)).map(|t| t.seconds).sum::<f64>();
+    let seconds = |parts: &[&str]| {
+        timings.iter().filter(|t| parts.contains(&t.stage)).map(|t| t.seconds).sum::<f64>()
+    };
     Ok((STAGES.map(|(_, parts)| Some(seconds(parts))), whole, triangles))
 }
 
@@ -139,8 +151,9 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
     let mut table = Table::new(&["c", "surface", "seconds", "components", "volume", "triangles"]);
     let sampling = sampling(grid(side / options.choose(256.0, 64.0))?, 1.0, COUNTING);
     let kinds = [("smoothed", Detail::Smoothed), ("details recovered", Detail::Recovered)];
-    let all =
-        [("0.2", Iso::At(0.2)), ("auto", Iso::Auto)].into_iter().flat_map(|c| kinds.map(|kind| (c, kind)));
+    let all = [("0.2", Iso::At(0.2)), ("auto", Iso::Auto)]
+        .into_iter()
+        .flat_map(|c| kinds.map(|kind| (c, kind)));
     for ((c, iso), (name, detail)) in all {
         let surfacing = Surfacing { detail, ..surfacing(Sigmas::Cells(1.2).value(), iso.value()) };
         let run = || -> Outcome<_> {

@@ -1,5 +1,5 @@
-//! How still the surface of a pool at rest stands when the pool is carried through a cell, as frames of a simulation are:
-//! grid, mu0 and isovalue are those of the first.
+//! How still the surface of a pool at rest stands when the pool is carried through a cell, as
+//! frames of a simulation are: grid, mu0 and isovalue are those of the first.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
@@ -24,8 +24,10 @@ const STEPS: u32 = 8;
 
 pub fn run(options: &Options) -> Outcome<()> {
     let jitters = JITTERS.map(|jitter| format!("jittered by {jitter}"));
-    let head: Vec<&str> =
-        ["indicator", "cell / spacing"].into_iter().chain(jitters.iter().map(String::as_str)).collect();
+    let head: Vec<&str> = ["indicator", "cell / spacing"]
+        .into_iter()
+        .chain(jitters.iter().map(String::as_str))
+        .collect();
     let mut table = Table::new(&head);
     for indicator in [CLOUD, COUNTING, IndicatorKind::Symmetry] {
         for &cell in options.choose(&CELLS[..], &CELLS[2..]) {
@@ -45,10 +47,12 @@ pub fn run(options: &Options) -> Outcome<()> {
 }
 
 fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f64> {
-    let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(5));
+    let pool =
+        cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(5));
     let rise = |step: u32| cell * f64::from(step) / f64::from(STEPS);
-    let raised =
-        |step: u32| -> Vec<[f64; 3]> { pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect() };
+    let raised = |step: u32| -> Vec<[f64; 3]> {
+        pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect()
+    };
 
     let asked = surfacing(None, None);
     let free = sampling(grid(cell)?, 1.0, indicator);
@@ -59,7 +63,8 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     let height = |step: u32| -> Outcome<f64> {
         let timings = &mut Timings::default();
         let frame = Frame::sample(&raised(step)[..], &frozen, timings)?;
-        let mesh = frame.calibrate(&asked, calibration.as_ref(), timings)?.surface(timings)?.to_mesh()?;
+        let mesh =
+            frame.calibrate(&asked, calibration.as_ref(), timings)?.surface(timings)?.to_mesh()?;
         Ok(level(&mesh) - rise(step))
     };
     let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;

@@ -37,7 +37,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         "ball: within",
     ]);
     let mut sheets = Table::new(&["cell / spacing", "method", "1 layer", "2 layers", "3 layers"]);
-    let mut drops = Table::new(&["cell / spacing", "method", "1 particle", "2 particles", "8 particles"]);
+    let mut drops =
+        Table::new(&["cell / spacing", "method", "1 particle", "2 particles", "8 particles"]);
     let ball = Solid::new("ball", sphere(1.0, 5), options.choose(30_000, 5_000))?;
     for &cell in options.choose(&CELLS[..], &CELLS[1..2]) {
         let narrower = [Method::symmetry(0.8, Iso::Auto), Method::counting(0.8, Iso::Auto)];
@@ -49,7 +50,8 @@ pub fn run(options: &Options) -> Outcome<()> {
             let of_pool = pool(method, cell)?;
             let of_ball = around(method, &ball, cell)?;
             surfaces.row(about().chain([of_pool, of_ball].into_iter().flat_map(Deviation::text)));
-            let layers: Outcome<Vec<_>> = (1..=3).map(|layers| sheet(method, cell, layers)).collect();
+            let layers: Outcome<Vec<_>> =
+                (1..=3).map(|layers| sheet(method, cell, layers)).collect();
             sheets.row(about().chain(layers?));
             let kinds = [IVec3::ONE, IVec3::new(2, 1, 1), IVec3::splat(2)];
             let kept: Outcome<Vec<_>> =
@@ -64,8 +66,10 @@ pub fn run(options: &Options) -> Outcome<()> {
     sheets.print(
         "sheets of jittered particles above a pool: components, holes in them, mean thickness in spacings",
     );
-    drops
-        .print(&format!("components above a pool of {} drops: fewer are lost, more are torn", DROPS * DROPS));
+    drops.print(&format!(
+        "components above a pool of {} drops: fewer are lost, more are torn",
+        DROPS * DROPS
+    ));
     Ok(())
 }
 
@@ -78,7 +82,8 @@ pub struct Deviation {
 }
 
 impl Deviation {
-    /// From the signed distances of vertices. Those that lie deep are of bubbles, and tell nothing of roughness.
+    /// From the signed distances of vertices. Those that lie deep are of bubbles, and tell nothing
+    /// of roughness.
     fn of(mesh: &Mesh, distances: impl Iterator<Item = f64>) -> Self {
         let near: Vec<f64> = distances.filter(|&distance| distance > -NEAR).collect();
         let bias = mean(near.iter().copied());
@@ -131,7 +136,8 @@ pub fn is_central(p: &[f64; 3]) -> bool {
 }
 
 fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
-    let lattice = Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: 0.0, seed: 1 };
+    let lattice =
+        Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: 0.0, seed: 1 };
     let mesh = mesh(method, &fill(ball, &lattice), cell)?;
     Ok(Deviation::of(&mesh, mesh.positions.iter().map(|&p| -ball.depth(p.into()))))
 }
@@ -139,7 +145,8 @@ fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
 /// The components, holes and thickness of a sheet above a pool, which is there for its plateau.
 fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     let mut random = Random::new(1);
-    let mut particles = cuboid(IVec3::new(0, -28, 0), IVec3::new(WIDTH, -16, WIDTH), JITTER, &mut random);
+    let mut particles =
+        cuboid(IVec3::new(0, -28, 0), IVec3::new(WIDTH, -16, WIDTH), JITTER, &mut random);
     particles.extend(cuboid(IVec3::ZERO, IVec3::new(WIDTH, layers, WIDTH), JITTER, &mut random));
     let sheet = above(&mesh(method, &shifted(particles, cell, 1), cell)?, -8.0);
     if sheet.triangles.is_empty() {
@@ -168,7 +175,8 @@ fn drops_kept(method: &Method, cell: f64, size: IVec3) -> Outcome<String> {
 
 /// The triangles above a height.
 fn above(mesh: &Mesh, height: f64) -> Mesh {
-    let above = |triangle: &&[u32; 3]| triangle.iter().all(|&v| mesh.positions[v as usize][1] > height);
+    let above =
+        |triangle: &&[u32; 3]| triangle.iter().all(|&v| mesh.positions[v as usize][1] > height);
     let triangles = mesh.triangles.iter().filter(above).copied().collect();
     Mesh { positions: mesh.positions.clone(), triangles, ..Mesh::default() }
 }

@@ -1,9 +1,10 @@
-//! Bodies of fluid filled with particles at spacing 1: a lattice at some place and turn against the grid, in order or
-//! jittered.
+//! Bodies of fluid filled with particles at spacing 1: a lattice at some place and turn against the
+//! grid, in order or jittered.
 //!
-//! A particle stands for a cube of edge 1. All lattice points inside the body are taken, so that the particles'
-//! volume is the body's, whatever way a lattice falls on it. Particles whose spheres only touch the surface from
-//! inside (`inset` 0.5) fill less: over all places of the lattice, a body that ends half a spacing further in.
+//! A particle stands for a cube of edge 1. All lattice points inside the body are taken, so that
+//! the particles' volume is the body's, whatever way a lattice falls on it. Particles whose spheres
+//! only touch the surface from inside (`inset` 0.5) fill less: over all places of the lattice, a
+//! body that ends half a spacing further in.
 
 use glam::{DQuat, DVec3, IVec3};
 use rayon::prelude::*;
@@ -37,8 +38,8 @@ pub fn fill(solid: &Solid, lattice: &Lattice) -> Vec<[f64; 3]> {
     let size = hi - lo;
     let blocks = (0..size.element_product()).into_par_iter();
     let of_block = |block: i32| {
-        let first =
-            BLOCK * (lo + IVec3::new(block % size.x, block / size.x % size.y, block / (size.x * size.y)));
+        let first = BLOCK
+            * (lo + IVec3::new(block % size.x, block / size.x % size.y, block / (size.x * size.y)));
         let centre = shift + turn * (first.as_dvec3() + f64::from(BLOCK) / 2.0);
         let depth = solid.depth(centre);
         let radius = (f64::from(BLOCK) / 2.0 + jitter) * 3_f64.sqrt();
@@ -46,7 +47,8 @@ pub fn fill(solid: &Solid, lattice: &Lattice) -> Vec<[f64; 3]> {
             return Vec::new();
         }
         let mut random = Random::new(seed ^ ((block as u64) << 20));
-        let places = (0..BLOCK.pow(3)).map(|i| IVec3::new(i % BLOCK, i / BLOCK % BLOCK, i / BLOCK.pow(2)));
+        let places =
+            (0..BLOCK.pow(3)).map(|i| IVec3::new(i % BLOCK, i / BLOCK % BLOCK, i / BLOCK.pow(2)));
         let particles = places.map(|place| {
             let off = DVec3::from([(); 3].map(|()| jitter * (2.0 * random.unit() - 1.0)));
             shift + turn * ((first + place).as_dvec3() + 0.5 + off)
@@ -74,7 +76,8 @@ pub fn cuboid(lo: IVec3, hi: IVec3, jitter: f64, random: &mut Random) -> Vec<[f6
 
 /// Place number `n` of a cell, from a sequence that fills it evenly (R3, Roberts 2018), in 0 to 1.
 pub fn place(n: usize) -> DVec3 {
-    let step = DVec3::new(0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2);
+    let step =
+        DVec3::new(0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2);
     (0.5 + (n + 1) as f64 * step).fract()
 }
 

@@ -1,4 +1,5 @@
-//! Closed meshes as bodies of fluid: scaled until the particles' spacing is 1, and searched for depths.
+//! Closed meshes as bodies of fluid: scaled until the particles' spacing is 1, and searched for
+//! depths.
 
 use std::path::Path;
 
@@ -31,7 +32,9 @@ impl Solid {
     /// Scales `mesh` to hold `particles`.
     pub fn new(name: &str, mut mesh: Mesh, particles: usize) -> Outcome<Self> {
         let measures = measure(&mesh);
-        let (Some([lo, hi]), Some(volume)) = (measures.bounds, measures.volume.filter(|&v| v > 0.0)) else {
+        let (Some([lo, hi]), Some(volume)) =
+            (measures.bounds, measures.volume.filter(|&v| v > 0.0))
+        else {
             return Err(format!("{name}: not a closed mesh that faces outwards").into());
         };
         let (lo, hi) = (DVec3::from(lo), DVec3::from(hi));
@@ -44,7 +47,14 @@ impl Solid {
         let search = TriMesh::with_flags(positions, mesh.triangles.clone(), TriMeshFlags::ORIENTED)
             .map_err(|fault| format!("{name}: {fault}"))?;
         let radius = scale * (hi - lo).length() / 2.0;
-        Ok(Self { name: name.into(), mesh, volume: particles as f64, centre: CENTRE, radius, search })
+        Ok(Self {
+            name: name.into(),
+            mesh,
+            volume: particles as f64,
+            centre: CENTRE,
+            radius,
+            search,
+        })
     }
 
     pub fn read(path: &Path, particles: usize) -> Outcome<Self> {

@@ -1,4 +1,5 @@
-//! The spacing that is estimated, over the true one: of particle files, and of particles made so that it is 1.
+//! The spacing that is estimated, over the true one: of particle files, and of particles made so
+//! that it is 1.
 
 use std::path::Path;
 use std::time::Instant;
@@ -17,7 +18,8 @@ use crate::{Options, Outcome};
 const GIVEN: [f64; 13] = [0.1, 0.25, 0.4, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.5, 2.0, 4.0, 10.0];
 
 pub fn run(options: &Options) -> Outcome<()> {
-    let mut estimates = Table::new(&["particles", "count", "by counting alone", "estimate", "said"]);
+    let mut estimates =
+        Table::new(&["particles", "count", "by counting alone", "estimate", "said"]);
     let mut given = Table::new(&[
         "spacing given over true",
         "0.1",
@@ -40,15 +42,17 @@ pub fn run(options: &Options) -> Outcome<()> {
             Some((path, truth)) => (path, Some(truth.parse()?)),
             None => (file.as_str(), None),
         };
-        let particles =
-            open_particles(path, &Settings::default()).map_err(|fault| format!("{path}: {fault}"))?;
+        let particles = open_particles(path, &Settings::default())
+            .map_err(|fault| format!("{path}: {fault}"))?;
         let name = Path::new(path).file_name().unwrap_or_default().to_string_lossy().into_owned();
         let truth = truth.or_else(|| named(&name)).or(particles.spacing);
         let truth = truth.ok_or_else(|| format!("{path}: the true spacing is not known"))?;
         let mut positions = vec![[0.0; 3]; particles.particles.len()];
         particles.particles.positions(0, &mut positions);
         estimates.row(estimate(&name, &positions, truth));
-        given.row([name.clone()].into_iter().chain(GIVEN.map(|over| said_of(&positions, over * truth))));
+        given.row(
+            [name.clone()].into_iter().chain(GIVEN.map(|over| said_of(&positions, over * truth))),
+        );
         cost.row(cost_of(&name, &positions)?);
     }
     for (name, particles) in made(options.quick) {
@@ -70,8 +74,10 @@ fn named(name: &str) -> Option<f64> {
 }
 
 fn estimate(name: &str, particles: &[[f64; 3]], truth: f64) -> [String; 5] {
-    let counted = evidence(particles).and_then(|evidence| evidence.counted).map(|counted| counted.mean);
-    let over = |spacing: Option<f64>| spacing.map_or("none".into(), |spacing| figure(spacing / truth));
+    let counted =
+        evidence(particles).and_then(|evidence| evidence.counted).map(|counted| counted.mean);
+    let over =
+        |spacing: Option<f64>| spacing.map_or("none".into(), |spacing| figure(spacing / truth));
     let request = SamplingRequest::default();
     let (estimate, said) = match request.cells(particles, Source::default()) {
         Ok(cells) => (cells.spacing(), words(&cells)),
@@ -110,7 +116,9 @@ fn words(cells: &Cells) -> String {
 
 fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {
     let request = SamplingRequest { spacing: Some(spacing), ..SamplingRequest::default() };
-    request.cells(particles, Source::default()).map_or_else(|error| error.to_string(), |cells| words(&cells))
+    request
+        .cells(particles, Source::default())
+        .map_or_else(|error| error.to_string(), |cells| words(&cells))
 }
 
 /// Medians of seven, of estimating and of a whole frame whose spacing is known.
@@ -125,9 +133,13 @@ fn cost_of(name: &str, particles: &[[f64; 3]]) -> Outcome<[String; 4]> {
         took.sort_by(f64::total_cmp);
         Ok(took[3])
     };
-    let spacing =
-        SamplingRequest::default().cells(particles, Source::default()).ok().and_then(|cells| cells.spacing());
-    let Some(spacing) = spacing else { return Ok([name.to_owned(), "-".into(), "-".into(), "-".into()]) };
+    let spacing = SamplingRequest::default()
+        .cells(particles, Source::default())
+        .ok()
+        .and_then(|cells| cells.spacing());
+    let Some(spacing) = spacing else {
+        return Ok([name.to_owned(), "-".into(), "-".into(), "-".into()]);
+    };
     let estimating = median(Box::new(|| {
         std::hint::black_box(evidence(particles));
         Ok(())
@@ -185,8 +197,12 @@ fn made(quick: bool) -> Vec<(String, Vec<[f64; 3]>)> {
     }
     let sides: &[usize] = if quick { &[5, 10, 22] } else { &[5, 10, 22, 46, 100, 215] };
     for &side in sides {
-        for jitter in [0.0, 0.1, 0.2, 0.3, 0.4, 0.5].into_iter().filter(|j| side < 200 || *j == 0.3) {
-            all.push((format!("lattice of {side}^3, jitter {jitter}"), layers([side; 3], jitter, random)));
+        for jitter in [0.0, 0.1, 0.2, 0.3, 0.4, 0.5].into_iter().filter(|j| side < 200 || *j == 0.3)
+        {
+            all.push((
+                format!("lattice of {side}^3, jitter {jitter}"),
+                layers([side; 3], jitter, random),
+            ));
         }
     }
     for side in [10_i32, 30, 60].into_iter().filter(|side| !quick || *side < 60) {
@@ -194,7 +210,9 @@ fn made(quick: bool) -> Vec<(String, Vec<[f64; 3]>)> {
         let mut within = |length: f64| [(); 3].map(|()| length * random.unit());
         let uniform = (0..side.pow(3)).map(|_| within(length)).collect();
         all.push((format!("{side}^3 at random"), uniform));
-        let cell = |i: i32| [i / 8 % (side / 2), i / 8 / (side / 2) % (side / 2), i / 8 / (side / 2).pow(2)];
+        let cell = |i: i32| {
+            [i / 8 % (side / 2), i / 8 / (side / 2) % (side / 2), i / 8 / (side / 2).pow(2)]
+        };
         let seeded = (0..side.pow(3)).map(|i| {
             let at = within(2.0);
             [0, 1, 2].map(|axis| 2.0 * f64::from(cell(i)[axis]) + at[axis])

@@ -1,4 +1,5 @@
-//! Seconds a frame from particles in memory to a mesh in memory, at the sizes of the paper's scenes (its table 1).
+//! Seconds a frame from particles in memory to a mesh in memory, at the sizes of the paper's scenes
+//! (its table 1).
 
 use std::time::Instant;
 
@@ -12,7 +13,8 @@ use crate::scene::splash;
 use crate::tables::{Table, deviation, mean};
 use crate::{Options, Outcome};
 
-/// One of the paper's scenes: what it took on one core, by Mueller, Zhu-Bridson, Yu-Turk, counting, symmetry.
+/// One of the paper's scenes: what it took on one core, by Mueller, Zhu-Bridson, Yu-Turk, counting,
+/// symmetry.
 struct PaperScene {
     name: &'static str,
     particles: f64,
@@ -21,7 +23,13 @@ struct PaperScene {
     seconds: [f64; 5],
 }
 
-const fn scene(name: &'static str, particles: f64, cells: u32, sigma: f64, seconds: [f64; 5]) -> PaperScene {
+const fn scene(
+    name: &'static str,
+    particles: f64,
+    cells: u32,
+    sigma: f64,
+    seconds: [f64; 5],
+) -> PaperScene {
     PaperScene { name, particles, cells, sigma, seconds }
 }
 
@@ -36,10 +44,12 @@ const PAPER: [PaperScene; 4] = [
 const PATIENCE: f64 = 10.0;
 
 impl PaperScene {
-    /// What is computed by default, and the paper's five, each with the paper's seconds. Its own isovalues would lose most of
-    /// the fluid where a cell holds fewer particles than in its scenes, so the plateau tells them.
+    /// What is computed by default, and the paper's five, each with the paper's seconds. Its own
+    /// isovalues would lose most of the fluid where a cell holds fewer particles than in its
+    /// scenes, so the plateau tells them.
     fn methods(&self) -> [(String, Method, Option<f64>); 6] {
-        let &Self { sigma, seconds: [mueller, zhu_bridson, yu_turk, counting, symmetry], .. } = self;
+        let &Self { sigma, seconds: [mueller, zhu_bridson, yu_turk, counting, symmetry], .. } =
+            self;
         let paper = [
             (Method::counting(sigma, Iso::Auto), counting),
             (Method::symmetry(sigma, Iso::Auto), symmetry),
@@ -48,7 +58,8 @@ impl PaperScene {
             (Method::YU_TURK, yu_turk),
         ];
         let ours = [("our defaults".into(), Method::CLOUD, None)];
-        let mut all = ours.into_iter().chain(paper.map(|(method, s)| (method.name(), method, Some(s))));
+        let mut all =
+            ours.into_iter().chain(paper.map(|(method, s)| (method.name(), method, Some(s))));
         std::array::from_fn(|_| all.next().expect("six"))
     }
 }
@@ -105,8 +116,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// Seconds of each frame, after one that takes what the memory's first use takes; and what the last surface holds of its
-/// particles' volume.
+/// Seconds of each frame, after one that takes what the memory's first use takes; and what the last
+/// surface holds of its particles' volume.
 fn seconds(
     method: &Method,
     frames: &[Vec<[f32; 3]>],
@@ -119,7 +130,8 @@ fn seconds(
         let start = Instant::now();
         let surface = pool.install(|| -> Outcome<Stitched> {
             let timings = &mut Timings::default();
-            let surface = method.surface(&frame[..], grid(cell)?, spacing, Normals::None, timings)?;
+            let surface =
+                method.surface(&frame[..], grid(cell)?, spacing, Normals::None, timings)?;
             std::hint::black_box(surface.to_mesh()?);
             Ok(surface)
         })?;

@@ -38,7 +38,8 @@ fn command() -> String {
 }
 
 pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
-    let (sum, count) = values.into_iter().fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+    let (sum, count) =
+        values.into_iter().fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
     sum / count
 }
 
@@ -51,7 +52,9 @@ pub fn deviation(values: &[f64]) -> f64 {
 
 /// The value farthest from 0.
 pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
-    values.into_iter().fold(0.0, |worst: f64, value| if value.abs() > worst.abs() { value } else { worst })
+    values
+        .into_iter()
+        .fold(0.0, |worst: f64, value| if value.abs() > worst.abs() { value } else { worst })
 }
 
 /// Of many, with the worst in brackets.

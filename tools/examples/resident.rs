@@ -1,15 +1,17 @@
-//! A program with a Vulkan device of its own: its buffer of positions in, its buffers of vertices and indices out. The device waits for
-//! the positions, and what is drawn waits on the device for the surface.
+//! A program with a Vulkan device of its own: its buffer of positions in, its buffers of vertices
+//! and indices out. The device waits for the positions, and what is drawn waits on the device for
+//! the surface.
 //!
-//! `cargo run --release --example resident -- OUTPUT.ply` meshes a ball of particles on the first device, which may
-//! be a driver that computes on the processor, such as lavapipe; with a number behind it, as `meniscus devices` lists them, on that one.
+//! `cargo run --release --example resident -- OUTPUT.ply` meshes a ball of particles on the first
+//! device, which may be a driver that computes on the processor, such as lavapipe; with a number
+//! behind it, as `meniscus devices` lists them, on that one.
 
 use std::error::Error;
 
 use ash::vk;
 use meniscus::devices::{
-    Coordinate, Device, DeviceOptions, DevicePositions, DeviceRequest, Exchange, Foreign, InvalidParticles,
-    Moment, Pipeline, Surfacing,
+    Coordinate, Device, DeviceOptions, DevicePositions, DeviceRequest, Exchange, Foreign,
+    InvalidParticles, Moment, Pipeline, Surfacing,
 };
 use meniscus::error::FrameError;
 use meniscus::{Grid, IndicatorKind};
@@ -24,9 +26,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let number = arguments.next().map_or(Ok(0), |number| number.parse())?;
     let steps = || (-40..40).map(|i| i as f32 + 0.5);
     let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
-    let ball: Vec<[f32; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f32>() < 1000.0).collect();
+    let ball: Vec<[f32; 3]> =
+        lattice.filter(|p| p.iter().map(|c| c * c).sum::<f32>() < 1000.0).collect();
     let (vertices, triangles) = surface_of(number, &ball, 1.0)?;
-    println!("{} particles, {} vertices, {} triangles", ball.len(), vertices.len(), triangles.len());
+    println!(
+        "{} particles, {} vertices, {} triangles",
+        ball.len(),
+        vertices.len(),
+        triangles.len()
+    );
     let mut ply = format!(
         "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
@@ -75,10 +83,13 @@ impl Program {
                 needs.memory_type_bits >> i & 1 == 1 && kind.property_flags.contains(wanted)
             };
             let (_, kind) = kinds.find(fits).ok_or("no memory that both sides see")?;
-            let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(kind);
+            let info = vk::MemoryAllocateInfo::default()
+                .allocation_size(needs.size)
+                .memory_type_index(kind);
             let memory = self.device.allocate_memory(&info, None)?;
             self.device.bind_buffer_memory(raw, memory, 0)?;
-            let mapped = self.device.map_memory(memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
+            let mapped =
+                self.device.map_memory(memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
             Ok(Own { raw, memory, bytes, mapped: mapped.cast() })
         }
     }
@@ -93,7 +104,8 @@ impl Program {
         }
     }
 
-    /// Submits the copy of one buffer to another of the same size, between two values of a timeline.
+    /// Submits the copy of one buffer to another of the same size, between two values of a
+    /// timeline.
     ///
     /// # Safety
     /// All of it is alive until the copy is done.
@@ -106,9 +118,11 @@ impl Program {
     ) -> Result<(), vk::Result> {
         // SAFETY: all handles are this device's.
         unsafe {
-            let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+            let info =
+                vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = self.device.allocate_command_buffers(&info)?;
-            self.device.begin_command_buffer(commands[0], &vk::CommandBufferBeginInfo::default())?;
+            self.device
+                .begin_command_buffer(commands[0], &vk::CommandBufferBeginInfo::default())?;
             let region = [vk::BufferCopy::default().size(from.bytes)];
             self.device.cmd_copy_buffer(commands[0], from.raw, to.raw, &region);
             self.device.end_command_buffer(commands[0])?;
@@ -127,23 +141,34 @@ impl Program {
     }
 }
 
-/// Does on a device of its own, the loader's one of that number, what a simulation and a renderer do on theirs.
-pub fn surface_of(number: usize, particles: &[[f32; 3]], cell: f64) -> Result<Surface, Box<dyn Error>> {
-    // SAFETY: every handle is used while those that it was made from are alive, and destroyed once, in order.
+/// Does on a device of its own, the loader's one of that number, what a simulation and a renderer
+/// do on theirs.
+pub fn surface_of(
+    number: usize,
+    particles: &[[f32; 3]],
+    cell: f64,
+) -> Result<Surface, Box<dyn Error>> {
+    // SAFETY: every handle is used while those that it was made from are alive, and destroyed once,
+    // in order.
     unsafe {
         let entry = ash::Entry::load()?;
         let application = vk::ApplicationInfo::default().api_version(vk::API_VERSION_1_2);
-        let instance =
-            entry.create_instance(&vk::InstanceCreateInfo::default().application_info(&application), None)?;
+        let instance = entry.create_instance(
+            &vk::InstanceCreateInfo::default().application_info(&application),
+            None,
+        )?;
         let devices = instance.enumerate_physical_devices()?;
         let physical = *devices.get(number).ok_or("no such Vulkan device")?;
         let families = instance.get_physical_device_queue_family_properties(physical);
-        let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+        let computes =
+            |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
         let family = families.iter().position(computes).ok_or("no queue for compute")? as u32;
-        let queues =
-            [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
+        let queues = [vk::DeviceQueueCreateInfo::default()
+            .queue_family_index(family)
+            .queue_priorities(&[1.0])];
         let mut features = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true);
-        let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut features);
+        let info =
+            vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut features);
         let device = instance.create_device(physical, &info, None)?;
         let queue = device.get_device_queue(family, 0);
         let program = Program { instance, physical, device, family, queue };
@@ -175,9 +200,10 @@ unsafe fn simulate_and_draw(
     unsafe {
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(*family);
         let pool = device.create_command_pool(&info, None)?;
-        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-        let timeline =
-            device.create_semaphore(&vk::SemaphoreCreateInfo::default().push_next(&mut kind), None)?;
+        let mut kind =
+            vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let timeline = device
+            .create_semaphore(&vk::SemaphoreCreateInfo::default().push_next(&mut kind), None)?;
 
         // A simulation leaves its particles in a storage buffer, and nobody waits for it here.
         let simulated = program.buffer(bytes.len() as u64)?;
@@ -186,11 +212,13 @@ unsafe fn simulate_and_draw(
         program.copy(pool, [&simulated, &positions], timeline, [0, SIMULATED])?;
 
         let (instance, device) = (instance.clone(), device.clone());
-        let foreign = Foreign { instance, physical: *physical, device, family: *family, queue: *queue };
+        let foreign =
+            Foreign { instance, physical: *physical, device, family: *family, queue: *queue };
         let library = Device::adopt(foreign, &DeviceOptions::default())?;
         let pipeline = Pipeline::new(&library)?;
         let view = library.foreign_buffer(positions.raw, positions.bytes).whole();
-        let input = [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Single }];
+        let input =
+            [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Single }];
         let settings = DeviceRequest {
             grid: Grid::new([0.0; 3].into(), cell)?,
             domain: None,

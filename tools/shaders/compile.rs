@@ -1,5 +1,5 @@
-//! From the shaders' sources to their binaries and to their Rust table: what the command does, and what tests
-//! compare with.
+//! From the shaders' sources to their binaries and to their Rust table: what the command does, and
+//! what tests compare with.
 
 #[path = "table.rs"]
 mod table;
@@ -74,7 +74,8 @@ pub fn source(name: &str) -> Result<String, Fault> {
     whole(&read(name)?)
 }
 
-/// Puts before a text the parts that its first line names, and before those the constants that all of it names.
+/// Puts before a text the parts that its first line names, and before those the constants that all
+/// of it names.
 pub fn whole(own: &str) -> Result<String, Fault> {
     let parts = own.lines().next().and_then(|line| line.strip_prefix("//! with ")).unwrap_or("");
     let parts = parts.split_whitespace().map(read).collect::<Result<String, Fault>>()?;
@@ -97,7 +98,8 @@ pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
     compiled_with(name, source, BoundsCheckPolicy::Unchecked)
 }
 
-/// All programs with checks of every index into a buffer or an array: those beyond the end are the last.
+/// All programs with checks of every index into a buffer or an array: those beyond the end are the
+/// last.
 pub fn checked() -> Result<HashMap<&'static str, Vec<u8>>, Fault> {
     let binary = |shader: &&Shader| {
         let checks = BoundsCheckPolicy::Restrict;
@@ -118,7 +120,11 @@ fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<
         zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
         use_storage_input_output_16: false,
         force_loop_bounding: false,
-        bounds_check_policies: BoundsCheckPolicies { index: checks, buffer: checks, ..Default::default() },
+        bounds_check_policies: BoundsCheckPolicies {
+            index: checks,
+            buffer: checks,
+            ..Default::default()
+        },
         ..spv::Options::default()
     };
     let words = spv::write_vec(&module, &info, &options, None)?;
@@ -126,15 +132,16 @@ fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<
     Ok(words.iter().flat_map(|word| word.to_le_bytes()).collect())
 }
 
-/// Takes the layouts off all types but those of storage buffers and push blocks: Vulkan allows none in the memory of a work group,
-/// and naga lays out all arrays (VUID-StandaloneSpirv-None-10684).
+/// Takes the layouts off all types but those of storage buffers and push blocks: Vulkan allows none
+/// in the memory of a work group, and naga lays out all arrays (VUID-StandaloneSpirv-None-10684).
 fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
     let mut module = rspirv::dr::load_words(words).map_err(|fault| fault.to_string())?;
-    let ids = |of: &Instruction| of.operands.iter().filter_map(Operand::id_ref_any).collect::<Vec<Word>>();
+    let ids = |of: &Instruction| {
+        of.operands.iter().filter_map(Operand::id_ref_any).collect::<Vec<Word>>()
+    };
     let reached_from = |classes: &[StorageClass]| {
         let types = &module.types_global_values;
-        let is_of =
-            |operand: &Operand| matches!(operand, Operand::StorageClass(class) if classes.contains(class));
+        let is_of = |operand: &Operand| matches!(operand, Operand::StorageClass(class) if classes.contains(class));
         let is_pointer =
             |of: &&Instruction| of.class.opcode == Op::TypePointer && of.operands.iter().any(is_of);
         let mut open: Vec<Word> = types.iter().filter(is_pointer).flat_map(ids).collect();
@@ -150,15 +157,15 @@ fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
     let shared = reached_from(&[StorageClass::Workgroup]);
     let target = |of: &Instruction| {
         let layouts = [Decoration::ArrayStride, Decoration::Offset, Decoration::MatrixStride];
-        let is_layout =
-            |operand: &Operand| matches!(operand, Operand::Decoration(what) if layouts.contains(what));
+        let is_layout = |operand: &Operand| matches!(operand, Operand::Decoration(what) if layouts.contains(what));
         of.operands.iter().any(is_layout).then(|| of.operands[0].unwrap_id_ref())
     };
     let targets: HashSet<Word> = module.annotations.iter().filter_map(target).collect();
     if let Some(both) = targets.iter().find(|id| laid_out.contains(*id) && shared.contains(*id)) {
-        return Err(
-            format!("type {both} is of a buffer and of a work group, and can have but one layout").into()
-        );
+        return Err(format!(
+            "type {both} is of a buffer and of a work group, and can have but one layout"
+        )
+        .into());
     }
     module.annotations.retain(|of| target(of).is_none_or(|id| laid_out.contains(&id)));
     Ok(module.assemble())

@@ -1,12 +1,14 @@
-//! Rebuilds the shaders' binaries, `spirv/*.spv`, and their Rust table, `src/shaders.rs`, from the sources,
-//! `spirv/*.wgsl`.
+//! Rebuilds the shaders' binaries, `spirv/*.spv`, and their Rust table, `src/shaders.rs`, from the
+//! sources, `spirv/*.wgsl`.
 //!
-//! `cargo run --example shaders` writes the files that are not what the sources make, and names them.
-//! `cargo run --example shaders -- --check` writes nothing, names them, and exits with 1 if there are any.
+//! `cargo run --example shaders` writes the files that are not what the sources make, and names
+//! them. `cargo run --example shaders -- --check` writes nothing, names them, and exits with 1 if
+//! there are any.
 //!
-//! A source is what its file holds after the parts that its first line names (`//! with wide float64`) and the constants
-//! of `meniscus::internals::backend::wgsl_constants` that it uses, so a constant that changes in Rust changes binaries
-//! too. This program links the library: change the WGSL and run it before Rust code uses a new shader or field.
+//! A source is what its file holds after the parts that its first line names
+//! (`//! with wide float64`) and the constants of `meniscus::internals::backend::wgsl_constants`
+//! that it uses, so a constant that changes in Rust changes binaries too. This program links the
+//! library: change the WGSL and run it before Rust code uses a new shader or field.
 
 #[allow(dead_code, reason = "tests use the rest")]
 mod compile;

@@ -9,7 +9,8 @@ use super::Fault;
 const HEAD: &str = "\
 //! Every shader of `spirv`, and the push constants that each takes.
 //!
-//! `cargo run --example shaders` writes this file from the WGSL sources, which explain buffers and fields.
+//! `cargo run --example shaders` writes this file from the WGSL sources, which explain buffers and
+//! fields.
 #![allow(missing_docs, reason = \"the WGSL sources explain them\")]
 
 use bytemuck::{Pod, Zeroable};
@@ -47,7 +48,9 @@ fn shader(name: &str, module: &Module, push: Option<&str>) -> Result<String, Str
     if entry.name != name {
         return Err(format!("the entry point must be named {name}, not {}", entry.name));
     }
-    let [group, 1, 1] = entry.workgroup_size else { return Err("the work group must be a row".into()) };
+    let [group, 1, 1] = entry.workgroup_size else {
+        return Err("the work group must be a row".into());
+    };
     let constant = name.to_uppercase();
     let buffers = buffers(module)?;
     let push_bytes = push.map_or("0".into(), |push| format!("size_of::<{push}>() as u32"));

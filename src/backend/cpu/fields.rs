@@ -6,11 +6,13 @@ use crate::brick::Block;
 use crate::field::blur::{Weights, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
-    Bulk, Depths, Distances, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part, quotient,
-    refined, spread, wide_cells,
+    Bulk, Depths, Distances, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part,
+    quotient, refined, spread, wide_cells,
 };
 use crate::field::indicator::SampledDif;
-use crate::field::recipe::{Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at};
+use crate::field::recipe::{
+    Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at,
+};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 
@@ -35,30 +37,35 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// Makes, one after the other, the final field on each of some boxes of cells near one another where the surface can pass between
-/// them, as far as can be told before there is a field, by whether each is away from walls. They share what they can in so many bytes.
+/// Makes, one after the other, the final field on each of some boxes of cells near one another
+/// where the surface can pass between them, as far as can be told before there is a field, by
+/// whether each is away from walls. They share what they can in so many bytes.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
     boxes: &'a [(CellBox, bool)],
     most_bytes: u64,
 ) -> Box<dyn Iterator<Item = Option<Block>> + 'a> {
-    let boxes = boxes
-        .iter()
-        .map(|&(cells, away_from_walls)| (cells, Looking::For { iso: recipe.iso, away_from_walls }));
+    let boxes = boxes.iter().map(|&(cells, away_from_walls)| {
+        (cells, Looking::For { iso: recipe.iso, away_from_walls })
+    });
     let blocks = |cells, looking| Blocks::new(recipe, sampled, cells, looking);
     let block = |field: Result<Field, Stopped>| Some(Rc::unwrap_or_clone(field.ok()?.block));
     let Filters::Distances(distances) = &recipe.filters else {
-        return Box::new(boxes.map(move |(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))));
+        return Box::new(
+            boxes.map(move |(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))),
+        );
     };
     let volume = |cells: CellBox| looked_at(distances, cells);
-    let all = boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
+    let all =
+        boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
     let fits = distances.bulk_bytes(distances.wide_cells(all)) <= most_bytes;
     let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let together = fits && volume(all) <= apart;
     let whole = if together { volume(all) } else { apart };
     if FEW * sampled.dif.full_volume(all) <= all.volume()
-        && let Some(near) = parts_of_spray(distances, sampled, boxes.clone().map(|(cells, _)| cells), whole)
+        && let Some(near) =
+            parts_of_spray(distances, sampled, boxes.clone().map(|(cells, _)| cells), whole)
     {
         return Box::new(boxes.zip(near).map(move |((cells, _), near)| {
             let parts = near.into_iter().filter_map(|part| drops(recipe, distances, sampled, part));
@@ -71,8 +78,11 @@ pub(super) fn cut_fields<'a>(
         }));
     }
     let made = move |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
-    let of_all =
-        if together { made(all, Looking::For { iso: recipe.iso, away_from_walls: true }) } else { None };
+    let of_all = if together {
+        made(all, Looking::For { iso: recipe.iso, away_from_walls: true })
+    } else {
+        None
+    };
     let field = move |(cells, looking)| {
         let wide = if together { of_all.clone() } else { made(cells, looking) };
         block(joined_fields(distances, &mut blocks(cells, looking), wide?))
@@ -86,8 +96,8 @@ fn looked_at(distances: &Distances, cells: CellBox) -> usize {
     distances.wide_cells(cells).grown(halo, halo).volume()
 }
 
-/// The parts of each of some boxes that a surface can be in, if all cost less drop by drop than the `whole` number of wide cells: nothing
-/// is beyond reach of particles.
+/// The parts of each of some boxes that a surface can be in, if all cost less drop by drop than the
+/// `whole` number of wide cells: nothing is beyond reach of particles.
 fn parts_of_spray(
     distances: &Distances,
     sampled: &SampledDif,
@@ -95,7 +105,8 @@ fn parts_of_spray(
     whole: usize,
 ) -> Option<Vec<Vec<CellBox>>> {
     let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
-    let near: Vec<Vec<CellBox>> = boxes.map(|cells| sampled.dif.parts_near(cells, reach).collect()).collect();
+    let near: Vec<Vec<CellBox>> =
+        boxes.map(|cells| sampled.dif.parts_near(cells, reach).collect()).collect();
     let cost = |part: &CellBox| {
         let full = distances.wide_cells(part.grown(-reach, -reach));
         let volume = looked_at(distances, *part);
@@ -105,7 +116,12 @@ fn parts_of_spray(
 }
 
 /// The final field on a box of cells around drops, `None` where no surface is.
-fn drops(recipe: &Recipe, distances: &Distances, sampled: &SampledDif, cells: CellBox) -> Option<Block> {
+fn drops(
+    recipe: &Recipe,
+    distances: &Distances,
+    sampled: &SampledDif,
+    cells: CellBox,
+) -> Option<Block> {
     let Distances { level, near, least, .. } = *distances;
     let wide = distances.wide_cells(cells);
     let walls = walls_at(level, sampled.facts.walls());
@@ -116,7 +132,8 @@ fn drops(recipe: &Recipe, distances: &Distances, sampled: &SampledDif, cells: Ce
     }
     // The cells between the middles of those that are needed.
     let further = i32::from(level > 0);
-    let between = CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
+    let between =
+        CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
     let mut blocks = Blocks { few: true, ..Blocks::new(recipe, sampled, between, Looking::Away) };
     let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
     // Further away no particle is near.
@@ -128,7 +145,8 @@ fn drops(recipe: &Recipe, distances: &Distances, sampled: &SampledDif, cells: Ce
     };
     let fields = WideFields { bulk: padded(bulk), outlying: padded(outlying) };
     let looking = Looking::For { iso: recipe.iso, away_from_walls: false };
-    let field = joined_fields(distances, &mut Blocks::new(recipe, sampled, cells, looking), fields).ok()?;
+    let field =
+        joined_fields(distances, &mut Blocks::new(recipe, sampled, cells, looking), fields).ok()?;
     Some(Rc::unwrap_or_clone(field.block))
 }
 
@@ -142,10 +160,12 @@ enum Looking {
 }
 
 impl Looking {
-    /// Whether a surface can pass between cells whose field is, at its greatest, such means of these samples.
+    /// Whether a surface can pass between cells whose field is, at its greatest, such means of
+    /// these samples.
     fn may_cut(self, block: &Block) -> bool {
         let Self::For { iso, away_from_walls } = self else { return true };
-        // A weighted mean lies on the same side as all that it is made of. All inside is no surface only away from walls.
+        // A weighted mean lies on the same side as all that it is made of. All inside is no surface
+        // only away from walls.
         let threshold = iso.threshold();
         let mut pieces = block.samples().chunks(PIECE);
         let any_inside = pieces.clone().any(|piece| maximum(piece) > threshold);
@@ -157,7 +177,8 @@ impl Looking {
         matches!(self, Self::Away) || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
     }
 
-    /// Whether a surface can pass by the distances in wide cells; with `drops`, drops can add to the inside.
+    /// Whether a surface can pass by the distances in wide cells; with `drops`, drops can add to
+    /// the inside.
     fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
         let Self::For { away_from_walls, iso } = self else { return true };
         let threshold = iso.threshold();
@@ -185,7 +206,8 @@ struct Blocks<'a> {
 
 impl<'a> Blocks<'a> {
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, looking: Looking) -> Self {
-        // The paper's smoothing is a mean of the DIF, and decides where nothing brings details back.
+        // The paper's smoothing is a mean of the DIF, and decides where nothing brings details
+        // back.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
         Self { sampled, cells, wanted: cells, looking, decides, few: false }
     }
@@ -221,14 +243,20 @@ impl Fields for Blocks<'_> {
     fn samples(&mut self, level: u32, halo: i32) -> Result<Field, Stopped> {
         let cells = wide_cells(level, self.wanted).grown(halo, halo);
         let block = self.sampled.wide(level).gather_within(cells, self.walls(level));
-        let goes_on =
-            if self.decides { self.looking.may_cut(&block) } else { self.looking.may_show_any(&block) };
+        let goes_on = if self.decides {
+            self.looking.may_cut(&block)
+        } else {
+            self.looking.may_show_any(&block)
+        };
         if goes_on { Ok(Field { block: Rc::new(block), level }) } else { Err(Stopped) }
     }
 
     fn blur(&mut self, Field { block, level }: Field, weights: &Weights) -> Result<Field, Stopped> {
         if self.few {
-            return Ok(Field { block: Rc::new(blur_of_few(&block, weights, self.walls(level))), level });
+            return Ok(Field {
+                block: Rc::new(blur_of_few(&block, weights, self.walls(level))),
+                level,
+            });
         }
         let goes_on = |smooth: &Block| !self.decides || self.looking.may_cut(smooth);
         let block = blur_while(Rc::unwrap_or_clone(block), weights, self.walls(level), goes_on);
@@ -247,7 +275,8 @@ impl Fields for Blocks<'_> {
     fn depths(&mut self, by: &Bulk, shares: [Field; 3]) -> Result<Depths<Field>, Stopped> {
         let level = shares[0].level;
         let Depths { calm, fine, apart } = depths(by, [0, 1, 2].map(|i: usize| &*shares[i].block));
-        let [calm, fine, apart] = [calm, fine, apart].map(|block| Field { block: Rc::new(block), level });
+        let [calm, fine, apart] =
+            [calm, fine, apart].map(|block| Field { block: Rc::new(block), level });
         Ok(Depths { calm, fine, apart })
     }
 
@@ -294,7 +323,10 @@ impl Fields for Blocks<'_> {
     }
 
     fn quotient(&mut self, clouds: Field, around: Field, bits: u32) -> Result<Field, Stopped> {
-        Ok(Field { block: Rc::new(quotient(&clouds.block, &around.block, bits)), level: clouds.level })
+        Ok(Field {
+            block: Rc::new(quotient(&clouds.block, &around.block, bits)),
+            level: clouds.level,
+        })
     }
 
     fn joined(
@@ -304,7 +336,8 @@ impl Fields for Blocks<'_> {
         shares: Field,
         (drops, gate): (&Drops, &Gate),
     ) -> Result<Field, Stopped> {
-        let block = joined(Rc::unwrap_or_clone(bulk.block), &near.block, &shares.block, drops, gate);
+        let block =
+            joined(Rc::unwrap_or_clone(bulk.block), &near.block, &shares.block, drops, gate);
         Ok(Field { block: Rc::new(block), level: bulk.level })
     }
 }

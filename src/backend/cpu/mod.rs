@@ -20,7 +20,8 @@ use crate::system::control::Meter;
 use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;
 
-/// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one go.
+/// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one
+/// go.
 const SHARE: u64 = 8;
 
 /// The processor: all threads of the pool that a call is made in.
@@ -49,12 +50,14 @@ impl Executor for Cpu {
 /// The stages of a frame on the processor.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CpuStages {
-    /// Bytes that a thread may take to mesh neighbouring blocks in one go; 0 meshes each block by itself.
+    /// Bytes that a thread may take to mesh neighbouring blocks in one go; 0 meshes each block by
+    /// itself.
     together: u64,
 }
 
 impl CpuStages {
-    /// Stands in for a device that fails: meshes each block by itself, which takes the least memory.
+    /// Stands in for a device that fails: meshes each block by itself, which takes the least
+    /// memory.
     pub(super) const STAND_IN: Self = Self { together: 0 };
 }
 
@@ -102,7 +105,8 @@ impl Stages for CpuStages {
     }
 }
 
-/// The surfaces through some regions, which share what they can where that takes so many bytes at the most.
+/// The surfaces through some regions, which share what they can where that takes so many bytes at
+/// the most.
 fn meshes(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -115,7 +119,8 @@ fn meshes(
     let &Surfaces { sampled, recipe, normals, .. } = surfaces;
     let walls = surfaces.mesh_walls();
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-    let boxes: Vec<_> = regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
+    let boxes: Vec<_> =
+        regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
     let mut fields = cut_fields(recipe, sampled, &boxes, together);
     let mesh = |&region: &CellBox| {
         let field = fields.next().filter(|_| meter.goes_on()).flatten();

@@ -21,7 +21,8 @@ use super::resident::Resident;
 
 /// Bins of a batch at the most.
 const BIN_BATCH: usize = 4096;
-/// Particles of a batch of several bins at the most: drivers give up on a device that is at work for some two seconds on end.
+/// Particles of a batch of several bins at the most: drivers give up on a device that is at work
+/// for some two seconds on end.
 const PARTICLE_BATCH: usize = 4 << 20;
 
 /// An error on the way: of the device, or of a scratch file on the host.
@@ -82,8 +83,9 @@ impl DeviceFrame {
         })
     }
 
-    /// Makes the pages of all bins, which stay on the device, and tells of each what the host has to know; `None` where the host reads
-    /// them there as well, they do not fit, or a bin is too large for a batch.
+    /// Makes the pages of all bins, which stay on the device, and tells of each what the host has
+    /// to know; `None` where the host reads them there as well, they do not fit, or a bin is too
+    /// large for a batch.
     pub(super) fn indicate_there(
         &self,
         state: &mut State,
@@ -158,12 +160,15 @@ impl DeviceFrame {
         let device = &self.device;
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
-        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's
+        // own.
         unsafe { staged.write(entries_at.start, &entries) };
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
             let contents = bins.contents(bin).map_err(Fault::Host)?;
             // SAFETY: as above, and every bin's records have a place of their own.
-            unsafe { staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed()) };
+            unsafe {
+                staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed())
+            };
             Ok::<_, Fault>(())
         })?;
 
@@ -212,12 +217,19 @@ impl DeviceFrame {
         let found = lane.buffer(&self.device, "full cells", Place::Device, bytes)?;
         let read = lane.buffer(&self.device, "full cells read", Place::Download, bytes)?;
         lane.compute.stage("full cells", pages.bytes());
-        full_cells(&mut lane.compute, &self.pipelines.full_cells, count as u32, shape, [pages, &found])?;
+        full_cells(
+            &mut lane.compute,
+            &self.pipelines.full_cells,
+            count as u32,
+            shape,
+            [pages, &found],
+        )?;
         lane.compute.copy(&found, &read);
         Ok(read)
     }
 
-    /// The pages of particles that are binned on the device already, or what there is to know of them where they stay there.
+    /// The pages of particles that are binned on the device already, or what there is to know of
+    /// them where they stay there.
     pub(super) fn indicate_resident(
         &self,
         state: &mut State,
@@ -233,7 +245,8 @@ impl DeviceFrame {
         let making = Making { rule, resident, read };
         let most = BIN_BATCH.min((state.batch_bytes / (2 * page_bytes(shape))) as usize).max(1);
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
-            bins.parts(run.clone(), most, PARTICLE_BATCH).map(move |part| (part, run.start, records))
+            bins.parts(run.clone(), most, PARTICLE_BATCH)
+                .map(move |part| (part, run.start, records))
         });
         let (mut pages, mut infos) = (Pages::new(), Vec::new());
         fly(
@@ -251,7 +264,8 @@ impl DeviceFrame {
                 let bytes = size_of_val(&entries[..]) as u64;
                 let staged = lane.buffer(&self.device, "staged", Place::Upload, bytes)?;
                 let inputs = lane.buffer(&self.device, "inputs", Place::Device, bytes)?;
-                // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+                // SAFETY: `begin` waited for what the lane did before, and what is staged is the
+                // lane's own.
                 unsafe { staged.write(0, &entries) };
                 lane.send(&staged, &inputs)?;
                 let records = records.whole();
@@ -279,12 +293,20 @@ pub(super) enum Made {
 }
 
 /// Waits for what there is to know of the pages of a batch.
-fn read_infos(lane: &mut Lane, batch: &BinBatch, keys: &[MortonKey]) -> Result<Vec<PageInfo>, VulkanError> {
+fn read_infos(
+    lane: &mut Lane,
+    batch: &BinBatch,
+    keys: &[MortonKey],
+) -> Result<Vec<PageInfo>, VulkanError> {
     lane.compute.wait()?;
     // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
     let found: Vec<FullCells> = unsafe { batch.read.read(0, batch.bins.len()) };
     let keys = &keys[batch.bins.clone()];
-    Ok(found.iter().zip(keys).map(|(found, &key)| found.info(key).expect("a bin holds particles")).collect())
+    Ok(found
+        .iter()
+        .zip(keys)
+        .map(|(found, &key)| found.info(key).expect("a bin holds particles"))
+        .collect())
 }
 
 /// Waits for the pages of a batch.
@@ -300,7 +322,8 @@ fn read_pages(
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
     let stride = page_bytes(shape) as usize / size_of::<u16>();
-    // SAFETY: the batch that writes it was waited for, and the lane begins no other before they are copied.
+    // SAFETY: the batch that writes it was waited for, and the lane begins no other before they are
+    // copied.
     let samples: &[u16] = unsafe { batch.read.values(0, batch.bins.len() * stride) };
     let page = |(samples, bin): (&[u16], usize)| {
         let dense = &samples[..shape.bin_samples()];

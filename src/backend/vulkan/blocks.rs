@@ -23,7 +23,8 @@ use super::lane::{Lane, Layout, fly};
 use super::pipelines::page_bytes;
 
 impl DeviceFrame {
-    /// Hands the surfaces through some regions to `take`, as far as nothing fails and `meter` goes on.
+    /// Hands the surfaces through some regions to `take`, as far as nothing fails and `meter` goes
+    /// on.
     pub(super) fn contour_batches(
         &self,
         state: &mut State,
@@ -56,7 +57,8 @@ impl DeviceFrame {
             let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
             let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
             lane.download.stage("collect", 2 * (tile_bytes + end_bytes));
-            let [new_tiles, new_ends] = [lane.known("tiles", tile_bytes), lane.known("ends", end_bytes)];
+            let [new_tiles, new_ends] =
+                [lane.known("tiles", tile_bytes), lane.known("ends", end_bytes)];
             tiles.append(&self.device, &mut lane.download, &new_tiles)?;
             ends.append(&self.device, &mut lane.download, &new_ends)?;
             written = Some(lane.download.submit(lane.compute.last())?);
@@ -74,7 +76,8 @@ impl DeviceFrame {
         })
     }
 
-    /// Has the surfaces through some regions computed, and `take` take them batch by batch, in order, as long as it goes on.
+    /// Has the surfaces through some regions computed, and `take` take them batch by batch, in
+    /// order, as long as it goes on.
     fn each_batch<E: From<VulkanError>>(
         &self,
         state: &mut State,
@@ -91,20 +94,25 @@ impl DeviceFrame {
         let mut next = 0;
         fly(
             lanes,
-            |lane| if goes_on() { Ok(work.start_next(lane, regions, &mut next)?) } else { Ok(None) },
+            |lane| {
+                if goes_on() { Ok(work.start_next(lane, regions, &mut next)?) } else { Ok(None) }
+            },
             |lane, batch| Ok(work.go_on(lane, batch)?),
             |lane, batch| work.finish(lane, batch, take),
         )
     }
 }
 
-/// A callback that takes a batch, given where each of its blocks begins in it, and where the last one ends.
-type TakeBatch<'a, E> = dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), E> + 'a;
+/// A callback that takes a batch, given where each of its blocks begins in it, and where the last
+/// one ends.
+type TakeBatch<'a, E> =
+    dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), E> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
 #[derive(Debug)]
 pub struct DeviceSurfaces {
-    /// The blocks that the surface passes through, in Morton order, counted in blocks, and what each has.
+    /// The blocks that the surface passes through, in Morton order, counted in blocks, and what
+    /// each has.
     pub blocks: Vec<(IVec3, Tally)>,
     /// A [`Tile`] each.
     pub tiles: View,
@@ -116,7 +124,6 @@ pub struct DeviceSurfaces {
 
 impl DeviceSurfaces {
     /// Returns the tickets that commands reading the surfaces have to wait for.
-    #[must_use]
     pub fn written(&self) -> &[Ticket] {
         self.written.as_slice()
     }
@@ -131,7 +138,12 @@ struct Growing {
 
 impl Growing {
     /// Records the copy of `from` to the end.
-    fn append(&mut self, device: &Device, commands: &mut Batch, from: &View) -> Result<(), VulkanError> {
+    fn append(
+        &mut self,
+        device: &Device,
+        commands: &mut Batch,
+        from: &View,
+    ) -> Result<(), VulkanError> {
         let end = self.used + from.bytes();
         if self.buffer.as_ref().is_none_or(|buffer| buffer.bytes() < end) {
             let doubled = device.buffer(Place::Device, end.max(2 * self.used));
@@ -197,10 +209,17 @@ impl Contouring<'_> {
             return Ok(());
         }
         let outputs = self.outputs(lane, batch.drawn.len() as u64, batch.room)?;
-        let read =
-            lane.buffer(&self.frame.device, "tallies read", Place::Download, outputs.tallies.bytes())?;
-        let Fielded { blocks, field, uploaded } = match (&self.surfaces.recipe.filters, &batch.wide) {
-            (Filters::Distances(distances), Some(wide)) => self.join_wide(lane, batch, distances, wide)?,
+        let read = lane.buffer(
+            &self.frame.device,
+            "tallies read",
+            Place::Download,
+            outputs.tallies.bytes(),
+        )?;
+        let Fielded { blocks, field, uploaded } = match (&self.surfaces.recipe.filters, &batch.wide)
+        {
+            (Filters::Distances(distances), Some(wide)) => {
+                self.join_wide(lane, batch, distances, wide)?
+            }
             _ => self.filter(lane, batch)?,
         };
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.mesh_walls());
@@ -221,7 +240,12 @@ impl Contouring<'_> {
         let from = self.samples(source.level);
         let mut grid = Grid::default();
         for region in batch.drawn() {
-            grid.push_sampled(source.cells(self.surfaces.normals.cells(region)), region.tiled(), from, None);
+            grid.push_sampled(
+                source.cells(self.surfaces.normals.cells(region)),
+                region.tiled(),
+                from,
+                None,
+            );
         }
         let mut layout = Layout::default();
         let places = grid.place(&mut layout, page_bytes(from.shape()));
@@ -233,7 +257,13 @@ impl Contouring<'_> {
         let uploaded = lane.send(&staged, &inputs)?;
 
         let blocks = grid.on_device(&inputs, &places);
-        let cells = PaddedBlocks { blocks: blocks.clone(), level: 0, marks: None, within: Vec::new(), free };
+        let cells = PaddedBlocks {
+            blocks: blocks.clone(),
+            level: 0,
+            marks: None,
+            within: Vec::new(),
+            free,
+        };
         let mut fields = self.fields(&mut lane.compute, vec![cells]);
         fields.gather(0, &places.pages(&inputs, from, Some(&self.constants)))?;
         let field = self.surfaces.recipe.apply(&mut fields)?.samples.clone();
@@ -245,7 +275,12 @@ impl Contouring<'_> {
         let tiles = count * u64::from(BLOCK_TILES);
         let falls = if self.has_normals() { room * size_of::<Falls>() as u64 } else { 4 };
         Ok(Outputs {
-            signs: lane.buffer(device, "signs", Place::Device, count * 8 * u64::from(SIGN_TILES))?,
+            signs: lane.buffer(
+                device,
+                "signs",
+                Place::Device,
+                count * 8 * u64::from(SIGN_TILES),
+            )?,
             lengths: self.constants.tables.lengths.clone(),
             slots: lane.buffer(device, "slots", Place::Device, tiles * size_of::<Slot>() as u64)?,
             tallies: lane.buffer(
@@ -256,14 +291,19 @@ impl Contouring<'_> {
             )?,
             groups: lane.buffer(device, "groups", Place::Device, 12)?,
             tiles: lane.buffer(device, "tiles", Place::Device, tiles * size_of::<Tile>() as u64)?,
-            ends: lane.buffer(device, "ends", Place::Device, room * size_of::<[u16; 2]>() as u64)?,
+            ends: lane.buffer(
+                device,
+                "ends",
+                Place::Device,
+                room * size_of::<[u16; 2]>() as u64,
+            )?,
             falls: lane.buffer(device, "falls", Place::Device, falls)?,
             room: room as u32,
         })
     }
 
-    /// Waits for a batch, and has `take` take it. A batch with more vertices than it had room for is drawn again, in parts if they
-    /// are more than its share.
+    /// Waits for a batch, and has `take` take it. A batch with more vertices than it had room for
+    /// is drawn again, in parts if they are more than its share.
     fn finish<E: From<VulkanError>>(
         &self,
         lane: &mut Lane,
@@ -313,15 +353,20 @@ impl Contouring<'_> {
         }
         let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
         let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
-        let fall_bytes =
-            if self.has_normals() { u64::from(totals.vertices) * size_of::<Falls>() as u64 } else { 0 };
+        let fall_bytes = if self.has_normals() {
+            u64::from(totals.vertices) * size_of::<Falls>() as u64
+        } else {
+            0
+        };
         let tiles = lane.buffer(device, "tiles read", Place::Download, tile_bytes)?;
         let ends = lane.buffer(device, "ends read", Place::Download, end_bytes)?;
         let falls = lane.buffer(device, "falls read", Place::Download, fall_bytes)?;
         lane.download.stage("download", 2 * (tile_bytes + end_bytes + fall_bytes));
-        for (name, bytes, to) in
-            [("tiles", tile_bytes, &tiles), ("ends", end_bytes, &ends), ("falls", fall_bytes, &falls)]
-        {
+        for (name, bytes, to) in [
+            ("tiles", tile_bytes, &tiles),
+            ("ends", end_bytes, &ends),
+            ("falls", fall_bytes, &falls),
+        ] {
             let from = lane.known(name, bytes);
             lane.download.copy(&from, to);
         }
@@ -338,7 +383,8 @@ impl Contouring<'_> {
                 let vertices = size.vertices as usize;
                 let first = u64::from(begin.vertices);
                 let first_tile = u64::from(begin.tiles) * size_of::<Tile>() as u64;
-                // SAFETY: the copies were waited for, and the lane begins nothing before these are read.
+                // SAFETY: the copies were waited for, and the lane begins nothing before these are
+                // read.
                 let (tiles, ends) = unsafe {
                     let ends = ends.read(first * size_of::<[u16; 2]>() as u64, vertices);
                     (tiles.read(first_tile, size.tiles as usize), ends)
@@ -365,7 +411,8 @@ impl Contouring<'_> {
 
     fn normals(&self, mesh: &BlockMesh, falls: &[i32]) -> Vec<[f32; 3]> {
         let falls: &[Falls] = bytemuck::cast_slice(falls);
-        let (crossings, walls) = (Crossings::from(self.surfaces.recipe.iso), self.surfaces.mesh_walls());
+        let (crossings, walls) =
+            (Crossings::from(self.surfaces.recipe.iso), self.surfaces.mesh_walls());
         mesh.edges()
             .zip(&mesh.ends)
             .zip(falls)

@@ -57,7 +57,8 @@ impl Constants {
                 Tables { depths: depths?, away: away?, lengths: batch.store(&lengths())? }
             }
         };
-        let new = unknown.into_iter().map(|weights| Ok((weights.clone(), batch.store(weights.half())?)));
+        let new =
+            unknown.into_iter().map(|weights| Ok((weights.clone(), batch.store(weights.half())?)));
         let new: Vec<(Weights, View)> = new.collect::<Result<_, VulkanError>>()?;
         let decode = theta.len() as u32;
         let theta = if decode > 0 { batch.store(&theta)? } else { made.lengths.clone() };
@@ -71,7 +72,8 @@ impl Constants {
             known.retain(|weights, _| used.contains(&weights));
         }
         known.extend(new);
-        let weights = used.into_iter().map(|weights| (weights.clone(), known[weights].clone())).collect();
+        let weights =
+            used.into_iter().map(|weights| (weights.clone(), known[weights].clone())).collect();
         Ok(FrameConstants { tables: made, weights, theta, decode })
     }
 }

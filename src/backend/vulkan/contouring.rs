@@ -26,12 +26,14 @@ use super::resident::Resident;
 
 /// Blocks of a batch at the most.
 const BLOCK_BATCH: usize = 1024;
-/// Vertices of a block on average that a batch has room for; a batch that has more is emitted again.
+/// Vertices of a block on average that a batch has room for; a batch that has more is emitted
+/// again.
 const BLOCK_ROOM: u64 = 6144;
 /// Vertices that a block can have.
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 
-/// Fields of wide cells that are there at once: clouds, two surfaces and what they are apart by, and another with one more on its way.
+/// Fields of wide cells that are there at once: clouds, two surfaces and what they are apart by,
+/// and another with one more on its way.
 pub(super) const WIDE_FIELDS: usize = 6;
 /// Fields of drops: clouds, and what is around them with one more on its way.
 pub(super) const DROPS_FIELDS: usize = 3;
@@ -51,11 +53,13 @@ pub(super) struct BlockBatch {
 }
 
 impl BlockBatch {
-    /// Makes a batch of as many of the first regions as fit, at least one, even if particles stand out everywhere.
+    /// Makes a batch of as many of the first regions as fit, at least one, even if particles stand
+    /// out everywhere.
     pub(super) fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let limit = work.frame.device.limits().storage_range;
         let sources = work.sources();
-        let mut known: Vec<(u64, HashSet<IVec3>)> = sources.iter().map(|_| Default::default()).collect();
+        let mut known: Vec<(u64, HashSet<IVec3>)> =
+            sources.iter().map(|_| Default::default()).collect();
         let mut taken = MOST_VERTICES * work.vertex_bytes() * 2;
         let mut count = 0;
         for &region in regions.iter().take(BLOCK_BATCH) {
@@ -67,7 +71,9 @@ impl BlockBatch {
                 *words += u64::from(block.words());
                 taken += 4 * source.fields * u64::from(block.words());
                 longest = longest.max(4 * *words);
-                let Some(from) = source.sampled.then(|| work.samples(source.level)) else { continue };
+                let Some(from) = source.sampled.then(|| work.samples(source.level)) else {
+                    continue;
+                };
                 let page_bytes = page_bytes(from.shape());
                 let before = pages.len() as u64;
                 for bin in block.bins(from.shape().ghost_layer) {
@@ -152,7 +158,8 @@ impl<'a> Contouring<'a> {
 
     /// Bytes of a vertex on the device.
     pub(super) fn vertex_bytes(&self) -> u64 {
-        size_of::<[u16; 2]>() as u64 + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
+        size_of::<[u16; 2]>() as u64
+            + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
     }
 
     /// Returns the samples that cells of a level are cut out of.
@@ -166,14 +173,29 @@ impl<'a> Contouring<'a> {
     pub(super) fn sources(&self) -> Vec<Source> {
         match &self.surfaces.recipe.filters {
             Filters::Paper(paper) => {
-                vec![Source { level: 0, halo: paper.halo(), sampled: true, fields: paper.fields().device }]
+                vec![Source {
+                    level: 0,
+                    halo: paper.halo(),
+                    sampled: true,
+                    fields: paper.fields().device,
+                }]
             }
             Filters::Distances(distances) => {
                 let wide = (distances.level, distances.wide_halo());
                 let drops = (distances.drops_level, distances.drops_halo());
                 vec![
-                    Source { level: wide.0, halo: wide.1, sampled: true, fields: WIDE_FIELDS as u64 },
-                    Source { level: drops.0, halo: drops.1, sampled: true, fields: DROPS_FIELDS as u64 },
+                    Source {
+                        level: wide.0,
+                        halo: wide.1,
+                        sampled: true,
+                        fields: WIDE_FIELDS as u64,
+                    },
+                    Source {
+                        level: drops.0,
+                        halo: drops.1,
+                        sampled: true,
+                        fields: DROPS_FIELDS as u64,
+                    },
                     Source { level: 0, halo: 0, sampled: false, fields: 1 + PART_FIELDS as u64 },
                 ]
             }
@@ -191,8 +213,18 @@ impl<'a> Contouring<'a> {
         commands: &'b mut Batch,
         grids: Vec<PaddedBlocks>,
     ) -> PaddedFields<'b> {
-        let (pipelines, constants, walls) = (&*self.frame.pipelines, &self.constants, self.surfaces.walls());
+        let (pipelines, constants, walls) =
+            (&*self.frame.pipelines, &self.constants, self.surfaces.walls());
         let gathered = VecDeque::new();
-        PaddedFields { pipelines, constants, walls, commands, grids, gathered, cells: 0, parts: None }
+        PaddedFields {
+            pipelines,
+            constants,
+            walls,
+            commands,
+            grids,
+            gathered,
+            cells: 0,
+            parts: None,
+        }
     }
 }

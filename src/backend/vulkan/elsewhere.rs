@@ -8,7 +8,8 @@ use glam::IVec3;
 
 use crate::brick::vulkan::{DeviceBlocks, FullCells, gather, halve};
 use crate::brick::{
-    Bins, DifField, Elsewhere, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource, halved_from,
+    Bins, DifField, Elsewhere, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource,
+    halved_from,
 };
 use crate::field::distance::vulkan::{full_bricks, full_bricks_of};
 use crate::field::indicator::{PageRule, indicate};
@@ -72,7 +73,11 @@ pub(super) fn of_bins(
 }
 
 /// The field of particles that are nowhere but on the device.
-pub(super) fn of_resident(frame: &Arc<DeviceFrame>, infos: Vec<PageInfo>, shape: PageShape) -> DifField {
+pub(super) fn of_resident(
+    frame: &Arc<DeviceFrame>,
+    infos: Vec<PageInfo>,
+    shape: PageShape,
+) -> DifField {
     field(frame, infos, shape, Box::new(Gone(shape)))
 }
 
@@ -92,7 +97,8 @@ impl DeviceField {
         &self,
         make: impl FnOnce(&mut State, &Resident) -> Result<Option<T>, VulkanError>,
     ) -> Option<T> {
-        let resident = self.frame.resident(self.level).filter(|_| self.frame.reader.failed().is_none())?;
+        let resident =
+            self.frame.resident(self.level).filter(|_| self.frame.reader.failed().is_none())?;
         let mut state = self.frame.state();
         let made = make(&mut state, &resident);
         made.map_err(|error| self.frame.recover(&mut state, &error)).ok().flatten()
@@ -117,7 +123,8 @@ impl Elsewhere for DeviceField {
     ) -> Option<(Vec<PageInfo>, Box<dyn Elsewhere>)> {
         let infos = self.made(|state, resident| {
             let stride = page_bytes(HALVED);
-            let Some(pages) = self.frame.room(state, bins.len() as u64 * stride, state.wide_bytes) else {
+            let Some(pages) = self.frame.room(state, bins.len() as u64 * stride, state.wide_bytes)
+            else {
                 return Ok(None);
             };
             let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
@@ -155,18 +162,26 @@ impl Elsewhere for DeviceField {
                     let bricks = lane.buffer(device, "full bricks", Place::Device, bytes)?;
                     let read = lane.buffer(device, "full bricks read", Place::Download, bytes)?;
                     lane.compute.stage("inside", cells.bytes());
-                    full_bricks(&mut lane.compute, pipelines, blocks, (width, least), [cells, &bricks])?;
+                    full_bricks(
+                        &mut lane.compute,
+                        pipelines,
+                        blocks,
+                        (width, least),
+                        [cells, &bricks],
+                    )?;
                     lane.compute.copy(&bricks, &read);
                     Ok(read)
                 })?;
-            Ok(Some(full.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32).collect()))
+            Ok(Some(
+                full.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32).collect(),
+            ))
         })
     }
 }
 
 impl DeviceFrame {
-    /// Cuts boxes of cells out of a field batch by batch, has `make` make something of each, which is read from what that returns, and
-    /// collects it.
+    /// Cuts boxes of cells out of a field batch by batch, has `make` make something of each, which
+    /// is read from what that returns, and collects it.
     fn of_blocks<T: Pod>(
         &self,
         state: &mut State,
@@ -182,7 +197,10 @@ impl DeviceFrame {
             |lane| {
                 let begin = next;
                 let mut grid = Grid::default();
-                while next < boxes.len() && grid.len() < BLOCK_BATCH && grid.field_bytes() < most / 2 {
+                while next < boxes.len()
+                    && grid.len() < BLOCK_BATCH
+                    && grid.field_bytes() < most / 2
+                {
                     grid.push_sampled(boxes[next], NO_TILES, from, None);
                     next += 1;
                 }
@@ -194,11 +212,14 @@ impl DeviceFrame {
                 lane.begin()?;
                 let staged = lane.buffer(&self.device, "staged", Place::Upload, layout.bytes)?;
                 let inputs = lane.buffer(&self.device, "inputs", Place::Device, layout.bytes)?;
-                let cells = lane.buffer(&self.device, "cells", Place::Device, grid.field_bytes())?;
-                // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+                let cells =
+                    lane.buffer(&self.device, "cells", Place::Device, grid.field_bytes())?;
+                // SAFETY: `begin` waited for what the lane did before, and what is staged is the
+                // lane's own.
                 unsafe { grid.stage(&staged, &places, from) };
                 let uploaded = lane.send(&staged, &inputs)?;
-                let (blocks, pages) = (grid.on_device(&inputs, &places), places.pages(&inputs, from, None));
+                let (blocks, pages) =
+                    (grid.on_device(&inputs, &places), places.pages(&inputs, from, None));
                 lane.compute.stage("gather", pages.pages.bytes() + cells.bytes());
                 gather(&mut lane.compute, &self.pipelines.gather, &blocks, &pages, &cells)?;
                 let read = make(lane, begin..next, &blocks, &cells)?;

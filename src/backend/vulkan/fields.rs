@@ -38,7 +38,8 @@ pub(super) struct PaddedBlocks {
     pub(super) free: Vec<View>,
 }
 
-/// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is used again.
+/// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is
+/// used again.
 pub(super) struct PaddedFields<'a> {
     pub(super) pipelines: &'a Pipelines,
     pub(super) constants: &'a FrameConstants,
@@ -47,7 +48,8 @@ pub(super) struct PaddedFields<'a> {
     pub(super) grids: Vec<PaddedBlocks>,
     /// Samples of the grids, in the order in which they are asked for.
     pub(super) gathered: VecDeque<Rc<Padded>>,
-    /// The blocks that fields are refined for, and the parts of them in which particles stand out, if there are such.
+    /// The blocks that fields are refined for, and the parts of them in which particles stand out,
+    /// if there are such.
     pub(super) cells: usize,
     pub(super) parts: Option<usize>,
 }
@@ -95,7 +97,10 @@ impl Fields for PaddedFields<'_> {
     type Error = VulkanError;
 
     fn samples(&mut self, level: u32, _: i32) -> Result<Rc<Padded>, VulkanError> {
-        let field = self.gathered.pop_front().expect("a recipe asks for no more samples than were gathered");
+        let field = self
+            .gathered
+            .pop_front()
+            .expect("a recipe asks for no more samples than were gathered");
         debug_assert_eq!(level, self.grids[field.of].level);
         Ok(field)
     }
@@ -141,14 +146,25 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    fn depths(&mut self, by: &Bulk, shares: [Rc<Padded>; 3]) -> Result<Depths<Rc<Padded>>, VulkanError> {
+    fn depths(
+        &mut self,
+        by: &Bulk,
+        shares: [Rc<Padded>; 3],
+    ) -> Result<Depths<Rc<Padded>>, VulkanError> {
         let of = shares[0].of;
         self.stage("distances", 3, of);
         let margin = shares.iter().map(|share| share.margin).max().unwrap_or(0);
         let [narrow, middle, wide] = shares.map(|share| share.samples.clone());
         let blocks = &self.grids[of].blocks;
         let views = [&narrow, &middle, &wide];
-        depths(self.commands, &self.pipelines.distance, blocks, by, &self.constants.tables.depths, views)?;
+        depths(
+            self.commands,
+            &self.pipelines.distance,
+            blocks,
+            by,
+            &self.constants.tables.depths,
+            views,
+        )?;
         let padded = |samples| Rc::new(Padded { samples, margin, of });
         Ok(Depths { calm: padded(wide), fine: padded(narrow), apart: padded(middle) })
     }

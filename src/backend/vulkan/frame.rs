@@ -69,7 +69,8 @@ impl DeviceFrame {
         !std::mem::take(&mut *self.residents()).is_empty()
     }
 
-    /// Adds the field in cells 2^`level` times as wide; fields in cells as wide or wider are forgotten.
+    /// Adds the field in cells 2^`level` times as wide; fields in cells as wide or wider are
+    /// forgotten.
     pub(super) fn add_resident(&self, level: usize, resident: Resident) {
         let mut residents = self.residents();
         residents.truncate(level);
@@ -94,7 +95,8 @@ impl DeviceFrame {
         Ok(())
     }
 
-    /// Makes room for the pages of all bins, unless they are too many; pages of other bins are forgotten.
+    /// Makes room for the pages of all bins, unless they are too many; pages of other bins are
+    /// forgotten.
     pub(super) fn make_resident(&self, state: &mut State, keys: &[MortonKey], shape: PageShape) {
         let known = self.resident(0).is_some_and(|resident| {
             resident.numbers.len() == keys.len() && resident.numbers.contains_key(&keys[0].coord())
@@ -132,7 +134,8 @@ impl DeviceFrame {
         }
     }
 
-    /// After a failure: smaller batches where memory is exhausted, the processor where that does not help.
+    /// After a failure: smaller batches where memory is exhausted, the processor where that does
+    /// not help.
     pub(super) fn recover(&self, state: &mut State, error: &VulkanError) {
         state.lanes.clear();
         *self.kept() = Kept::default();
@@ -162,7 +165,8 @@ impl Drop for DeviceFrame {
 pub(super) struct State {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
-    /// Bytes that the pages of a frame may take on the device, and those that pages of wider cells may take of them.
+    /// Bytes that the pages of a frame may take on the device, and those that pages of wider cells
+    /// may take of them.
     pub(super) resident_bytes: u64,
     pub(super) wide_bytes: u64,
     /// Once the device is lost or too small.
@@ -180,7 +184,10 @@ impl State {
             self.warn(format!("{error}; the field is sent anew for every batch"));
         } else if exhausted && self.batch_bytes / 2 >= SMALLEST_BATCH {
             self.batch_bytes /= 2;
-            self.warn(format!("{error}; going on in batches of {}", bytesize::ByteSize(self.batch_bytes)));
+            self.warn(format!(
+                "{error}; going on in batches of {}",
+                bytesize::ByteSize(self.batch_bytes)
+            ));
         } else {
             self.on_cpu = true;
             self.warn(format!("{error}; going on on the CPU"));

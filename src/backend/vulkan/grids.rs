@@ -93,7 +93,8 @@ impl Grid {
         self.blocks.push(block);
     }
 
-    /// Adds a block whose samples are cut out of pages, with the bricks that are inside, if any are told.
+    /// Adds a block whose samples are cut out of pages, with the bricks that are inside, if any are
+    /// told.
     pub(super) fn push_sampled(
         &mut self,
         cells: CellBox,

@@ -8,7 +8,8 @@ use hashbrown::HashMap;
 
 use crate::vulkan::{ALIGNMENT, Batch, Buffer, Device, Place, Queue, Ticket, View, VulkanError};
 
-/// Buffers are larger than is asked for by a share of so much, for the next batch may be a little larger.
+/// Buffers are larger than is asked for by a share of so much, for the next batch may be a little
+/// larger.
 pub(super) const HEADROOM: u64 = 4;
 
 /// The command batches and buffers that a batch works with, used again by the next.
@@ -52,7 +53,9 @@ impl Lane {
         count: usize,
         bytes: u64,
     ) -> Result<Vec<View>, VulkanError> {
-        (0..count).map(|number| self.numbered((name, number), device, Place::Device, bytes)).collect()
+        (0..count)
+            .map(|number| self.numbered((name, number), device, Place::Device, bytes))
+            .collect()
     }
 
     fn numbered(
@@ -65,7 +68,8 @@ impl Lane {
         let bytes = bytes.next_multiple_of(4).max(4);
         if self.buffers.get(&name).is_none_or(|buffer| buffer.bytes() < bytes) {
             self.buffers.remove(&name);
-            let with_headroom = (bytes + bytes / HEADROOM).min(device.limits().allocation).max(bytes);
+            let with_headroom =
+                (bytes + bytes / HEADROOM).min(device.limits().allocation).max(bytes);
             self.buffers.insert(name, device.buffer(place, with_headroom)?);
         }
         Ok(self.buffers[&name].part(0, bytes))
@@ -114,8 +118,9 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
     view.part(range.start, range.end - range.start)
 }
 
-/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there is none, `go_on` takes a batch further once its first
-/// part is done, and `finish` takes the batches in the order in which they were started.
+/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there is none, `go_on`
+/// takes a batch further once its first part is done, and `finish` takes the batches in the order
+/// in which they were started.
 pub(super) fn fly<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,

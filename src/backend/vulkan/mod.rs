@@ -1,9 +1,10 @@
 //! The stages on a Vulkan device.
 //!
-//! Work goes in batches: bins to pages, regions of blocks to surfaces. Two are in flight, so that the host
-//! prepares one and reads another while the device computes. The DIF stays on the device between the two
-//! where it fits. What the device has no memory for is tried again in smaller batches, and on the processor at
-//! last; so is everything once the device is lost. Bytes are the same wherever they are computed.
+//! Work goes in batches: bins to pages, regions of blocks to surfaces. Two are in flight, so that
+//! the host prepares one and reads another while the device computes. The DIF stays on the device
+//! between the two where it fits. What the device has no memory for is tried again in smaller
+//! batches, and on the processor at last; so is everything once the device is lost. Bytes are the
+//! same wherever they are computed.
 
 mod bins;
 mod blocks;
@@ -74,7 +75,6 @@ impl Vulkan {
     }
 
     /// The device.
-    #[must_use]
     pub fn device(&self) -> &Device {
         &self.device
     }
@@ -115,7 +115,6 @@ impl Vulkan {
     }
 
     /// A frame whose particles and whose surface stay on the device.
-    #[must_use]
     pub fn start_resident(&self) -> ResidentFrame {
         ResidentFrame(self.start_frame(MemoryBudget(u64::MAX)))
     }
@@ -126,8 +125,8 @@ impl Vulkan {
 pub struct ResidentFrame(Arc<DeviceFrame>);
 
 impl ResidentFrame {
-    /// The field of all bins; in smaller batches where memory is exhausted. What the host wants of one that stays on the device can
-    /// fail later: see [`check`](Self::check).
+    /// The field of all bins; in smaller batches where memory is exhausted. What the host wants of
+    /// one that stays on the device can fail later: see [`check`](Self::check).
     ///
     /// # Errors
     /// Those of the device.
@@ -203,8 +202,8 @@ impl Executor for Vulkan {
 }
 
 impl Stages for Arc<DeviceFrame> {
-    /// Stays on the device where it fits, unless the host reads it there as well, or its pages take less than the particles, which are
-    /// kept to make them again.
+    /// Stays on the device where it fits, unless the host reads it there as well, or its pages take
+    /// less than the particles, which are kept to make them again.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
@@ -233,16 +232,19 @@ impl Stages for Arc<DeviceFrame> {
         while !state.on_cpu && pages.len() < range.len() {
             let begin = range.start + pages.len();
             let room = state.batch_bytes.min(self.device.limits().storage_range);
-            let end =
-                (begin..range.end).find(|&bin| bin_bytes(bins.count(bin), shape) > room).unwrap_or(range.end);
+            let end = (begin..range.end)
+                .find(|&bin| bin_bytes(bins.count(bin), shape) > room)
+                .unwrap_or(range.end);
             if end == begin {
-                // A bin too large for any batch. Without its page the others are of no use on the device.
+                // A bin too large for any batch. Without its page the others are of no use on the
+                // device.
                 self.forget_residents();
                 state.resident_bytes = 0;
                 pages.extend(CpuStages::STAND_IN.indicate(bins, begin..begin + 1, rule, meter)?);
                 continue;
             }
-            let outcome = self.indicate_batches(&mut state, bins, begin..end, rule, meter, &mut pages);
+            let outcome =
+                self.indicate_batches(&mut state, bins, begin..end, rule, meter, &mut pages);
             state.done.pages += range.start + pages.len() - begin;
             match outcome {
                 Ok(()) => {}
@@ -276,7 +278,8 @@ impl Stages for Arc<DeviceFrame> {
                 meter.add(meshes.len());
                 take(meshes)
             };
-            let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], meter, &mut counted);
+            let outcome =
+                self.contour_batches(&mut state, surfaces, &regions[begin..], meter, &mut counted);
             state.done.regions += taken - begin;
             match outcome {
                 Ok(()) => {}
@@ -291,8 +294,9 @@ impl Stages for Arc<DeviceFrame> {
         let state = self.state();
         let mut warnings = state.warnings.clone();
         let failed = self.reader.failed().filter(|_| !state.on_cpu);
-        warnings
-            .extend(failed.map(|error| format!("{error}; what was on the device is made again on the CPU")));
+        warnings.extend(
+            failed.map(|error| format!("{error}; what was on the device is made again on the CPU")),
+        );
         warnings
     }
 

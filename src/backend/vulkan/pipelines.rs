@@ -7,8 +7,8 @@ use crate::brick::vulkan::page_words;
 use crate::field::distance::vulkan::Pipelines as Distance;
 use crate::field::indicator::vulkan::Pipelines as Indicators;
 use crate::shaders::{
-    BASES, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE, INDICATE, JOIN,
-    LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SIGNS, SPREAD, TILES,
+    BASES, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE,
+    INDICATE, JOIN, LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SIGNS, SPREAD, TILES,
 };
 use crate::surface::dual_mc::vulkan::Pipelines as DualMc;
 use crate::vulkan::{ComputePipeline, Device, VulkanError};
@@ -48,7 +48,17 @@ impl Pipelines {
             blur,
             lost,
             greater,
-            distance: Distance { depths, mix, outlying, spread, look, refine, quotient, join, full_bricks },
+            distance: Distance {
+                depths,
+                mix,
+                outlying,
+                spread,
+                look,
+                refine,
+                quotient,
+                join,
+                full_bricks,
+            },
             dual_mc: DualMc { signs, tiles, bases, emit },
         })
     }

@@ -43,7 +43,8 @@ impl Reader {
             return None;
         }
         let read = self.try_read(device, resident, infos, shape);
-        let failed = |error| *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+        let failed =
+            |error| *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
         read.map_err(failed).ok()
     }
 
@@ -62,7 +63,9 @@ impl Reader {
         }
         let (batch, buffer) = match &mut *known {
             Some(known) => known,
-            none => none.insert((device.batch(Queue::Compute)?, device.buffer(Place::Download, bytes)?)),
+            none => {
+                none.insert((device.batch(Queue::Compute)?, device.buffer(Place::Download, bytes)?))
+            }
         };
         let number = |info: &PageInfo| resident.numbers[&info.key.coord()];
         batch.begin()?;
@@ -83,8 +86,8 @@ impl Reader {
         let samples: &[u16] = unsafe { buffer.values(0, infos.len() * stride) };
         let pages = samples.chunks_exact(stride).zip(infos).map(|(samples, info)| {
             let dense = &samples[..shape.bin_samples()];
-            let (known, samples) =
-                PageInfo::from_dense(info.key.coord(), dense, shape).expect("a page has a full cell");
+            let (known, samples) = PageInfo::from_dense(info.key.coord(), dense, shape)
+                .expect("a page has a full cell");
             debug_assert_eq!(known, *info);
             samples
         });

@@ -1,7 +1,8 @@
 //! Distances: the bulk in wide cells first, then what it shows in the cells of the mesh.
 //!
-//! Neighbouring regions share wide cells. What these show is looked at on the device, so that only regions with a surface are drawn,
-//! and drops are only made in the parts where particles stand out.
+//! Neighbouring regions share wide cells. What these show is looked at on the device, so that only
+//! regions with a surface are drawn, and drops are only made in the parts where particles stand
+//! out.
 
 use std::rc::Rc;
 
@@ -13,7 +14,9 @@ use crate::grid::CellBox;
 use crate::surface::dual_mc::dual_cells;
 use crate::vulkan::{Place, View, VulkanError};
 
-use super::contouring::{BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide};
+use super::contouring::{
+    BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide,
+};
 use super::fields::{Padded, PaddedBlocks};
 use super::grids::{Grid, NO_TILES};
 use super::lane::{Lane, Layout, part};
@@ -26,9 +29,16 @@ const PARTS: usize = 2;
 const DROPS: usize = 3;
 
 impl Contouring<'_> {
-    /// Tells which regions are drawn, once wide cells are made, and in which parts of them particles stand out.
-    pub(super) fn choose(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<(), VulkanError> {
-        let (Some(wide), Filters::Distances(distances)) = (&batch.wide, &self.surfaces.recipe.filters) else {
+    /// Tells which regions are drawn, once wide cells are made, and in which parts of them
+    /// particles stand out.
+    pub(super) fn choose(
+        &self,
+        lane: &mut Lane,
+        batch: &mut BlockBatch,
+    ) -> Result<(), VulkanError> {
+        let (Some(wide), Filters::Distances(distances)) =
+            (&batch.wide, &self.surfaces.recipe.filters)
+        else {
             return Ok(());
         };
         lane.compute.wait()?;
@@ -37,7 +47,8 @@ impl Contouring<'_> {
         // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
         let seen: Vec<Seen> = unsafe { read.read(0, count) };
         batch.drawn.clear();
-        for (number, ((&region, look), seen)) in batch.regions.iter().zip(&wide.looks).zip(&seen).enumerate()
+        for (number, ((&region, look), seen)) in
+            batch.regions.iter().zip(&wide.looks).zip(&seen).enumerate()
         {
             let part = look.outlying(seen).map(|wide| {
                 // A wide cell tells of those of its neighbours, too.
@@ -47,7 +58,8 @@ impl Contouring<'_> {
                 near.intersection(&self.surfaces.normals.cells(region))
             });
             let part = part.filter(|part| !part.is_empty());
-            let at_walls = self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
+            let at_walls =
+                self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
             // Cells are weighted means of wide ones. All inside is no surface only away from walls.
             if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
                 batch.parts.extend(part.map(|part| (batch.drawn.len(), part)));
@@ -57,7 +69,8 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// Has the bulk made in wide cells, in which neighbouring regions share what they can, and looked at.
+    /// Has the bulk made in wide cells, in which neighbouring regions share what they can, and
+    /// looked at.
     pub(super) fn make_wide(
         &self,
         lane: &mut Lane,
@@ -76,7 +89,12 @@ impl Contouring<'_> {
             for (i, &region) in near.iter().enumerate() {
                 if i == 0 || !together {
                     let cells = if together { all } else { wide(region) };
-                    grid.push_sampled(cells.grown(halo, halo), NO_TILES, from, Some(&distances.inside));
+                    grid.push_sampled(
+                        cells.grown(halo, halo),
+                        NO_TILES,
+                        from,
+                        Some(&distances.inside),
+                    );
                 }
                 let block = grid.len() as u32 - 1;
                 of_regions.push(block);
@@ -93,7 +111,8 @@ impl Contouring<'_> {
         let seen_bytes = (size_of::<Seen>() * looks.len()) as u64;
         let seen = lane.buffer(device, "seen", Place::Device, seen_bytes)?;
         let read = lane.buffer(device, "seen read", Place::Download, seen_bytes)?;
-        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's
+        // own.
         unsafe {
             grid.stage(&staged, &places, from);
             staged.write(looks_at.start, &looks);
@@ -103,11 +122,13 @@ impl Contouring<'_> {
         let blocks = grid.on_device(&inputs, &places);
         let marks = Some(places.marks(&inputs));
         let within = Vec::new();
-        let grid = PaddedBlocks { blocks: blocks.clone(), level: distances.level, marks, within, free };
+        let grid =
+            PaddedBlocks { blocks: blocks.clone(), level: distances.level, marks, within, free };
         let mut fields = self.fields(&mut lane.compute, vec![grid]);
         fields.gather(0, &places.pages(&inputs, from, Some(&self.constants)))?;
         let made = bulk(distances, &mut fields)?;
-        let fields = WideFields { bulk: made.bulk.samples.clone(), outlying: made.outlying.samples.clone() };
+        let fields =
+            WideFields { bulk: made.bulk.samples.clone(), outlying: made.outlying.samples.clone() };
         let views = [&part(&inputs, &looks_at), &fields.bulk, &fields.outlying, &seen];
         let commands = &mut lane.compute;
         commands.stage("distances", fields.bulk.bytes() + fields.outlying.bytes());
@@ -118,7 +139,8 @@ impl Contouring<'_> {
         Ok(Wide { blocks, of_regions, looks, fields })
     }
 
-    /// The field on the regions that are drawn, of the bulk in wide cells, and of drops in their parts.
+    /// The field on the regions that are drawn, of the bulk in wide cells, and of drops in their
+    /// parts.
     pub(super) fn join_wide(
         &self,
         lane: &mut Lane,
@@ -146,8 +168,10 @@ impl Contouring<'_> {
             (0..batch.parts.len() as u32).collect(),
         ];
         let mut layout = Layout::default();
-        let places = [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.shape())));
-        let numbers_at = numbers.each_ref().map(|numbers| layout.place(size_of_val(&numbers[..]) as u64));
+        let places =
+            [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.shape())));
+        let numbers_at =
+            numbers.each_ref().map(|numbers| layout.place(size_of_val(&numbers[..]) as u64));
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
         let mut free = Vec::new();
@@ -181,16 +205,23 @@ impl Contouring<'_> {
         );
         let free = std::iter::once(Vec::new()).chain(free);
         let grids = all.zip(within).zip(free).zip([distances.level, 0, 0, level]);
-        let padded =
-            |(((blocks, within), free), level)| PaddedBlocks { blocks, level, marks: None, within, free };
+        let padded = |(((blocks, within), free), level)| PaddedBlocks {
+            blocks,
+            level,
+            marks: None,
+            within,
+            free,
+        };
         let mut fields = self.fields(&mut lane.compute, grids.map(padded).collect());
         fields.cells = CELLS;
         if !batch.parts.is_empty() {
             fields.parts = Some(PARTS);
             fields.gather(DROPS, &places[2].pages(&inputs, from, Some(&self.constants)))?;
         }
-        let known = |samples: &View| Rc::new(Padded { samples: samples.clone(), margin: 0, of: WIDE });
-        let made = WideFields { bulk: known(&wide.fields.bulk), outlying: known(&wide.fields.outlying) };
+        let known =
+            |samples: &View| Rc::new(Padded { samples: samples.clone(), margin: 0, of: WIDE });
+        let made =
+            WideFields { bulk: known(&wide.fields.bulk), outlying: known(&wide.fields.outlying) };
         let field = joined(distances, &mut fields, made)?.samples.clone();
         Ok(Fielded { blocks, field, uploaded })
     }

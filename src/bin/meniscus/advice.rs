@@ -1,9 +1,10 @@
-//! Errors and warnings with the options that help: the library says what is wrong, and knows of no option.
+//! Errors and warnings with the options that help: the library says what is wrong, and knows of no
+//! option.
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Error, FrameError, PartsError, ReadFault, Remedy, SimulationError, TooFine, Unread, Untold,
-    WriteFault, shown, significant,
+    BinError, Error, FrameError, PartsError, ReadFault, Remedy, SimulationError, TooFine, Unread,
+    Untold, WriteFault, shown, significant,
 };
 use meniscus::{Doubt, Emptiness, Mistake, SpacingSource, TooSmall, Warning};
 
@@ -33,7 +34,9 @@ fn in_options(error: &Error) -> Option<String> {
             "--simplify with {threads} threads needs --memory of {}; fewer --threads need less",
             ByteSize(*least)
         ),
-        Error::Simulation(SimulationError::Rate { .. } | SimulationError::Wait(_)) => format!("--{error}"),
+        Error::Simulation(SimulationError::Rate { .. } | SimulationError::Wait(_)) => {
+            format!("--{error}")
+        }
         Error::Simulation(SimulationError::Steps(inputs)) => {
             format!("{inputs}: --watch follows files, and not the steps of one")
         }
@@ -60,15 +63,21 @@ fn advice(error: &Error) -> String {
         Error::NoSpacing { .. } => "; give --spacing, --radius or --cell-size",
         Error::Write(error) => match error.fault {
             WriteFault::Exists => "; --overwrite replaces it",
-            WriteFault::ExistsInSimulation => "; --resume goes on with the frames, --overwrite replaces them",
+            WriteFault::ExistsInSimulation => {
+                "; --resume goes on with the frames, --overwrite replaces them"
+            }
             _ => "",
         },
         Error::Read(error) if is_of_unknown_particles(&error.fault) => {
             "; --format names the format of particles"
         }
-        Error::Read(error) if matches!(error.fault, ReadFault::Changed) => "; --resume makes it again",
+        Error::Read(error) if matches!(error.fault, ReadFault::Changed) => {
+            "; --resume makes it again"
+        }
         Error::Simulation(SimulationError::State { .. }) => "; --overwrite begins anew",
-        Error::Simulation(SimulationError::Settings { .. }) => "; --overwrite makes all frames anew",
+        Error::Simulation(SimulationError::Settings { .. }) => {
+            "; --overwrite makes all frames anew"
+        }
         Error::Frame {
             fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
             ..
@@ -76,11 +85,13 @@ fn advice(error: &Error) -> String {
             return format!(": --origin {}", corner.map(|x| x.to_string()).join(","));
         }
         Error::Parts(PartsError::NoPlan(_)) => "; --plan makes it",
-        Error::Parts(PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. }) => {
-            "; --plan with --resume or --overwrite makes another"
-        }
+        Error::Parts(
+            PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. },
+        ) => "; --plan with --resume or --overwrite makes another",
         Error::Parts(PartsError::Missing { .. }) => "; --part makes them",
-        Error::Parts(PartsError::Damaged { .. } | PartsError::Foreign(_)) => "; --part makes it again",
+        Error::Parts(PartsError::Damaged { .. } | PartsError::Foreign(_)) => {
+            "; --part makes it again"
+        }
         Error::Frame { fault, .. } => advice_on_frame(fault),
         _ => "",
     }
@@ -95,16 +106,24 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a larger cell size, move --origin, or leave out such particles with --skip-invalid"
         }
         FrameError::OverBudget(_) => "; or allow more with --memory",
-        FrameError::TooFine(TooFine::Finest { .. }) => " (--cell 0.1 or more); is their --spacing right?",
-        FrameError::TooFine(TooFine::Symmetry { .. }) => " (--cell of more than 0.5), or another --indicator",
+        FrameError::TooFine(TooFine::Finest { .. }) => {
+            " (--cell 0.1 or more); is their --spacing right?"
+        }
+        FrameError::TooFine(TooFine::Symmetry { .. }) => {
+            " (--cell of more than 0.5), or another --indicator"
+        }
         FrameError::NoSurface { .. } => {
             "; --indicator cloud keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller \
              --sigma; is the --spacing right?"
         }
-        FrameError::NothingLeft(_) => "; a smaller --smallest-component or --smallest-drop leaves more",
+        FrameError::NothingLeft(_) => {
+            "; a smaller --smallest-component or --smallest-drop leaves more"
+        }
         FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing right?",
         FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
-        FrameError::NoRoom { .. } => "; name another folder with --scratch, or allow more with --memory",
+        FrameError::NoRoom { .. } => {
+            "; name another folder with --scratch, or allow more with --memory"
+        }
         _ => "",
     }
 }
@@ -116,9 +135,15 @@ pub fn doubted(doubt: &Doubt) -> String {
             format!("{doubt}; pack the particles again with --spacing {}", significant(*found, 3))
         }
         Doubt::Contradicted { said, found, mistake: Some(Mistake::Radius), .. } => {
-            format!("{doubt}; use --radius {} or --spacing {}", shown(*said), significant(*found, 3))
+            format!(
+                "{doubt}; use --radius {} or --spacing {}",
+                shown(*said),
+                significant(*found, 3)
+            )
         }
-        Doubt::Contradicted { found, .. } => format!("{doubt}; use --spacing {}", significant(*found, 3)),
+        Doubt::Contradicted { found, .. } => {
+            format!("{doubt}; use --spacing {}", significant(*found, 3))
+        }
         Doubt::SinglePrecision { .. } => {
             format!("{doubt}; store them in double precision, or nearer to the origin")
         }
@@ -136,7 +161,9 @@ fn on_lost(smoothed: bool) -> &'static str {
 pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
     match warning {
         Warning::Spacing(doubt) => doubted(doubt),
-        Warning::Coincident { found, .. } if found.alone => format!("{warning}; --domain can leave them out"),
+        Warning::Coincident { found, .. } if found.alone => {
+            format!("{warning}; --domain can leave them out")
+        }
         Warning::Crowded { .. } => format!("{warning}: is their --spacing right?"),
         Warning::OnCorners { origin, .. } => {
             let corner = origin.map(|x| x.to_string()).join(",");

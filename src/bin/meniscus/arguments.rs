@@ -43,11 +43,12 @@ impl Arguments {
         Self::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
     }
 
-    /// The commands and options, as help, completions and manual pages show them: `pack` takes settings of a surface only to refuse
-    /// them with a reason.
+    /// The commands and options, as help, completions and manual pages show them: `pack` takes
+    /// settings of a surface only to refuse them with a reason.
     pub fn as_command() -> clap::Command {
-        let is_of_surface =
-            |id: &str| Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples());
+        let is_of_surface = |id: &str| {
+            Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())
+        };
         Self::command().mut_subcommand("pack", |pack| {
             pack.mut_args(|arg| {
                 let hide = is_of_surface(arg.get_id().as_str());

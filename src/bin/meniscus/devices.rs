@@ -23,8 +23,10 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
         crate::notes::print("no Vulkan device: the loader knows none")?;
     }
     for device in devices.iter().filter(|_| !options.json) {
-        let usable = device.lacks.map_or(String::new(), |lacks| format!("; cannot be used: {lacks}"));
-        let usable = if device.is_conformant() { usable } else { format!("; not conformant{usable}") };
+        let usable =
+            device.lacks.map_or(String::new(), |lacks| format!("; cannot be used: {lacks}"));
+        let usable =
+            if device.is_conformant() { usable } else { format!("; not conformant{usable}") };
         crate::notes::print(&format!(
             "{} {}: {}, Vulkan {}, {}, {}{usable}",
             device.index,
@@ -51,10 +53,12 @@ fn record(device: &DeviceInfo) -> serde_json::Value {
         })
     });
     let heaps = device.heaps.memory_heaps_as_slice().iter();
-    let heaps = heaps.map(|heap| json!({ "bytes": heap.size, "flags": format!("{:?}", heap.flags) }));
+    let heaps =
+        heaps.map(|heap| json!({ "bytes": heap.size, "flags": format!("{:?}", heap.flags) }));
     let types = device.heaps.memory_types_as_slice().iter();
-    let types =
-        types.map(|kind| json!({ "heap": kind.heap_index, "flags": format!("{:?}", kind.property_flags) }));
+    let types = types.map(
+        |kind| json!({ "heap": kind.heap_index, "flags": format!("{:?}", kind.property_flags) }),
+    );
     let limits = &device.limits;
     json!({
         "index": device.index,

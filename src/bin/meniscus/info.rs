@@ -6,8 +6,8 @@ use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::{shown, significant};
 use meniscus::files::{
-    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, files, info_by,
-    is_packed,
+    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, files,
+    info_by, is_packed,
 };
 use meniscus::{Error, Settings};
 
@@ -16,7 +16,8 @@ use crate::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct Options {
-    /// Particle files, packed frames (.mnf) or meshes; folders of them, globs, or names with {} for the number.
+    /// Particle files, packed frames (.mnf) or meshes; folders of them, globs, or names with {} for
+    /// the number.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// The type of particles, of files that hold several [default: gas, or fluid].
@@ -33,7 +34,8 @@ pub struct Options {
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     let Options { format, particle_type, .. } = options;
-    let settings = Settings { format: *format, particle_type: particle_type.clone(), ..Settings::default() };
+    let settings =
+        Settings { format: *format, particle_type: particle_type.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
     for file in files(&options.files, is_told)? {
         match info_by(&file, &settings) {
@@ -60,7 +62,8 @@ fn describe(info: &Info) -> String {
     let mut lines = Vec::new();
     let mut line = |name: &str, text: String| lines.push(format!("  {name:<12} {text}"));
     let names = |attributes: &[AttributeInfo]| {
-        let names: Vec<_> = attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
+        let names: Vec<_> =
+            attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
         if names.is_empty() { "none".to_owned() } else { names.join(", ") }
     };
     let title = match info {
@@ -100,12 +103,16 @@ fn describe(info: &Info) -> String {
             line("attributes", names(attributes));
             let source = spacing_source.as_deref().unwrap_or_default();
             let unknown = || {
-                let why = spacing_unknown.as_deref().map_or(String::new(), |why| format!(": {why}"));
-                let suggested =
-                    nearest_neighbours.map(|d| format!("; nearest neighbours suggest {}", significant(d, 3)));
+                let why =
+                    spacing_unknown.as_deref().map_or(String::new(), |why| format!(": {why}"));
+                let suggested = nearest_neighbours
+                    .map(|d| format!("; nearest neighbours suggest {}", significant(d, 3)));
                 format!("unknown{why}{}", suggested.unwrap_or_default())
             };
-            line("spacing", spacing.map_or_else(unknown, |s| format!("{}, from {source}", shown(s))));
+            line(
+                "spacing",
+                spacing.map_or_else(unknown, |s| format!("{}, from {source}", shown(s))),
+            );
             spacing_doubts.iter().for_each(|doubt| line("", format!("warning: {doubt}")));
             slab.iter().for_each(|slab| line("plane", slab.to_string()));
             if let Some(bytes) = memory_bytes {
@@ -140,7 +147,12 @@ fn describe(info: &Info) -> String {
                 };
                 line(
                     "periodic",
-                    ["x", "y", "z"].into_iter().zip(faces).filter_map(along).collect::<Vec<_>>().join(", "),
+                    ["x", "y", "z"]
+                        .into_iter()
+                        .zip(faces)
+                        .filter_map(along)
+                        .collect::<Vec<_>>()
+                        .join(", "),
                 );
             });
             line("indicator", indicator.to_string());
@@ -148,7 +160,14 @@ fn describe(info: &Info) -> String {
             format!("{}: packed frame", file.display())
         }
         Info::Mesh(MeshInfo {
-            file, vertices, triangles, bounds, components, normals, attributes, ..
+            file,
+            vertices,
+            triangles,
+            bounds,
+            components,
+            normals,
+            attributes,
+            ..
         }) => {
             line("vertices", vertices.to_string());
             line("triangles", triangles.to_string());

@@ -40,7 +40,8 @@ struct Checked {
     measures: Measures,
 }
 
-/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds without components that enclose nothing.
+/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds without
+/// components that enclose nothing.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let mut all = Vec::new();
     for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {
@@ -53,21 +54,35 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
             measures: measure(&mesh),
         };
         if !options.json {
-            print(&format!("{}\n{}\n{}", path.display(), checked.report, describe(&checked.measures)))?;
+            print(&format!(
+                "{}\n{}\n{}",
+                path.display(),
+                checked.report,
+                describe(&checked.measures)
+            ))?;
         }
         all.push(checked);
     }
     if options.json {
         print_json(&all)?;
     }
-    let good =
-        all.iter().all(|checked| checked.closed_oriented_manifold && checked.measures.flat_components == 0);
+    let good = all
+        .iter()
+        .all(|checked| checked.closed_oriented_manifold && checked.measures.flat_components == 0);
     Ok(if good { Verdict::Good } else { Verdict::Bad })
 }
 
 fn describe(measures: &Measures) -> String {
-    let Measures { bounds, area, volume, components, flat_components, euler_characteristic, genus, quality } =
-        measures;
+    let Measures {
+        bounds,
+        area,
+        volume,
+        components,
+        flat_components,
+        euler_characteristic,
+        genus,
+        quality,
+    } = measures;
     let known = |value: Option<String>| value.unwrap_or_else(|| "unknown".to_owned());
     let lines = [
         ("box", known(bounds.as_ref().map(corners))),
@@ -75,7 +90,10 @@ fn describe(measures: &Measures) -> String {
         ("volume", known(volume.map(shown))),
         ("components", components.to_string()),
         ("components without volume", flat_components.to_string()),
-        ("genus", known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})")))),
+        (
+            "genus",
+            known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})"))),
+        ),
         ("least angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
         ("mean least angle", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
         ("worst aspect", known(quality.worst_aspect.map(|a| format!("{a:.1}")))),

@@ -1,4 +1,5 @@
-//! One frame's mesh: what is checked before the work, and what is said and written after it, however it is made.
+//! One frame's mesh: what is checked before the work, and what is said and written after it,
+//! however it is made.
 
 use std::path::Path;
 
@@ -50,7 +51,8 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    let preview = options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
+    let preview =
+        options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
     if let (Some(preview), Some(stats)) = (&preview, &options.stats) {
         refuse_same_file(preview.path(), stats)?;
     }

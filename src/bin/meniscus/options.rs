@@ -1,4 +1,5 @@
-//! The options of `reconstruct`: what they are, what they exclude, and what they mean to the library.
+//! The options of `reconstruct`: what they are, what they exclude, and what they mean to the
+//! library.
 
 use std::path::PathBuf;
 

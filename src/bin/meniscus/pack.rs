@@ -1,4 +1,5 @@
-//! `meniscus pack`: particles to a DIF frame, to be reconstructed later with other filters or isovalues.
+//! `meniscus pack`: particles to a DIF frame, to be reconstructed later with other filters or
+//! isovalues.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! `meniscus reconstruct --parts`: one frame's mesh in parts, each made by a process of its own on any machine.
+//! `meniscus reconstruct --parts`: one frame's mesh in parts, each made by a process of its own on
+//! any machine.
 
 use std::path::Path;
 
@@ -90,7 +91,8 @@ fn listed(planned: &Planned) -> String {
         let mut line =
             format!("part {number}: {} particles, {} with those around", part.particles, part.kept);
         if let Some(PartTakes { memory, in_core, scratch, .. }) = part.takes {
-            let [memory, budget, in_core, scratch] = [memory, planned.budget, in_core, scratch].map(ByteSize);
+            let [memory, budget, in_core, scratch] =
+                [memory, planned.budget, in_core, scratch].map(ByteSize);
             line += &format!("; about {memory} of {budget} memory");
             if scratch.0 > 0 {
                 line += &format!(
@@ -107,11 +109,13 @@ fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Ve
     let PartMade { path, bytes, blocks, triangles, read, was_there, warnings, timings, .. } =
         parts.part(part)?;
     warn_all(&warnings, Some(options), notes);
-    let what = format!("{}: {blocks} blocks, {triangles} triangles, {}", path.display(), ByteSize(bytes));
+    let what =
+        format!("{}: {blocks} blocks, {triangles} triangles, {}", path.display(), ByteSize(bytes));
     if was_there {
         notes.say(format!("{what}, done already"));
     } else {
-        notes.say(format!("{what} of {read} particles that were read, in {:.2} s", timings.total()));
+        notes
+            .say(format!("{what} of {read} particles that were read, in {:.2} s", timings.total()));
     }
     report_stages(&timings, notes);
     Ok(Verdict::Good)
@@ -119,10 +123,11 @@ fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Ve
 
 #[derive(Args)]
 pub struct PartsOptions {
-    /// Make one frame's mesh in N parts, on any machines: with --plan, then --part I for each, then --merge.
+    /// Make one frame's mesh in N parts, on any machines: with --plan, then --part I for each, then
+    /// --merge.
     ///
-    /// All have to be asked for the same. Plan and parts are kept beside the output, in a folder named as it with .meniscus-parts
-    /// appended.
+    /// All have to be asked for the same. Plan and parts are kept beside the output, in a folder
+    /// named as it with .meniscus-parts appended.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
     /// Make part I of them, from 0. Any order will do; what is killed can be begun again.
@@ -160,7 +165,9 @@ impl PartsOptions {
             (true, ..) => Ok(Step::Plan),
             (false, Some(part), _) => Ok(Step::Part(part)),
             (false, None, true) => Ok(Step::Merge),
-            (false, None, false) => Err(Error::Request("--parts needs --plan, --part I or --merge".into())),
+            (false, None, false) => {
+                Err(Error::Request("--parts needs --plan, --part I or --merge".into()))
+            }
         }
     }
 }

@@ -7,7 +7,8 @@ pub fn set_up() {
     start_threads();
 }
 
-/// Starts the threads of commands that have none of their own. Where the system starts none, this one does their work.
+/// Starts the threads of commands that have none of their own. Where the system starts none, this
+/// one does their work.
 fn start_threads() {
     let all = rayon::ThreadPoolBuilder::new().build_global();
     if all.is_err() {
@@ -15,12 +16,15 @@ fn start_threads() {
     }
 }
 
-/// Keeps up to 8 MiB a thread for whoever allocates next. A frame, and a block of one that exceeds its memory, frees what
-/// the next allocates again: given back to the system in between, it would return a page at a time, a fault each.
+/// Keeps up to 8 MiB a thread for whoever allocates next. A frame, and a block of one that exceeds
+/// its memory, frees what the next allocates again: given back to the system in between, it would
+/// return a page at a time, a fault each.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_freed() {
-    for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)] {
-        // SAFETY: takes two numbers, before any other thread is started. Where it refuses, all stays as it was.
+    for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)]
+    {
+        // SAFETY: takes two numbers, before any other thread is started. Where it refuses, all
+        // stays as it was.
         unsafe { libc::mallopt(parameter, bytes) };
     }
 }
@@ -29,7 +33,8 @@ fn keep_freed() {
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn keep_freed() {}
 
-/// Has a write beyond the limit on the size of files (`ulimit -f`) fail, which is an error like any other, instead of ending the process.
+/// Has a write beyond the limit on the size of files (`ulimit -f`) fail, which is an error like any
+/// other, instead of ending the process.
 #[cfg(unix)]
 fn outlive_large_files() {
     // SAFETY: no handler is installed that could run, and no other thread is there yet.

@@ -24,8 +24,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// For so many bytes of input, and the notes that go with it. What is left is told from the bytes done so far,
-    /// for frames differ in size.
+    /// For so many bytes of input, and the notes that go with it. What is left is told from the
+    /// bytes done so far, for frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),
@@ -36,12 +36,13 @@ impl Progress {
             return (Self { bars: None }, notes);
         }
         let all = match mode {
-            ProgressMode::Always if !io::stderr().is_terminal() => {
-                MultiProgress::with_draw_target(ProgressDrawTarget::term_like_with_hz(Box::new(Pretended), 2))
-            }
+            ProgressMode::Always if !io::stderr().is_terminal() => MultiProgress::with_draw_target(
+                ProgressDrawTarget::term_like_with_hz(Box::new(Pretended), 2),
+            ),
             _ => MultiProgress::new(),
         };
-        let style = |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
+        let style =
+            |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
         let frames = all.add(ProgressBar::new(bytes));
         frames.set_style(style("[{bar:30}] {msg}, {elapsed} gone, about {eta} left"));
         frames.enable_steady_tick(Duration::from_millis(500));
@@ -89,7 +90,8 @@ impl Progress {
     }
 }
 
-/// Standard error as if it were a terminal, for whoever passes it on to one. What nobody can read is thrown away.
+/// Standard error as if it were a terminal, for whoever passes it on to one. What nobody can read
+/// is thrown away.
 #[derive(Debug)]
 struct Pretended;
 

@@ -1,4 +1,5 @@
-//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see `simulation`.
+//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see
+//! `simulation`.
 
 use std::path::Path;
 
@@ -61,7 +62,9 @@ fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<Str
         shown(cell_size),
     );
     if let Some([threads, triangles]) = needs.simplifying.map(|bytes| bytes.map(ByteSize)) {
-        text += &format!("\nsimplifying takes up to {threads} more, and {triangles} of memory or scratch");
+        text += &format!(
+            "\nsimplifying takes up to {threads} more, and {triangles} of memory or scratch"
+        );
     }
     if let Some(bytes) = needs.writing {
         text += &format!("\n{format} is written from memory: up to {} more", ByteSize(bytes));

@@ -17,18 +17,22 @@ use crate::notes::Verdict;
 
 #[derive(Args)]
 pub struct Options {
-    /// The mesh; or those of a simulation: files, a folder, a glob, or a name with {} for the number.
+    /// The mesh; or those of a simulation: files, a folder, a glob, or a name with {} for the
+    /// number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// The picture: .png. Of several meshes a folder, or a name with {}, takes one of each, .apng an animation, and .png a sheet of all.
+    /// The picture: .png. Of several meshes a folder, or a name with {}, takes one of each, .apng
+    /// an animation, and .png a sheet of all.
     #[arg(short, long)]
     output: PathBuf,
-    /// Width and height in pixels [default: 1920x1080; 960x540 in an animation, 640x360 on a sheet].
+    /// Width and height in pixels
+    /// [default: 1920x1080; 960x540 in an animation, 640x360 on a sheet].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[usize; 2]>,
     /// Where it is seen from [default: from the front and above, whole].
     ///
-    /// Two or three numbers: degrees around and above what is seen, and how much larger than whole. Six: the eye, and what it looks at.
+    /// Two or three numbers: degrees around and above what is seen, and how much larger than whole.
+    /// Six: the eye, and what it looks at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
     /// The axis that points up.
@@ -40,10 +44,12 @@ pub struct Options {
     /// Show the edges of the triangles.
     #[arg(long)]
     wireframe: bool,
-    /// water, a colour as ff8800, an attribute as velocity or velocity:turbo, by its length; or distance:red-blue, with --reference.
+    /// water, a colour as ff8800, an attribute as velocity or velocity:turbo, by its length; or
+    /// distance:red-blue, with --reference.
     #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
     colour: Asked,
-    /// A mesh: --colour distance is by the distance from it, negative inside, in the meshes' unit of length.
+    /// A mesh: --colour distance is by the distance from it, negative inside, in the meshes' unit
+    /// of length.
     #[arg(long, value_name = "MESH")]
     reference: Option<PathBuf>,
     /// Pictures of an animation a second.
@@ -52,7 +58,8 @@ pub struct Options {
     /// Threads to use [default: all cores].
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Memory for a mesh and its picture, as 512MiB; a larger .ply is drawn in a stream [default: three quarters of what is available].
+    /// Memory for a mesh and its picture, as 512MiB; a larger .ply is drawn in a stream
+    /// [default: three quarters of what is available].
     #[arg(long, value_name = "SIZE")]
     memory: Option<ByteSize>,
     /// Replace a picture that exists.
@@ -136,7 +143,10 @@ impl Options {
                 let mesh = read_mesh(path)?;
                 let fail = |fault| Error::Picture { path: Some(path.clone()), fault };
                 let from = Reference::new(&mesh).map_err(fail)?;
-                return Ok(Colour::Distance { from, map: map.unwrap_or_else(ColourMap::diverging) });
+                return Ok(Colour::Distance {
+                    from,
+                    map: map.unwrap_or_else(ColourMap::diverging),
+                });
             }
             (_, Some(path)) => {
                 let what = format!("{}: a reference is for --colour {DISTANCE}", path.display());
@@ -157,10 +167,14 @@ fn colour(text: &str) -> Result<Asked, String> {
     if digits.len() == 6
         && let Ok(rgb) = u32::from_str_radix(digits, 16)
     {
-        return Ok(Asked::Colour(Colour::Solid([rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8))));
+        return Ok(Asked::Colour(Colour::Solid(
+            [rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8),
+        )));
     }
     let (name, map) = match text.rsplit_once(':') {
-        Some((name, map)) => (name, Some(ColourMap::from_str(map).map_err(|error| error.to_string())?)),
+        Some((name, map)) => {
+            (name, Some(ColourMap::from_str(map).map_err(|error| error.to_string())?))
+        }
         None => (text, None),
     };
     Ok(Asked::Named(name.to_owned(), map))

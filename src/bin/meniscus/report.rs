@@ -7,8 +7,8 @@ use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::{shown, significant};
 use meniscus::mesh::MeshSource;
 use meniscus::{
-    Calibrated, Cells, Census, Doubt, IndicatorKind, Isovalue, Opened, Plateau, Report, SpacingSource,
-    Timings, Warning,
+    Calibrated, Cells, Census, Doubt, IndicatorKind, Isovalue, Opened, Plateau, Report,
+    SpacingSource, Timings, Warning,
 };
 
 use crate::advice::{doubted, warned};
@@ -17,9 +17,17 @@ use crate::options::Options;
 
 /// Says what was opened, and what was chosen for it.
 pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
-    notes.say(format!("{}: {} particles, {}", input.display(), opened.particles(), opened.format()));
+    notes.say(format!(
+        "{}: {} particles, {}",
+        input.display(),
+        opened.particles(),
+        opened.format()
+    ));
     if opened.ghosts() > 0 {
-        notes.say(format!("{} ghosts left out, copies of particles in other pieces", opened.ghosts()));
+        notes.say(format!(
+            "{} ghosts left out, copies of particles in other pieces",
+            opened.ghosts()
+        ));
     }
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
@@ -46,11 +54,17 @@ pub fn report_cells(
 /// Says all that there is to know of a surface.
 pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
     warn_all(&report.warnings, Some(options), notes);
-    report.measured.iter().for_each(|measured| report_calibration(report, measured, options, notes));
+    report
+        .measured
+        .iter()
+        .for_each(|measured| report_calibration(report, measured, options, notes));
     report_census(&report.facts.census, notes);
     let Some(left_out) = report.too_small else { return };
     if let Some(volume) = options.settings.smallest_component {
-        notes.say(format!("{} components of less than {volume} cells left out", left_out.components));
+        notes.say(format!(
+            "{} components of less than {volume} cells left out",
+            left_out.components
+        ));
     }
     if let Some(particles) = options.settings.smallest_drop.filter(|&particles| particles > 1) {
         notes.say(too_small(left_out.drops, particles));
@@ -58,7 +72,8 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
     if let Some(tolerance) = options.settings.simplify {
         let whole = report.whole_triangles;
         let share = 100.0 * mesh.triangle_count() as f64 / whole as f64;
-        notes.say(format!("simplified within {tolerance} cells: {share:.1} % of {whole} triangles"));
+        notes
+            .say(format!("simplified within {tolerance} cells: {share:.1} % of {whole} triangles"));
     }
 }
 
@@ -66,7 +81,10 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
 fn report_calibration(report: &Report, measured: &Calibrated, options: &Options, notes: &Notes) {
     let &Calibrated { calibration, plateau, step_cells } = measured;
     let facts = &report.facts;
-    notes.detail(format!("a step of the field moves the surface by {} cells", significant(step_cells, 3)));
+    notes.detail(format!(
+        "a step of the field moves the surface by {} cells",
+        significant(step_cells, 3)
+    ));
     let Some(iso) = calibration.iso().map(Isovalue::value) else {
         let density = measured.density(facts.spacing_cells_or_one());
         notes.say(match plateau {

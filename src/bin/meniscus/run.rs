@@ -17,7 +17,8 @@ pub struct RunOptions {
     /// Where the stages run.
     #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
     backend: BackendName,
-    /// The Vulkan device, by its number, its UUID or a part of its name: see `meniscus devices` [default: the best].
+    /// The Vulkan device, by its number, its UUID or a part of its name: see `meniscus devices`
+    /// [default: the best].
     #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
     device: Option<String>,
     /// Threads to use [default: all cores].
@@ -53,8 +54,8 @@ enum BackendName {
 }
 
 impl RunOptions {
-    /// Sets what the machine gives: threads, memory, scratch files, and a backend that suits inputs of as many bytes as is told where it
-    /// matters, if that is known.
+    /// Sets what the machine gives: threads, memory, scratch files, and a backend that suits inputs
+    /// of as many bytes as is told where it matters, if that is known.
     pub fn machine(
         &self,
         request: Reconstruction,
@@ -70,7 +71,8 @@ impl RunOptions {
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
         // A folder that is not there yet will be made in the first that is.
-        let beside = output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
+        let beside =
+            output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
         let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
         request = request.memory(budget);
         if let Some(folder) = scratch {
@@ -94,7 +96,9 @@ impl RunOptions {
     ) -> Result<Option<Backend>, Error> {
         let cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         match (self.backend, &self.device) {
-            (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),
+            (BackendName::Cpu, Some(_)) => {
+                Err(Error::Request("--device needs --backend vulkan".into()))
+            }
             (BackendName::Cpu, None) => Ok(None),
             (BackendName::Auto, None) => {
                 let (backend, on_cpu) = devices::fastest(budget, input_bytes, cache.as_deref());

@@ -29,13 +29,15 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     simulation.check()?;
     let cancel = interrupt::handle();
     let frame = options.output.join("frame");
-    let request = options.run.machine(request, &frame, || simulation.input_bytes())?.cancel(cancel.clone());
+    let request =
+        options.run.machine(request, &frame, || simulation.input_bytes())?.cancel(cancel.clone());
     let device = request.device().cloned();
     let simulation = simulation.reconstruction(request);
     simulation.check()?;
     options.prepare_stats()?;
     let notes = options.run.notes();
-    let mut teller = Teller { options, notes, bars: None, broken: None, bad: false, cancel, device };
+    let mut teller =
+        Teller { options, notes, bars: None, broken: None, bad: false, cancel, device };
     let hear = |event: Event| teller.hear(&event);
     if options.dry_run {
         for forecast in simulation.forecast(hear)? {
@@ -93,7 +95,10 @@ impl Teller<'_> {
     fn hear(&mut self, event: &Event) {
         match event {
             Event::Doubted(doubt) => self.notes().warn(&doubted(doubt)),
-            Event::Waiting { .. } | Event::Anew { .. } | Event::GoesOn { .. } | Event::Measured { .. } => {
+            Event::Waiting { .. }
+            | Event::Anew { .. }
+            | Event::GoesOn { .. }
+            | Event::Measured { .. } => {
                 self.notes().say(event.to_string());
             }
             &Event::Begins { frames, done, bytes, lanes, followed } => {
@@ -101,13 +106,17 @@ impl Teller<'_> {
                     self.notes().say(event.to_string());
                 }
                 let idle = frames == done && !followed;
-                let mode = if idle { ProgressMode::Never } else { self.options.simulation.progress };
+                let mode =
+                    if idle { ProgressMode::Never } else { self.options.simulation.progress };
                 self.bars = Some(Progress::start(mode, bytes, lanes, self.notes.clone()));
             }
-            Event::Came { bytes } => self.progress().into_iter().for_each(|bars| bars.lengthen(*bytes)),
+            Event::Came { bytes } => {
+                self.progress().into_iter().for_each(|bars| bars.lengthen(*bytes))
+            }
             &Event::Stage { lane, progress, .. } => {
-                let what =
-                    || progress.map_or(String::new(), |at| format!("{event} {:.0} %", 100.0 * at.done));
+                let what = || {
+                    progress.map_or(String::new(), |at| format!("{event} {:.0} %", 100.0 * at.done))
+                };
                 self.progress().into_iter().for_each(|bars| bars.stage(lane, what));
             }
             Event::Done(done) => self.done(done),
@@ -165,7 +174,9 @@ impl Teller<'_> {
         }
         notes.say(summary.to_string());
         let left_out = &summary.left_out;
-        if let Some(particles) = self.options.settings.smallest_drop.filter(|&particles| particles > 1) {
+        if let Some(particles) =
+            self.options.settings.smallest_drop.filter(|&particles| particles > 1)
+        {
             notes.say(too_small(left_out.drops, particles));
         }
         report_census(&left_out.census, notes);
@@ -180,12 +191,13 @@ impl Teller<'_> {
 /// The frames that are not there, a line each, in order.
 fn lacking(summary: &Summary) -> String {
     let failed = summary.failed.iter();
-    let failed =
-        failed.map(|failed| (failed.frame, format!("frame {}: {}", failed.frame, told(&failed.error))));
+    let failed = failed
+        .map(|failed| (failed.frame, format!("frame {}: {}", failed.frame, told(&failed.error))));
     let missing = summary.missing.iter().map(|missing| (missing.first, missing.to_string()));
     let lines: BTreeSet<(u64, String)> = failed.chain(missing).collect();
     let lacking = summary.lacking();
-    let mut list = format!("meniscus: {lacking} frame{} failed:", if lacking == 1 { "" } else { "s" });
+    let mut list =
+        format!("meniscus: {lacking} frame{} failed:", if lacking == 1 { "" } else { "s" });
     lines.iter().for_each(|(_, line)| list += &format!("\n  {line}"));
     list
 }
@@ -217,8 +229,8 @@ pub struct SimulationOptions {
     /// Frames a second, for times where the files have none.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
     pub fps: Option<f64>,
-    /// Measure what all frames have in common, write the state file, print the frames' numbers, one a line, and stop; with --parts plan
-    /// these.
+    /// Measure what all frames have in common, write the state file, print the frames' numbers, one
+    /// a line, and stop; with --parts plan these.
     #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Simulations", hide_short_help = true)]
     pub plan: bool,
     /// Bars on a terminal, or a line for each frame.
@@ -235,7 +247,9 @@ fn range(text: &str) -> Result<(u64, u64), String> {
 fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
-        Some((name, _)) => Err(Error::Request(format!("{name} needs a simulation: an output with {{}}"))),
+        Some((name, _)) => {
+            Err(Error::Request(format!("{name} needs a simulation: an output with {{}}")))
+        }
     }
 }
 

@@ -23,10 +23,13 @@ pub struct Made<'a> {
 }
 
 impl Options {
-    /// Makes sure, before the work, that statistics can be appended; a file that was not there is not there then.
+    /// Makes sure, before the work, that statistics can be appended; a file that was not there is
+    /// not there then.
     pub fn prepare_stats(&self) -> Result<(), Error> {
-        let Some(path) =
-            self.stats.as_ref().filter(|path| path.metadata().is_ok_and(|m| m.is_file()) || !path.exists())
+        let Some(path) = self
+            .stats
+            .as_ref()
+            .filter(|path| path.metadata().is_ok_and(|m| m.is_file()) || !path.exists())
         else {
             return Ok(());
         };
@@ -54,9 +57,15 @@ pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
     let mut stats = match report {
         Some(report) => {
             let counts = [mesh.vertices, mesh.triangles, mesh.bytes];
-            record(options, report, &Made { input, output, counts, stages: &report.timings, lost: *lost })
+            record(
+                options,
+                report,
+                &Made { input, output, counts, stages: &report.timings, lost: *lost },
+            )
         }
-        None => json!({ "input": input, "output": output, "particles": 0, "vertices": 0, "triangles": 0 }),
+        None => {
+            json!({ "input": input, "output": output, "particles": 0, "vertices": 0, "triangles": 0 })
+        }
     };
     stats["frame"] = json!(mesh.frame);
     stats["in_no_surface"] = json!(lost);
@@ -72,7 +81,8 @@ pub fn of_failed(failed: &FrameFailed) -> Value {
 /// Writes the record of a frame.
 pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
     let Made { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
-    let seconds = stages.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
+    let seconds =
+        stages.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
     let facts = &report.facts;
     let of_run = json!({
         "particles": facts.census.binned,

@@ -16,12 +16,14 @@ pub struct Window {
     pub reach: i32,
     /// Samples beyond walls are those of the outermost cells before them.
     pub walls: Option<CellBox>,
-    /// Samples so near to a block's faces are unknown; when all is done, those nearer by the reach are too.
+    /// Samples so near to a block's faces are unknown; when all is done, those nearer by the reach
+    /// are too.
     pub margin: i32,
 }
 
-/// Runs a program with `axis.wgsl` along x, then y, then z: from `from` through `to` and `through` into `to`. Its buffers
-/// are the blocks, what is read, what is written, and then `further`. Sums are shifted down by as many bits as `shift` says of an axis.
+/// Runs a program with `axis.wgsl` along x, then y, then z: from `from` through `to` and `through`
+/// into `to`. Its buffers are the blocks, what is read, what is written, and then `further`. Sums
+/// are shifted down by as many bits as `shift` says of an axis.
 ///
 /// # Errors
 /// Those of the device.
@@ -36,12 +38,14 @@ pub fn along_each_axis(
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let reach = reach as u32;
-    let mut push = AxisPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3], shift: 0 };
+    let mut push =
+        AxisPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3], shift: 0 };
     for (axis, [from, to]) in (0_usize..).zip([[from, to], [to, through], [through, to]]) {
         push.axis = axis as u32;
         push.shift = shift(axis);
         push.margin[axis] += reach;
-        let buffers: Vec<View> = [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
+        let buffers: Vec<View> =
+            [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
         batch.dispatch(pipeline, &buffers, &push, blocks.run_groups(pipeline))?;
     }
     Ok(())

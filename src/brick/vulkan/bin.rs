@@ -1,8 +1,9 @@
-//! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), by a hash table of bins.
+//! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), by a hash table of
+//! bins.
 //!
-//! Positions are read once, in chunks: every particle is placed, in the f64 arithmetic of the host done by integers, finds or takes
-//! its bin's slot in the table, and is counted there. The host sorts the bins. Then every particle is put where its bin's
-//! particles go.
+//! Positions are read once, in chunks: every particle is placed, in the f64 arithmetic of the host
+//! done by integers, finds or takes its bin's slot in the table, and is counted there. The host
+//! sorts the bins. Then every particle is put where its bin's particles go.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,7 +16,8 @@ use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::shaders::{ENTER, EnterPush, PLACE, PlacePush, SETTLE, SORT, SettlePush, SortPush};
 use crate::vulkan::{
-    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, PIECE, Place, Queue, View, VulkanError,
+    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, PIECE, Place, Queue, View,
+    VulkanError,
 };
 
 use super::{DeviceGrid, flat_groups};
@@ -38,7 +40,8 @@ pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle, and of the number of its bin's slot.
 const RECORD_BYTES: u64 = 8;
 const HOME_BYTES: u64 = 4;
-/// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000 times as many as are of use.
+/// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000
+/// times as many as are of use.
 const MOST_IN_BIN: u32 = 1 << 24;
 
 /// The shaders of binning.
@@ -81,8 +84,8 @@ impl Coordinate {
     }
 }
 
-/// Positions on the device, x, y and z of one particle after the other. Shaders read them; so does a copy, where an
-/// invalid particle is to be named.
+/// Positions on the device, x, y and z of one particle after the other. Shaders read them; so does
+/// a copy, where an invalid particle is to be named.
 #[derive(Debug, Clone)]
 pub struct DevicePositions {
     /// Where they are; from a multiple of 4 bytes on.
@@ -105,13 +108,14 @@ pub struct DeviceBins {
     pub first: Vec<usize>,
     /// The number of particles that were binned, and of those that were left out and why.
     pub census: Census,
-    /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a shader can see
-    /// them all at once.
+    /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a
+    /// shader can see them all at once.
     pub runs: Vec<BinRun>,
 }
 
 impl DeviceBins {
-    /// Cuts a run of bins into parts of at most so many bins, and of so many particles unless one bin has more.
+    /// Cuts a run of bins into parts of at most so many bins, and of so many particles unless one
+    /// bin has more.
     pub fn parts(
         &self,
         run: Range<usize>,
@@ -194,23 +198,30 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
         let most = CHUNK.min(seen as usize);
         for first in (0..*count).step_by(most) {
             let len = most.min(count - first);
-            let part = view.aligned(first as u64 * particle, len as u64 * particle, limits.alignment);
+            let part =
+                view.aligned(first as u64 * particle, len as u64 * particle, limits.alignment);
             let (positions, words) = part;
             let width = (coordinate.bytes() / 4) as u32;
-            chunks.push(Chunk { index: before + first, count: len as u32, positions, first: words, width });
+            chunks.push(Chunk {
+                index: before + first,
+                count: len as u32,
+                positions,
+                first: words,
+                width,
+            });
         }
         before += count;
     }
     chunks
 }
 
-/// Sorts particles into the bins that [`BinPlan`](crate::brick::BinPlan) sorts them into, unless they touch
-/// more than `limit`. The order inside a bin is arbitrary.
+/// Sorts particles into the bins that [`BinPlan`](crate::brick::BinPlan) sorts them into, unless
+/// they touch more than `limit`. The order inside a bin is arbitrary.
 ///
 /// # Errors
-/// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32 particles or
-/// more, a bin has more than 2^24 of them or than a shader can see at once, or the device has no room for 20 bytes a
-/// particle, of which 8 stay.
+/// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32
+/// particles or more, a bin has more than 2^24 of them or than a shader can see at once, or the
+/// device has no room for 20 bytes a particle, of which 8 stay.
 ///
 /// # Panics
 /// If a view ends before its positions do.
@@ -247,7 +258,8 @@ pub fn bin(
     }
     let key = |slot: &Slot| bin_coord(u64::from(slot.key[0]) | u64::from(slot.key[1]) << 32);
     let used = (0_u32..).zip(&table).filter(|(_, slot)| slot.count > 0);
-    let mut bins: Vec<_> = used.map(|(i, slot)| (MortonKey::of(key(slot)), i, slot.count)).collect();
+    let mut bins: Vec<_> =
+        used.map(|(i, slot)| (MortonKey::of(key(slot)), i, slot.count)).collect();
     bins.sort_unstable();
     if bins.len() > limit {
         return Err(BinError::TooManyBins { limit }.into());
@@ -324,8 +336,9 @@ impl Binning<'_> {
             batch.submit(&[])?;
             batch.wait()?;
             // SAFETY: the only batch that writes them is done.
-            let (census, table): (Vec<ChunkCensus>, Vec<Slot>) =
-                unsafe { (census_read.read(0, self.chunks.len().max(1)), slots_read.read(0, len as usize)) };
+            let (census, table): (Vec<ChunkCensus>, Vec<Slot>) = unsafe {
+                (census_read.read(0, self.chunks.len().max(1)), slots_read.read(0, len as usize))
+            };
             if census[0].overflow == 0 {
                 return Ok(Counted { kept, table, census });
             }
@@ -366,7 +379,12 @@ impl Binning<'_> {
         let push = EnterPush { count, mask: slots_len - 1 };
         batch.dispatch(&pipelines.enter, &buffers, &push, chunk.groups(&pipelines.enter))?;
         let push = SettlePush { slots: slots_len };
-        batch.dispatch(&pipelines.settle, &buffers[..2], &push, flat_groups(slots_len, &pipelines.settle))
+        batch.dispatch(
+            &pipelines.settle,
+            &buffers[..2],
+            &push,
+            flat_groups(slots_len, &pipelines.settle),
+        )
     }
 
     /// The census of all chunks, and the number of the first invalid particle.
@@ -388,7 +406,11 @@ impl Binning<'_> {
     }
 
     /// Where particle number `index` is.
-    fn position(&self, positions: &[DevicePositions], mut index: usize) -> Result<[f64; 3], VulkanError> {
+    fn position(
+        &self,
+        positions: &[DevicePositions],
+        mut index: usize,
+    ) -> Result<[f64; 3], VulkanError> {
         let mut positions = positions.iter();
         let found = positions.find(|p| {
             index < p.count || {
@@ -446,7 +468,12 @@ impl Binning<'_> {
                 let buffers = [packed, homes, &places.whole(), &records.whole()].map(Clone::clone);
                 let push = SortPush { count: chunk.count };
                 batch.stage("sort", (2 * RECORD_BYTES + 4) * u64::from(chunk.count));
-                batch.dispatch(&self.pipelines.sort, &buffers, &push, chunk.groups(&self.pipelines.sort))?;
+                batch.dispatch(
+                    &self.pipelines.sort,
+                    &buffers,
+                    &push,
+                    chunk.groups(&self.pipelines.sort),
+                )?;
             }
             batch.submit(&[])?;
             batch.wait()?;
@@ -461,7 +488,9 @@ fn runs_of(first: &[usize], particles: u64) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for bin in 0..first.len() - 1 {
         match runs.last_mut() {
-            Some(run) if (first[bin + 1] - first[run.start]) as u64 <= particles => run.end = bin + 1,
+            Some(run) if (first[bin + 1] - first[run.start]) as u64 <= particles => {
+                run.end = bin + 1
+            }
             _ => runs.push(bin..bin + 1),
         }
     }
@@ -484,7 +513,8 @@ mod tests {
         let counts = [3, 1, 9, 2, 2, 2, 2, 0, 1];
         let mut first = vec![0];
         counts.iter().for_each(|count| first.push(first[first.len() - 1] + count));
-        let bins = DeviceBins { keys: Vec::new(), first, census: Census::default(), runs: Vec::new() };
+        let bins =
+            DeviceBins { keys: Vec::new(), first, census: Census::default(), runs: Vec::new() };
         let parts: Vec<_> = bins.parts(1..9, 3, 5).collect();
         assert_eq!(parts, [1..2, 2..3, 3..5, 5..8, 8..9]);
         assert_eq!(bins.parts(0..9, 100, 100).map(|part| part.len()).collect::<Vec<_>>(), [9]);

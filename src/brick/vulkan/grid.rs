@@ -6,7 +6,8 @@ use crate::grid::{Domain, Grid};
 
 use super::wall_bounds;
 
-/// The grid, and the walls if there are any, as `grid.wgsl` has them: all that places particles and vertices in f64.
+/// The grid, and the walls if there are any, as `grid.wgsl` has them: all that places particles and
+/// vertices in f64.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct DeviceGrid {
@@ -24,7 +25,6 @@ pub struct DeviceGrid {
 
 impl DeviceGrid {
     /// Lays out a grid, and a domain on it, for shaders.
-    #[must_use]
     pub fn new(grid: &Grid, domain: Option<&Domain>) -> Self {
         let [lo, hi] = wall_bounds(domain.map(Domain::cells));
         let [walls_lo, walls_hi] = domain.map(Domain::walls).unwrap_or_default();
@@ -44,10 +44,10 @@ impl DeviceGrid {
     }
 }
 
-/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, m the significand of `divisor`, 2^52 to 2^53.
+/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, m the significand of `divisor`, 2^52
+/// to 2^53.
 ///
 /// The divisor must be positive and finite.
-#[must_use]
 pub fn reciprocal(divisor: f64) -> u64 {
     let fraction_bits = f64::MANTISSA_DIGITS - 1;
     let fraction = divisor.to_bits() & ((1 << fraction_bits) - 1);

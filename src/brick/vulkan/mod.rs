@@ -1,5 +1,5 @@
-//! Particles in order of their bins, and padded blocks, on a device. A batch of blocks shares one field of 16-bit
-//! samples, two to a word.
+//! Particles in order of their bins, and padded blocks, on a device. A batch of blocks shares one
+//! field of 16-bit samples, two to a word.
 
 mod axis;
 mod bin;
@@ -8,8 +8,8 @@ mod pages;
 
 pub use axis::{Window, along_each_axis};
 pub use bin::{
-    BinPipelines, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, NO_BIN, PROBES,
-    SETTLED, bin,
+    BinPipelines, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE,
+    NO_BIN, PROBES, SETTLED, bin,
 };
 pub use grid::{DeviceGrid, reciprocal};
 pub use pages::{FullCells, full_cells, halve};
@@ -24,10 +24,11 @@ use crate::grid::{BIN, CellBox};
 use crate::shaders::GatherPush;
 use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, View, VulkanError};
 
-/// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples to a word.
+/// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples
+/// to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
-/// Words of a page on the device: its samples, dense, two to a word, up to where a part of a buffer may begin.
-#[must_use]
+/// Words of a page on the device: its samples, dense, two to a word, up to where a part of a buffer
+/// may begin.
 pub fn page_words(shape: PageShape) -> u32 {
     (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
 }
@@ -59,8 +60,8 @@ pub struct DeviceBlock {
 }
 
 impl DeviceBlock {
-    /// For the samples of `cells`, of which the tiles of `region` are to be meshed. Rows become whole words.
-    #[must_use]
+    /// For the samples of `cells`, of which the tiles of `region` are to be meshed. Rows become
+    /// whole words.
     pub fn new(cells: CellBox, region: CellBox) -> Self {
         let CellBox { mut lo, mut hi } = cells;
         lo.x &= !1;
@@ -78,7 +79,6 @@ impl DeviceBlock {
     }
 
     /// Returns the cells of the block.
-    #[must_use]
     pub fn cells(&self) -> CellBox {
         let lo = IVec3::from(self.lo);
         CellBox { lo, hi: lo + IVec3::from(self.size.map(|n| n as i32)) }
@@ -90,7 +90,6 @@ impl DeviceBlock {
     }
 
     /// Words of its samples.
-    #[must_use]
     pub fn words(&self) -> u32 {
         self.size.iter().product::<u32>() / 2
     }
@@ -120,7 +119,6 @@ pub struct DeviceBlocks {
 
 impl DeviceBlocks {
     /// Describes blocks that lie at `view` on the device.
-    #[must_use]
     pub fn new(view: View, blocks: &[DeviceBlock]) -> Self {
         let most = |of: fn(&DeviceBlock) -> u32| blocks.iter().map(of).max().unwrap_or(0);
         Self {
@@ -133,19 +131,16 @@ impl DeviceBlocks {
     }
 
     /// Work groups for a thread a run of every block.
-    #[must_use]
     pub fn run_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.runs), self.count, 1]
     }
 
     /// Work groups for a thread a word of every block.
-    #[must_use]
     pub fn groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.largest), self.count, 1]
     }
 
     /// Work groups for a thread a word of the field, in rows that every device allows.
-    #[must_use]
     pub fn flat_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         flat_groups(self.words, pipeline)
     }
@@ -194,11 +189,13 @@ pub fn gather(
     batch.dispatch(pipeline, &buffers, &push, blocks.run_groups(pipeline))
 }
 
-/// The cells within walls as shaders take them: the lowest and the highest; without walls, farther than any cell.
-#[must_use]
+/// The cells within walls as shaders take them: the lowest and the highest; without walls, farther
+/// than any cell.
 pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
     const NOWHERE: i32 = 1 << 24;
-    walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| [walls.lo.to_array(), (walls.hi - 1).to_array()])
+    walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| {
+        [walls.lo.to_array(), (walls.hi - 1).to_array()]
+    })
 }
 
 #[cfg(test)]

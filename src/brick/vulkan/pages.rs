@@ -1,4 +1,5 @@
-//! Shaders on pages where they are: finding the full cells of each, and making pages of cells twice as wide.
+//! Shaders on pages where they are: finding the full cells of each, and making pages of cells twice
+//! as wide.
 
 use std::sync::Arc;
 
@@ -22,11 +23,11 @@ pub struct FullCells {
 
 impl FullCells {
     /// The page of a bin, if any of its cells is full.
-    #[must_use]
     pub fn info(&self, key: MortonKey) -> Option<PageInfo> {
         let bricks = u64::from(self.bricks[0]) | u64::from(self.bricks[1]) << 32;
-        (bricks != 0)
-            .then(|| PageInfo::of_layers(key, bricks, self.layers.map(|bits| bits as u16), self.count))
+        (bricks != 0).then(|| {
+            PageInfo::of_layers(key, bricks, self.layers.map(|bits| bits as u16), self.count)
+        })
     }
 }
 
@@ -53,8 +54,10 @@ pub fn full_cells(
     batch.dispatch(pipeline, &[pages.clone(), found.clone()], &push, [1, count, 1])
 }
 
-/// Makes pages of cells twice as wide of `field`, by the twin of [`DifField::halved`](crate::brick::DifField::halved): of each
-/// block, which holds [what leaves something](crate::brick::halved_from) in what lies of a bin within the walls of the finer cells.
+/// Makes pages of cells twice as wide of `field`, by the twin of
+/// [`DifField::halved`](crate::brick::DifField::halved): of each block, which holds
+/// [what leaves something](crate::brick::halved_from) in what lies of a bin within the walls of the
+/// finer cells.
 ///
 /// # Errors
 /// Those of the device.

@@ -9,29 +9,28 @@ use super::{UNIT, Weights};
 
 /// A number that can be blurred.
 pub trait Sample: Copy + Default + PartialEq {
-    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the weights's weights, along an axis.
+    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the weights's
+    /// weights, along an axis.
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. The edge cells before `walls` are repeated beyond them in what is
-/// given, and so they are in the result, for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. The edge cells before `walls` are repeated
+/// beyond them in what is given, and so they are in the result, for the next filter.
 ///
 /// The result is smaller by the weights's reach on every side: exactly the cells whose whole
 /// neighbourhood was given.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
-#[must_use]
 pub fn blur<T: Sample>(block: Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
     blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
 
-/// Blurs as [`blur`] does, as long as `goes_on` holds of the block after each axis; `None` once it does not.
-/// In what `goes_on` is shown nothing is repeated yet.
+/// Blurs as [`blur`] does, as long as `goes_on` holds of the block after each axis; `None` once it
+/// does not. In what `goes_on` is shown nothing is repeated yet.
 ///
 /// # Panics
 /// As [`blur`].
-#[must_use]
 pub fn blur_while<T: Sample>(
     mut block: Block<T>,
     weights: &Weights,
@@ -56,8 +55,11 @@ pub fn blur_while<T: Sample>(
 ///
 /// # Panics
 /// As [`blur`].
-#[must_use]
-pub fn blur_of_few<T: Sample>(block: &Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
+pub fn blur_of_few<T: Sample>(
+    block: &Block<T>,
+    weights: &Weights,
+    walls: Option<CellBox>,
+) -> Block<T> {
     let full = block.box_of(|sample| sample != T::default());
     let mut blurred = blurred_part(block, full, weights);
     if let Some(walls) = walls {
@@ -119,7 +121,8 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
     let len = to.len();
     let tap = |k: usize| &taps[k * step..k * step + len];
     let centre = tap(HALF - 1);
-    let pairs: [(&[u16], &[u16]); HALF] = std::array::from_fn(|k| (tap(HALF - 1 - k), tap(HALF - 1 + k)));
+    let pairs: [(&[u16], &[u16]); HALF] =
+        std::array::from_fn(|k| (tap(HALF - 1 - k), tap(HALF - 1 + k)));
     for i in 0..len {
         let mut sum = half[0] * u32::from(centre[i]) + (1 << 15);
         for k in 1..HALF {
@@ -139,7 +142,9 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32
     let (many, rest) = to.as_chunks_mut::<LANES>();
     let done = many.len() * LANES;
     for (first, to) in (0..).step_by(LANES).zip(many) {
-        let taps = |k: usize| taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample");
+        let taps = |k: usize| {
+            taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample")
+        };
         let own = taps(reach);
         // Plain loops: a closure would be compiled for any machine, and called for each sample.
         let mut sums = [1_u32 << (shift - 1); LANES];
@@ -158,7 +163,8 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32
     }
     for (first, to) in (done..).zip(rest) {
         let tap = |k: usize| u32::from(taps[first + k * step]);
-        let of_pairs = (1..).zip(pairs).map(|(k, weight)| weight * (tap(reach - k) + tap(reach + k)));
+        let of_pairs =
+            (1..).zip(pairs).map(|(k, weight)| weight * (tap(reach - k) + tap(reach + k)));
         let sum = centre * tap(reach) + (1 << (shift - 1)) + of_pairs.sum::<u32>();
         *to = (sum >> shift).min(u16::MAX.into()) as u16;
     }

@@ -1,10 +1,13 @@
 //! Smoothing (section 4.2): separable filters along x, then y, then z.
 //!
-//! Per axis and cell: (sum over taps of weight * sample + 32768) >> 16, with integer weights that sum to
-//! 65536. A result is never outside of the range of its samples. A filter with a gain of g bits shifts its last axis by 16 - g
-//! instead, and holds what exceeds 16 bits at 65535: wide filters leave little of samples, and that in fine steps.
+//! Per axis and cell: (sum over taps of weight * sample + 32768) >> 16, with integer weights that
+//! sum to
+//! 65536. A result is never outside of the range of its samples. A filter with a gain of g bits
+//!        shifts its last axis by 16 - g instead, and holds what exceeds 16 bits at 65535: wide
+//!        filters leave little of samples, and that in fine steps.
 //!
-//! A filter reaches [`Weights::reach`] cells along every axis, and the result is smaller by as much.
+//! A filter reaches [`Weights::reach`] cells along every axis, and the result is smaller by as
+//! much.
 
 mod cpu;
 mod filter;
@@ -31,7 +34,6 @@ pub struct Weights {
 
 impl Weights {
     /// The Gaussian with max(3, 2 floor(3 sigma) - 1) taps.
-    #[must_use]
     pub fn gaussian(sigma: Sigma) -> Self {
         let sigma: f64 = sigma.cells();
         let reach = ((3.0 * sigma).floor() as u32).saturating_sub(1).max(1);
@@ -42,10 +44,10 @@ impl Weights {
         Self::with_tails(tails)
     }
 
-    /// The Gaussian that is cut off at `reach` cells and has such a `variance` there, in squared cells, or as much as there is room for.
+    /// The Gaussian that is cut off at `reach` cells and has such a `variance` there, in squared
+    /// cells, or as much as there is room for.
     ///
     /// All of it is arithmetic that every machine rounds alike.
-    #[must_use]
     pub fn of_variance(variance: f64, reach: i32) -> Self {
         let weights = |square: f64| -> Vec<f64> {
             (0..=reach).map(|k| exp_of_minus(f64::from(k * k) / (2.0 * square))).collect()
@@ -65,19 +67,18 @@ impl Weights {
         }
         let weights = weights(below);
         let (sum, _) = moments(&weights);
-        let tails = weights[1..].iter().map(|weight| (weight / sum * f64::from(UNIT)).round() as u32);
+        let tails =
+            weights[1..].iter().map(|weight| (weight / sum * f64::from(UNIT)).round() as u32);
         Self::with_tails(tails.collect())
     }
 
     /// Adds a gain of so many bits, 15 at the most.
-    #[must_use]
     pub fn gaining(self, gain: u32) -> Self {
         debug_assert!(gain < UNIT.ilog2(), "{gain} bits");
         Self { gain, ..self }
     }
 
     /// The box of three taps.
-    #[must_use]
     pub fn box3() -> Self {
         Self::with_tails(vec![UNIT / 3])
     }
@@ -89,26 +90,23 @@ impl Weights {
     }
 
     /// How far it reaches from a cell, in cells.
-    #[must_use]
     pub fn reach(&self) -> i32 {
         self.half.len() as i32 - 1
     }
 
     /// Bits by which the sum of an axis is shifted down.
-    #[must_use]
     pub fn shift(&self, axis: usize) -> u32 {
         if axis == 2 { UNIT.ilog2() - self.gain } else { UNIT.ilog2() }
     }
 
     /// The square of its standard deviation, in squared cells.
-    #[must_use]
     pub fn variance(&self) -> f64 {
-        let moments = (0_u32..).zip(&self.half).map(|(k, &weight)| u64::from(k * k) * u64::from(weight));
+        let moments =
+            (0_u32..).zip(&self.half).map(|(k, &weight)| u64::from(k * k) * u64::from(weight));
         2.0 * moments.sum::<u64>() as f64 / f64::from(UNIT)
     }
 
     /// The weight of the centre, then of the cells 1, 2, ... away on either side.
-    #[must_use]
     pub fn half(&self) -> &[u32] {
         &self.half
     }
@@ -137,7 +135,11 @@ mod tests {
             let reach = (2.6 * f64::sqrt(variance)).ceil() as i32;
             let weights = Weights::of_variance(variance, reach);
             assert_eq!(weights.reach(), reach);
-            assert!((weights.variance() / variance - 1.0).abs() < 1e-3, "{variance}: {}", weights.variance());
+            assert!(
+                (weights.variance() / variance - 1.0).abs() < 1e-3,
+                "{variance}: {}",
+                weights.variance()
+            );
         }
         for x in [0.0, 0.1, 1.0, 4.5, 12.0] {
             assert!((exp_of_minus(x) / (-x).exp() - 1.0).abs() < 1e-12, "{x}");
@@ -146,7 +148,9 @@ mod tests {
 
     #[test]
     fn the_mask_has_as_many_taps_as_the_paper_says() {
-        for (sigma, taps) in [(0.1, 3), (0.8, 3), (1.0, 5), (1.2, 5), (1.5, 7), (2.0, 11), (10.0, 59)] {
+        for (sigma, taps) in
+            [(0.1, 3), (0.8, 3), (1.0, 5), (1.2, 5), (1.5, 7), (2.0, 11), (10.0, 59)]
+        {
             let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
             assert_eq!(2 * weights.reach() + 1, taps, "sigma {sigma}");
         }

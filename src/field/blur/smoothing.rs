@@ -15,7 +15,6 @@ pub struct Smoothing {
 
 impl Smoothing {
     /// Makes the smoothing that the paper prescribes for an indicator.
-    #[must_use]
     pub fn new(kind: IndicatorKind, sigma: Sigma) -> Self {
         let gaussian = Weights::gaussian(sigma);
         let filters = match kind {
@@ -25,14 +24,13 @@ impl Smoothing {
         Self { filters }
     }
 
-    /// The standard deviation of what becomes of a particle, which may be anywhere in its cell, along an axis, in cells.
-    #[must_use]
+    /// The standard deviation of what becomes of a particle, which may be anywhere in its cell,
+    /// along an axis, in cells.
     pub fn width(&self) -> f64 {
         (1.0 / 12.0 + self.filters.iter().map(Weights::variance).sum::<f64>()).sqrt()
     }
 
     /// Smooths a block; the result is smaller by its [`halo`](Filter::halo) on every side.
-    #[must_use]
     pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
         self.filters.iter().fold(dif, |block, weights| blur(block, weights, walls))
     }

@@ -10,8 +10,8 @@ use super::Weights;
 
 /// Blurs all blocks along x, then y, then z: from `from` through `to` and `through` into `to`.
 ///
-/// Samples within `margin` of a block's faces are unknown, and within `margin` plus the filter's reach when it
-/// is done.
+/// Samples within `margin` of a block's faces are unknown, and within `margin` plus the filter's
+/// reach when it is done.
 ///
 /// # Errors
 /// Those of the device.

@@ -14,10 +14,12 @@ const PLACES: u64 = 8;
 /// Edge of the fluid that is made, in spacings or in cells, whichever is longer.
 const EDGE: f64 = 16.0;
 
-/// The most that it is, in spacings. Of the disorder of so many particles in one cell nothing is left.
+/// The most that it is, in spacings. Of the disorder of so many particles in one cell nothing is
+/// left.
 const LONGEST: f64 = 24.0;
 
-/// Cells of a spacing in which no cell holds two particles: finer ones hold as much less as they are smaller.
+/// Cells of a spacing in which no cell holds two particles: finer ones hold as much less as they
+/// are smaller.
 const FINEST: f64 = 64.0;
 
 /// How far a particle is from its place on the lattice along each axis, in spacings, at the most.
@@ -29,8 +31,9 @@ const TELLING: u64 = 1000;
 /// Particles of a cell that count for its disorder, in usual ones: beyond, they are a clump.
 const MOST: f64 = 4.0;
 
-/// The mean DIF of a fluid whose particles are `spacing` cells apart: those of a lattice in some disorder. Smoothing does not
-/// change a mean. As in a field, 65535 is 1. Counts also tell of the disorder that there is in a frame, from its DIF.
+/// The mean DIF of a fluid whose particles are `spacing` cells apart: those of a lattice in some
+/// disorder. Smoothing does not change a mean. As in a field, 65535 is 1. Counts also tell of the
+/// disorder that there is in a frame, from its DIF.
 pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f64 {
     match indicator {
         Indicator::Counting(mean) => {
@@ -61,7 +64,8 @@ struct Fluid {
 }
 
 impl Fluid {
-    /// With what `theta` makes of the number of particles in a cell and of the sums of their offsets.
+    /// With what `theta` makes of the number of particles in a cell and of the sums of their
+    /// offsets.
     fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {
         let denser = (spacing / FINEST).powi(3).max(1.0);
         let spacing = spacing.clamp(1.0 / LONGEST, FINEST);
@@ -71,10 +75,12 @@ impl Fluid {
         let mut fluid = Self { denser, ..Self::default() };
         for place in 0..PLACES {
             // Multiples of the golden ratio's powers spread evenly.
-            let shift = [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
+            let shift =
+                [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
             let mut cells: HashMap<[i32; 3], [f64; 4]> = HashMap::new();
             for number in 0..layers.pow(3) {
-                let of_lattice = [number % layers, number / layers % layers, number / (layers * layers)];
+                let of_lattice =
+                    [number % layers, number / layers % layers, number / (layers * layers)];
                 let at = [0, 1, 2].map(|axis| {
                     let random = unit(3 * (place * layers.pow(3) + number) + axis as u64);
                     let jitter = JITTER * (2.0 * random - 1.0);
@@ -116,7 +122,8 @@ fn crowding(dif: &DifField, usual: f64) -> f64 {
         return 1.0;
     }
     let most = (MOST * usual).ceil() as u16;
-    let of_page = |page: usize| dif.stored(page).iter().map(|&n| u64::from(n.min(most))).sum::<u64>();
+    let of_page =
+        |page: usize| dif.stored(page).iter().map(|&n| u64::from(n.min(most))).sum::<u64>();
     let particles: u64 = (0..dif.infos().len()).into_par_iter().map(of_page).sum();
     (particles as f64 / full_cells as f64 / usual).max(1.0)
 }

@@ -48,7 +48,8 @@ impl Histogram {
 
     /// The samples that were seen, in order, and how often each.
     fn counts(&self) -> impl Iterator<Item = (u16, u64)> + '_ {
-        let pages = (0_u8..=255).zip(&self.pages).filter_map(|(upper, page)| Some((upper, page.as_ref()?)));
+        let pages =
+            (0_u8..=255).zip(&self.pages).filter_map(|(upper, page)| Some((upper, page.as_ref()?)));
         let counts = pages.flat_map(|(upper, page)| {
             (0_u8..=255)
                 .zip(page.iter())

@@ -1,8 +1,9 @@
 //! Interior cells: those deep in the fluid, by lengths that do not depend on the cell.
 //!
-//! A cell counts as fluid where the particles' cells, closed, hold it: dilated and then eroded by the same length,
-//! so that gaps between particles count as fluid and the fluid's outside does not move. Interior is what lies deeper in that
-//! than the filters see, or 2.5 standard deviations of what they make of a particle, beyond which next to nothing comes from.
+//! A cell counts as fluid where the particles' cells, closed, hold it: dilated and then eroded by
+//! the same length, so that gaps between particles count as fluid and the fluid's outside does not
+//! move. Interior is what lies deeper in that than the filters see, or 2.5 standard deviations of
+//! what they make of a particle, beyond which next to nothing comes from.
 
 use glam::IVec3;
 
@@ -44,11 +45,13 @@ pub struct Interior<'a> {
 }
 
 impl<'a> Interior<'a> {
-    /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is more.
+    /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is
+    /// more.
     pub fn new(blurred: &'a Blurred<'a>, gap: f64) -> Self {
         let &Blurred { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
-        // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals is off by a rounding.
+        // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals
+        // is off by a rounding.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
@@ -71,7 +74,8 @@ impl<'a> Interior<'a> {
         let margin = seen.max(reach);
         let wide = blurred.dif.gather_within(cells.grown(margin, margin), walls);
         let [_, width, slab] = wide.strides();
-        let mut rows: Vec<u128> = fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
+        let mut rows: Vec<u128> =
+            fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
         windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
         // Both windows of a cell begin `seen` below it, and `wide` begins `margin` below `cells`.
@@ -95,14 +99,23 @@ impl<'a> Interior<'a> {
         let field = (blurred.apply)(wide.part(near.grown(reach, reach)), walls);
         for (y, z, bits) in interior {
             let first = field.index(IVec3::new(near.lo.x, y, z));
-            histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));
+            histogram.add(
+                &field.samples()[first..][..near.size().x as usize],
+                bits >> (near.lo.x - lo.x),
+            );
         }
     }
 }
 
-/// Combines every cell, a bit of its row, with those that follow in a cube of so many along each axis. `combine` may see a
-/// cell more than once. Cells nearer than that to the end of a row are combined with whatever.
-fn windows(rows: &mut [u128], rows_a_slab: usize, width: i32, combine: impl Fn(u128, u128) -> u128) {
+/// Combines every cell, a bit of its row, with those that follow in a cube of so many along each
+/// axis. `combine` may see a cell more than once. Cells nearer than that to the end of a row are
+/// combined with whatever.
+fn windows(
+    rows: &mut [u128],
+    rows_a_slab: usize,
+    width: i32,
+    combine: impl Fn(u128, u128) -> u128,
+) {
     let mut seen = 1;
     while seen < width {
         let step = seen.min(width - seen);

@@ -1,7 +1,8 @@
-//! mu0, the mean number of particles in a full cell (eq. 4): given, or measured on the way to the DIF.
+//! mu0, the mean number of particles in a full cell (eq. 4): given, or measured on the way to the
+//! DIF.
 //!
-//! Counts become the DIF when all pages are made, so mu0 is measured on all of them. Only counting has a use for it: what clouds
-//! hold is told by the particles' spacing.
+//! Counts become the DIF when all pages are made, so mu0 is measured on all of them. Only counting
+//! has a use for it: what clouds hold is told by the particles' spacing.
 
 use thiserror::Error;
 
@@ -36,9 +37,6 @@ pub struct Fullness {
 }
 
 /// Makes the pages of an indicator, with its mu0, which is measured where it is not given.
-///
-/// # Errors
-/// [`NoMeanCount`], and those of `binned`.
 pub fn indicate<B: Binned>(
     binned: B,
     facts: &FrameFacts,

@@ -1,9 +1,11 @@
-//! Calibration: all that has to be known before a surface can be drawn, measured on the frame where nobody says it.
+//! Calibration: all that has to be known before a surface can be drawn, measured on the frame where
+//! nobody says it.
 //!
-//! Of the paper's indicators two numbers: mu0 ([`indicate`]), without which counts are no DIF, and the isovalue, a share of the
-//! [`Plateau`] of the smoothed DIF ([`calibrate`]). Of clouds that plateau alone, in wide cells. Both are a [`Calibration`]:
-//! frames of a simulation are drawn by that of one of them. A packed frame carries mu0; the rest depends on the filters,
-//! which are chosen later.
+//! Of the paper's indicators two numbers: mu0 ([`indicate`]), without which counts are no DIF, and
+//! the isovalue, a share of the [`Plateau`] of the smoothed DIF ([`calibrate`]). Of clouds that
+//! plateau alone, in wide cells. Both are a [`Calibration`]: frames of a simulation are drawn by
+//! that of one of them. A packed frame carries mu0; the rest depends on the filters, which are
+//! chosen later.
 
 mod expected;
 mod histogram;
@@ -15,7 +17,9 @@ mod precision;
 pub use mean::{Binned, Fullness, NoMeanCount, indicate};
 pub use plateau::Plateau;
 pub(crate) use precision::refuse_finest;
-pub use precision::{COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for};
+pub use precision::{
+    COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for,
+};
 
 use crate::field::distance::UNITS;
 use crate::field::indicator::{IndicatorKind, SampledDif};
@@ -77,7 +81,8 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
-    /// Particles in a cubed spacing deep in the fluid, as a plateau of clouds tells, by the spacing in cells.
+    /// Particles in a cubed spacing deep in the fluid, as a plateau of clouds tells, by the spacing
+    /// in cells.
     #[must_use]
     pub fn density(&self, spacing: f64) -> f64 {
         f64::from(self.plateau.value()) / Plateau::nominal(spacing)

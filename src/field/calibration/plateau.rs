@@ -1,11 +1,15 @@
-//! The field deep in the fluid: by it the paper's isovalue is told, and shares of clouds become depths.
+//! The field deep in the fluid: by it the paper's isovalue is told, and shares of clouds become
+//! depths.
 //!
-//! At the true surface the paper's smoothed field is 0.47 of its interior plateau ([`Isovalue::PLATEAU_PERCENT`]). The plateau is
-//! the median of the smoothed DIF over interior cells: those whose filters see nothing but fluid. What is interior is told
-//! by lengths in spacings, so that it is the same in cells of any size: gaps between particles in which a cube of two
-//! spacings finds room count as fluid, for particles at random leave such cubes empty in the middle of the fluid.
+//! At the true surface the paper's smoothed field is 0.47 of its interior plateau
+//! ([`Isovalue::PLATEAU_PERCENT`]). The plateau is the median of the smoothed DIF over interior
+//! cells: those whose filters see nothing but fluid. What is interior is told by lengths in
+//! spacings, so that it is the same in cells of any size: gaps between particles in which a cube of
+//! two spacings finds room count as fluid, for particles at random leave such cubes empty in the
+//! middle of the fluid.
 //!
-//! Where there is no interior (spray, a sheet, a handful of particles), what a fluid of that spacing would have stands in.
+//! Where there is no interior (spray, a sheet, a handful of particles), what a fluid of that
+//! spacing would have stands in.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,17 +25,21 @@ use super::expected::expected;
 use super::histogram::Histogram;
 use super::interior::{Blurred, Interior};
 
-/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
+/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton
+/// curve.
 const SAMPLED_BLOCKS: usize = 64;
 
-/// Interior that the blocks' middles have to have, in cubed spacings; else they are looked at whole.
+/// Interior that the blocks' middles have to have, in cubed spacings; else they are looked at
+/// whole.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
-/// Interior that a frame has to have, in cubed spacings: in less, a clump of particles would tell for all of it.
+/// Interior that a frame has to have, in cubed spacings: in less, a clump of particles would tell
+/// for all of it.
 const LEAST: f64 = 256.0;
 
-/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, if that matters, as a share of what is
-/// expected of its spacing. Thin fluids at random have an interior by the wider gaps alone; but those are in mist as well.
+/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, if that
+/// matters, as a share of what is expected of its spacing. Thin fluids at random have an interior
+/// by the wider gaps alone; but those are in mist as well.
 const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
 /// The value of the smoothed DIF deep in the fluid, measured or expected.
@@ -41,10 +49,12 @@ pub enum Plateau {
     Interior {
         /// Median of the field over the interior cells.
         median: u16,
-        /// The least value seen in the parts of blocks that were looked at: from there on the interior fills with bubbles.
+        /// The least value seen in the parts of blocks that were looked at: from there on the
+        /// interior fills with bubbles.
         lowest: u16,
     },
-    /// Next to none of the fluid is deeper than the filters reach; what a fluid of the same spacing would have stands in.
+    /// Next to none of the fluid is deeper than the filters reach; what a fluid of the same spacing
+    /// would have stands in.
     Shallow {
         /// The mean of the field deep in such a fluid.
         expected: u16,
@@ -64,8 +74,8 @@ impl Plateau {
         WideCells::of_spacing(spacing).plateau() * f64::from(1 << BULK_GAIN)
     }
 
-    /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The result depends on the frame and that
-    /// width alone.
+    /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The
+    /// result depends on the frame and that width alone.
     #[must_use]
     pub fn of_clouds(frame: &SampledDif, distances: &Distances) -> Self {
         let narrowest = &distances.bulk.widths[0];
@@ -91,8 +101,8 @@ impl Plateau {
         found.unwrap_or(Self::Shallow { expected: nominal.round() as u16 })
     }
 
-    /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and the smoothing alone. Particles
-    /// whose spacing is not known are taken to be a cell apart.
+    /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and
+    /// the smoothing alone. Particles whose spacing is not known are taken to be a cell apart.
     #[must_use]
     pub fn of(frame: &SampledDif, smoothing: &Smoothing) -> Self {
         let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
@@ -106,15 +116,17 @@ impl Plateau {
             width: smoothing.width(),
             apply: &|block, walls| smoothing.apply(block, walls),
         };
-        // Symmetry does not tell how many particles there are, and any interior is better than none where the spacing is not
-        // known, for nothing can be expected there.
+        // Symmetry does not tell how many particles there are, and any interior is better than none
+        // where the spacing is not known, for nothing can be expected there.
         let counted = spacing.filter(|_| indicator.kind().counts());
         let volume = cells * cells * cells;
-        let (enough, least) = (ENOUGH * volume, if spacing.is_some() { LEAST * volume } else { 1.0 });
+        let (enough, least) =
+            (ENOUGH * volume, if spacing.is_some() { LEAST * volume } else { 1.0 });
         let found = GAPS.into_iter().find_map(|(gap, share)| {
             let interior = Interior::new(&blurred, gap * cells);
             let (median, lowest) = measured(&interior, enough, least)?;
-            let is_fluid = |(share, spacing)| f64::from(median) >= share * expected(indicator, spacing, None);
+            let is_fluid =
+                |(share, spacing)| f64::from(median) >= share * expected(indicator, spacing, None);
             share.zip(counted).is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
         });
         found.unwrap_or_else(|| {
@@ -139,8 +151,8 @@ impl Plateau {
     }
 }
 
-/// The median and the least value over the interior: of `enough` cells in the middles of some blocks, else of all that these
-/// have, if that is at `least` so much.
+/// The median and the least value over the interior: of `enough` cells in the middles of some
+/// blocks, else of all that these have, if that is at `least` so much.
 fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
     let blocks = interior.blocks();
     let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();

@@ -2,9 +2,10 @@
 //!
 //! A step of distances is 1 / 8192 of a spacing in cells of any size. Of the paper's indicators:
 //!
-//! In cells of h spacings a cell of deep fluid holds h^3 particles, and the plateau P is as small a part of what a cell full
-//! of them would have. A flat surface is drawn through P Phi(x / s), x being the depth and s the standard deviation of
-//! what a particle is smoothed into. One step of the field therefore moves it by s / (P phi(z)), where Phi(z) = 0.47.
+//! In cells of h spacings a cell of deep fluid holds h^3 particles, and the plateau P is as small a
+//! part of what a cell full of them would have. A flat surface is drawn through P Phi(x / s), x
+//! being the depth and s the standard deviation of what a particle is smoothed into. One step of
+//! the field therefore moves it by s / (P phi(z)), where Phi(z) = 0.47.
 
 use std::fmt;
 
@@ -20,18 +21,21 @@ use super::expected::expected;
 /// phi(z), the density of the standard normal distribution where the surface is drawn.
 const DENSITY: f64 = 0.3978;
 
-/// The most that a step of the field may move a flat surface, in cells. From there on its steps can be seen in the light.
+/// The most that a step of the field may move a flat surface, in cells. From there on its steps can
+/// be seen in the light.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The cells that are just too fine for symmetry, in spacings. Seven of eight are empty deep in the fluid, and where the others'
-/// particles happen to lie moves the surface.
+/// The cells that are just too fine for symmetry, in spacings. Seven of eight are empty deep in the
+/// fluid, and where the others' particles happen to lie moves the surface.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
-/// The finest cells in which distances from clouds are made, in spacings: drops of a particle alone are twelve of them wide.
+/// The finest cells in which distances from clouds are made, in spacings: drops of a particle alone
+/// are twelve of them wide.
 pub const FINEST: f64 = 0.1;
 
-/// The least mean indicator of full cells in which particles lie as they may. By symmetry it is 0.44 in disorder, where a cell
-/// holds one particle, and next to nothing of a lattice whose particles lie on the corners of cells.
+/// The least mean indicator of full cells in which particles lie as they may. By symmetry it is
+/// 0.44 in disorder, where a cell holds one particle, and next to nothing of a lattice whose
+/// particles lie on the corners of cells.
 pub const ON_CORNERS: f64 = 0.2;
 
 /// Cells in which it cannot be told finely enough where the surface is.
@@ -83,7 +87,8 @@ pub enum TooFine {
 pub enum Remedy {
     /// Cells of this edge.
     Cells(f64),
-    /// A grid on which particles do not lie on the corners of cells, where symmetry sees next to nothing: one with this origin.
+    /// A grid on which particles do not lie on the corners of cells, where symmetry sees next to
+    /// nothing: one with this origin.
     Origin([f64; 3]),
 }
 
@@ -100,17 +105,15 @@ impl fmt::Display for Remedy {
     }
 }
 
-/// How far one step of a field moves a flat surface, in cells, by its plateau and by the standard deviation of what a
-/// particle is smoothed into.
+/// How far one step of a field moves a flat surface, in cells, by its plateau and by the standard
+/// deviation of what a particle is smoothed into.
 fn step_cells(plateau: f64, width: f64) -> f64 {
     width / (DENSITY * plateau)
 }
 
-/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF, by a Gaussian that may depend on their
-/// size; those that are found to be so only once mu0 is known are refused by [`calibrate`](super::calibrate).
-///
-/// # Errors
-/// [`TooFine`].
+/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF, by a
+/// Gaussian that may depend on their size; those that are found to be so only once mu0 is known are
+/// refused by [`calibrate`](super::calibrate).
 pub fn refuse_too_fine_for(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
@@ -120,7 +123,8 @@ pub fn refuse_too_fine_for(
 ) -> Result<(), TooFine> {
     let by = match kind {
         IndicatorKind::Cloud => return refuse_finest(Some(spacing / cell_size), cell_size),
-        // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
+        // The fewer particles there are in full cells, the more each of them makes of its own, and
+        // there is one at least.
         IndicatorKind::Counting => Indicator::Counting(
             mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
         ),
@@ -129,15 +133,18 @@ pub fn refuse_too_fine_for(
     refuse_symmetry(kind, Some(spacing / cell_size), cell_size)?;
     let plateau = |size: f64| expected(by, spacing / size, None);
     let width = |size: f64| Smoothing::new(kind, sigma(size)).width();
-    let larger = |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
+    let larger =
+        |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
     refuse_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
 }
 
-/// Refuses a frame whose field tells too coarsely where its surface is; returns how far one step moves that, in cells.
-///
-/// # Errors
-/// [`TooFine`].
-pub fn refuse_too_fine(frame: &SampledDif, smoothing: &Smoothing, plateau: Plateau) -> Result<f64, TooFine> {
+/// Refuses a frame whose field tells too coarsely where its surface is; returns how far one step
+/// moves that, in cells.
+pub fn refuse_too_fine(
+    frame: &SampledDif,
+    smoothing: &Smoothing,
+    plateau: Plateau,
+) -> Result<f64, TooFine> {
     let (kind, cell_size) = (frame.indicator.kind(), frame.facts.grid.cell_size());
     refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
         if kind == IndicatorKind::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
@@ -163,11 +170,13 @@ fn refuse_steps(
     Err(TooFine::Steps { cell_size, plateau, step_cells, remedy: remedy(step_cells) })
 }
 
-/// Refuses cells that are too fine for symmetry, if that is the indicator, by their particles' spacing in cells.
-///
-/// # Errors
-/// [`TooFine::Symmetry`].
-pub fn refuse_symmetry(kind: IndicatorKind, spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
+/// Refuses cells that are too fine for symmetry, if that is the indicator, by their particles'
+/// spacing in cells.
+pub fn refuse_symmetry(
+    kind: IndicatorKind,
+    spacing: Option<f64>,
+    cell_size: f64,
+) -> Result<(), TooFine> {
     // A quotient of decimals is off by a rounding.
     match spacing.filter(|spacing| spacing * FINEST_OF_SYMMETRY >= 1.0 - 1e-9) {
         Some(spacing) if kind == IndicatorKind::Symmetry => {
@@ -177,10 +186,8 @@ pub fn refuse_symmetry(kind: IndicatorKind, spacing: Option<f64>, cell_size: f64
     }
 }
 
-/// Refuses cells that are finer than distances from clouds need, by their particles' spacing in cells.
-///
-/// # Errors
-/// [`TooFine::Finest`].
+/// Refuses cells that are finer than distances from clouds need, by their particles' spacing in
+/// cells.
 pub fn refuse_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
     // A quotient of decimals is off by a rounding.
     match spacing.filter(|spacing| spacing * FINEST > 1.0 + 1e-9) {
@@ -189,7 +196,8 @@ pub fn refuse_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine
     }
 }
 
-/// The least size at which steps are small enough, as they are from there on; larger than `from`, at which they are not.
+/// The least size at which steps are small enough, as they are from there on; larger than `from`,
+/// at which they are not.
 fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     let fits = |size: f64| step_cells(size) <= COARSEST_STEP;
     let mut above = 2.0 * from;

@@ -7,7 +7,6 @@ use crate::grid::units::Isovalue;
 ///
 /// # Panics
 /// If `dif` does not cover `smooth`.
-#[must_use]
 pub fn lost(dif: &Block, smooth: &Block, iso: Isovalue) -> Block {
     let mut lost = Block::zero(smooth.cells());
     let rows = dif.rows(smooth.cells()).zip(smooth.rows(smooth.cells()));

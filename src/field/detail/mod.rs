@@ -1,7 +1,7 @@
 //! Detail recovery (section 6.2): what smoothing took below the isovalue is smoothed again, less.
 //!
-//! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth, blur(theta_bar))
-//! per cell, the second blur a Gaussian of sigma / 2.
+//! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth,
+//! blur(theta_bar)) per cell, the second blur a Gaussian of sigma / 2.
 //!
 //! Reaches as far as that second weights.
 
@@ -22,7 +22,6 @@ pub struct Recovery {
 
 impl Recovery {
     /// Beside a Gaussian of `sigma`.
-    #[must_use]
     pub fn new(sigma: Sigma) -> Self {
         Self { fine: Weights::gaussian(sigma.half()) }
     }
@@ -37,7 +36,8 @@ impl Filter for Recovery {
         std::slice::from_ref(&self.fine)
     }
 
-    /// The DIF, what is smoothed of it, what that lost, and that blurred, into the DIF's buffer on a device.
+    /// The DIF, what is smoothed of it, what that lost, and that blurred, into the DIF's buffer on
+    /// a device.
     fn fields(&self) -> FieldCount {
         FieldCount { host: 4, device: 3 }
     }

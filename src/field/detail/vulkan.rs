@@ -19,7 +19,12 @@ pub fn lost(
     [dif, smooth, kept]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = LostPush { words: blocks.words, threshold: iso.threshold().into() };
-    batch.dispatch(pipeline, &[dif, smooth, kept].map(Clone::clone), &push, blocks.flat_groups(pipeline))
+    batch.dispatch(
+        pipeline,
+        &[dif, smooth, kept].map(Clone::clone),
+        &push,
+        blocks.flat_groups(pipeline),
+    )
 }
 
 /// Raises `field` to `other`.

@@ -15,8 +15,8 @@ const BETWEEN_BITS: u32 = 5;
 /// The greatest share, 1.
 const WHOLE: u32 = 1 << 15;
 
-/// An entry of a table, and what the next is more than that, at each of its steps: as long as an index of masked bits may say, so
-/// that rows of it are looked up at once.
+/// An entry of a table, and what the next is more than that, at each of its steps: as long as an
+/// index of masked bits may say, so that rows of it are looked up at once.
 type Steps = [[i16; 2]; 2048];
 
 const fn steps(table: &[i16; 1026]) -> Steps {
@@ -32,14 +32,16 @@ const fn steps(table: &[i16; 1026]) -> Steps {
 static DEPTH_STEPS: Steps = steps(&DEPTHS);
 static AWAY_STEPS: Steps = steps(&AWAY);
 
-/// An entry of a table at a share of 0 to 32768, what the next is more than that, and how far between them the share is.
+/// An entry of a table at a share of 0 to 32768, what the next is more than that, and how far
+/// between them the share is.
 #[inline(always)]
 fn entry(steps: &Steps, share: u32) -> (i32, i32, i32) {
     let [low, more] = steps[(share >> BETWEEN_BITS) as usize % steps.len()];
     (low.into(), more.into(), (share & ((1 << BETWEEN_BITS) - 1)) as i32)
 }
 
-/// How deep a sample says that it is: a share of the plateau by the standard deviation that it was smoothed by.
+/// How deep a sample says that it is: a share of the plateau by the standard deviation that it was
+/// smoothed by.
 #[inline(always)]
 fn depth(sample: u16, scale: u32, spacings: i32, most: i32) -> i32 {
     let (low, more, between) = entry(&DEPTH_STEPS, ((u32::from(sample) * scale) >> 14).min(WHOLE));
@@ -57,13 +59,13 @@ fn sample(distance: i32) -> u16 {
 ///
 /// # Panics
 /// Unless each block covers the last one.
-#[must_use]
 pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     let cells = shares[2].cells();
     let width = cells.size().x as usize;
     let [mut calm, mut fine, mut apart] = [(); 3].map(|()| Block::zero(cells));
     let [narrow, middle, wide] = shares.map(|shares| shares.rows(cells));
-    let to = calm.samples_mut().chunks_exact_mut(width).zip(fine.samples_mut().chunks_exact_mut(width));
+    let to =
+        calm.samples_mut().chunks_exact_mut(width).zip(fine.samples_mut().chunks_exact_mut(width));
     let to = to.zip(apart.samples_mut().chunks_exact_mut(width));
     for (((calm, fine), apart), ((narrow, middle), wide)) in to.zip(narrow.zip(middle).zip(wide)) {
         depths_row([calm, fine, apart], [narrow.1, middle.1, wide.1], bulk);
@@ -73,12 +75,18 @@ pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
 
 /// The calm surface, the fine one, and what both are apart by.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn depths_row([calm, fine, apart]: [&mut [u16]; 3], [narrow, middle, wide]: [&[u16]; 3], bulk: &Bulk) {
+fn depths_row(
+    [calm, fine, apart]: [&mut [u16]; 3],
+    [narrow, middle, wide]: [&[u16]; 3],
+    bulk: &Bulk,
+) {
     let [a, b, c] = &bulk.widths;
     let (a, b, c) = ((a.spacings, a.most), (b.spacings, b.most), (c.spacings, c.most));
     let ([fine_share, calm_share], scale) = (bulk.shares, bulk.scale);
     let to = calm.iter_mut().zip(fine).zip(apart);
-    for (((calm, fine), apart), ((&narrow, &middle), &wide)) in to.zip(narrow.iter().zip(middle).zip(wide)) {
+    for (((calm, fine), apart), ((&narrow, &middle), &wide)) in
+        to.zip(narrow.iter().zip(middle).zip(wide))
+    {
         let a = depth(narrow, scale, a.0, a.1);
         let b = depth(middle, scale, b.0, b.1);
         let c = depth(wide, scale, c.0, c.1);
@@ -89,13 +97,17 @@ fn depths_row([calm, fine, apart]: [&mut [u16]; 3], [narrow, middle, wide]: [&[u
     }
 }
 
-/// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep in the fluid; [`NONE`] where
-/// nothing is near.
+/// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep
+/// in the fluid; [`NONE`] where nothing is near.
 ///
 /// # Panics
-/// If `calm` and `fine` do not cover what they are apart by, or that and `near` do not cover one another.
-#[must_use]
-pub fn mixed(bulk: &Bulk, Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>, near: &Block) -> Block {
+/// If `calm` and `fine` do not cover what they are apart by, or that and `near` do not cover one
+/// another.
+pub fn mixed(
+    bulk: &Bulk,
+    Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>,
+    near: &Block,
+) -> Block {
     let cells = apart.as_ref().cells().intersection(&near.cells());
     let width = cells.size().x as usize;
     let mut field = Block::zero(cells);
@@ -123,11 +135,11 @@ fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk
     }
 }
 
-/// By how much a cell that holds a particle lies outside of the calm surface; [`NONE`] where it holds none.
+/// By how much a cell that holds a particle lies outside of the calm surface; [`NONE`] where it
+/// holds none.
 ///
 /// # Panics
 /// If `clouds` does not cover `bulk`.
-#[must_use]
 pub fn outlying(bulk: &Block, clouds: &Block, least: u16) -> Block {
     let cells = bulk.cells();
     let width = cells.size().x as usize;
@@ -146,11 +158,11 @@ fn outlying_row(to: &mut [u16], bulk: &[u16], clouds: &[u16], least: u16) {
     }
 }
 
-/// The greatest sample within `reach` cells along each axis; the result is smaller by as much on every side.
+/// The greatest sample within `reach` cells along each axis; the result is smaller by as much on
+/// every side.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain.
-#[must_use]
 pub fn spread(block: Block, reach: i32) -> Block {
     block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
 }
@@ -166,12 +178,11 @@ fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     }
 }
 
-/// A field of cells 2^`level` times as wide at the middles of `cells`: the quadratic B-spline whose control points it is, or
-/// itself at level 0.
+/// A field of cells 2^`level` times as wide at the middles of `cells`: the quadratic B-spline whose
+/// control points it is, or itself at level 0.
 ///
 /// # Panics
 /// Unless it covers the [wide cells](super::wide_cells) of `cells`.
-#[must_use]
 pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
     if level == 0 {
         return wide.part(cells);
@@ -197,7 +208,12 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
             continue;
         }
         // From the second of a row on; what is beyond the ends of rows is nobody's.
-        means(&mut of_place, weights, [0, 1, 2].map(|at| &samples[at..][..inner]), spline_bits(level));
+        means(
+            &mut of_place,
+            weights,
+            [0, 1, 2].map(|at| &samples[at..][..inner]),
+            spline_bits(level),
+        );
         let own = ((first >> level) - wide.cells().lo.x - 1) as usize;
         let rows = field.samples_mut().chunks_exact_mut(width).zip((own..).step_by(from_width));
         for (row, from) in rows {
@@ -209,12 +225,19 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
 }
 
 /// Refines a field along y or z, all samples of the axes before it at once.
-fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
+fn refined_along(
+    wide: &Block,
+    axis: usize,
+    level: u32,
+    cells: CellBox,
+    weights: &[[u32; 3]],
+) -> Block {
     let mut to = wide.cells();
     (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);
     let mut field = Block::zero(to);
     let step = wide.strides()[axis];
-    let (from_run, run) = (step * wide.cells().size()[axis] as usize, step * to.size()[axis] as usize);
+    let (from_run, run) =
+        (step * wide.cells().size()[axis] as usize, step * to.size()[axis] as usize);
     let runs = field.samples_mut().chunks_exact_mut(run).zip(wide.samples().chunks_exact(from_run));
     for (to_run, from) in runs {
         for (cell, to) in (to.lo[axis]..).zip(to_run.chunks_exact_mut(step)) {
@@ -246,7 +269,6 @@ fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], sh
 ///
 /// # Panics
 /// If `clouds` does not cover `around`.
-#[must_use]
 pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
     let cells = around.cells();
     let width = cells.size().x as usize;
@@ -260,8 +282,9 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
-    // Quotients of such numbers are whole or farther below the next whole one than f64 rounds, and so they may be made several at a
-    // time. Adding a number whose last bit counts for 1 rounds; what is rounded is made less by just under a half before.
+    // Quotients of such numbers are whole or farther below the next whole one than f64 rounds, and
+    // so they may be made several at a time. Adding a number whose last bit counts for 1 rounds;
+    // what is rounded is made less by just under a half before.
     const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
     const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
     for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
@@ -285,7 +308,6 @@ fn greatest_of(samples: &[u16]) -> u16 {
 ///
 /// # Panics
 /// If `near` does not cover them.
-#[must_use]
 pub fn outlying_part(near: &Block, cells: CellBox, gate: &Gate) -> CellBox {
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
@@ -301,12 +323,11 @@ pub fn outlying_part(near: &Block, cells: CellBox, gate: &Gate) -> CellBox {
     part
 }
 
-/// The field: the surface of the bulk, and where particles lie outside of the calm one near by as much of the drops as they do so.
-/// Drops need only be known where they do.
+/// The field: the surface of the bulk, and where particles lie outside of the calm one near by as
+/// much of the drops as they do so. Drops need only be known where they do.
 ///
 /// # Panics
 /// If `bulk` or `near` does not cover the shares.
-#[must_use]
 pub fn joined(mut bulk: Block, near: &Block, shares: &Block, drops: &Drops, gate: &Gate) -> Block {
     let part = shares.cells();
     let width = part.size().x as usize;

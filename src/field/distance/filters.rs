@@ -12,35 +12,42 @@ use crate::grid::{BLOCK, CellBox};
 
 use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, wide_cells};
 
-/// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the first two, the calm one by the
-/// last two.
+/// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the
+/// first two, the calm one by the last two.
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
 /// Where their Gaussians are cut off, in standard deviations.
 const CUT: f64 = 2.2;
-/// The standard deviation of what averages by how much the two surfaces are apart, in widths asked for, and where it is cut off.
+/// The standard deviation of what averages by how much the two surfaces are apart, in widths asked
+/// for, and where it is cut off.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
-/// By how much they are apart on average where noise ends and shape begins, in spacings, and where there is nothing but shape.
+/// By how much they are apart on average where noise ends and shape begins, in spacings, and where
+/// there is nothing but shape.
 const APART: [f64; 2] = [0.07, 0.14];
-/// From how deep in the fluid on there is no fine surface, for noise has bubbles there, in spacings.
+/// From how deep in the fluid on there is no fine surface, for noise has bubbles there, in
+/// spacings.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
 const LEAST_VARIANCE: f64 = 0.35;
-/// The least variances of the three widths' filters, in squared cells: in coarse cells there still are three.
+/// The least variances of the three widths' filters, in squared cells: in coarse cells there still
+/// are three.
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
 /// The widest drops, in spacings, however coarse the cells are.
 const WIDEST_DROP: f64 = 8.0;
-/// Within how many spacings of a particle that stands out drops are drawn, and calm surface at all of any particle.
+/// Within how many spacings of a particle that stands out drops are drawn, and calm surface at all
+/// of any particle.
 const NEAR: f64 = 1.0;
-/// By how much a particle's centre has to lie outside of the calm surface to stand out, in spacings, and to do so wholly.
+/// By how much a particle's centre has to lie outside of the calm surface to stand out, in
+/// spacings, and to do so wholly.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// The standard deviation of what makes drops of particles, in spacings.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius of a particle alone in fine cells, in spacings.
 const DROP_RADIUS: f64 = 0.55;
-/// By how much less it is in others, in spacings over a squared one, and where drops are refined from those: by as much as clouds in
-/// such cells are wider, and splines from them. A drop of one then holds 0.99 of a cubed spacing in cells of an eighth of one, 0.94 in
-/// those of a quarter, and 0.8 from a third to two thirds, in those by where it lies.
+/// By how much less it is in others, in spacings over a squared one, and where drops are refined
+/// from those: by as much as clouds in such cells are wider, and splines from them. A drop of one
+/// then holds 0.99 of a cubed spacing in cells of an eighth of one, 0.94 in those of a quarter, and
+/// 0.8 from a third to two thirds, in those by where it lies.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The least radius, for cells that hardly tell of a particle alone.
 const LEAST_DROP_RADIUS: f64 = 0.38;
@@ -63,7 +70,8 @@ pub struct Distances {
     pub least: u16,
     /// Where drops begin.
     pub gate: Gate,
-    /// Drops are made in cells 2^`drops_level` times as wide: half as wide as wide ones, where those are.
+    /// Drops are made in cells 2^`drops_level` times as wide: half as wide as wide ones, where
+    /// those are.
     pub drops_level: u32,
     /// Drops.
     pub drops: Drops,
@@ -73,11 +81,13 @@ pub struct Distances {
     pub inside: Arc<Inside>,
 }
 
-/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes a quarter of what a sample can be, so that a fluid four times as
-/// dense as its spacing says, because that is wrong by half, is still told.
+/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes a quarter of what a sample
+/// can be, so that a fluid four times as dense as its spacing says, because that is wrong by half,
+/// is still told.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so many cells, if it can.
+/// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so
+/// many cells, if it can.
 fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -100,17 +110,23 @@ impl Distances {
             let cells = WIDTHS[i] * smooth.spacings() / wide.edge;
             let (weights, width) = gaussian(cells, LEAST_VARIANCES[i], CUT);
             let spacings = (width * wide.edge * 4096.0).round() as i32;
-            Width { weights: weights.gaining(BULK_GAIN), spacings, most: (FARTHEST << 14) / spacings }
+            Width {
+                weights: weights.gaining(BULK_GAIN),
+                spacings,
+                most: (FARTHEST << 14) / spacings,
+            }
         });
-        // Beyond a width of 0 by half of what the spline takes off that makes cells of wide ones: of balls of a few spacings, whose
-        // extrapolation goes somewhat too far, no more than that is missing.
+        // Beyond a width of 0 by half of what the spline takes off that makes cells of wide ones:
+        // of balls of a few spacings, whose extrapolation goes somewhat too far, no more than that
+        // is missing.
         let spline = if wide.level > 0 { SPLINE / 2.0 * (wide.edge * 4096.0).powi(2) } else { 0.0 };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
             ((a + spline) / (b - a) * 4096.0).round() as i32
         };
         let around = (AROUND * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
-        let around = Weights::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
+        let around =
+            Weights::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
         let amount = f64::from(wide.amount().steps());
         let bulk = Bulk {
             shares: [share(0), share(1)],
@@ -146,8 +162,8 @@ impl Distances {
         Self { inside: Arc::new(inside), ..self }
     }
 
-    /// The part of some cells in which dual cells can be mixed, their lowest corners among them: all but those between cells that are
-    /// inside.
+    /// The part of some cells in which dual cells can be mixed, their lowest corners among them:
+    /// all but those between cells that are inside.
     #[must_use]
     pub fn not_inside(&self, cells: CellBox) -> CellBox {
         let rest = self.inside.rest(self.wide_cells(cells.grown(0, 1)));
@@ -184,13 +200,14 @@ impl Distances {
         self.drops.around.reach() + self.drops.spread.reach()
     }
 
-    /// How far from a cell particles decide its field, in cells: by clouds, in wide cells that are made of those, and by the spline
-    /// that makes cells of wide ones.
+    /// How far from a cell particles decide its field, in cells: by clouds, in wide cells that are
+    /// made of those, and by the spline that makes cells of wide ones.
     #[must_use]
     pub fn halo(&self) -> i32 {
         let in_wide = |level: u32, halo: i32| {
             let spline = i32::from(level > 0);
-            // From a cell to the far end of its wide cell, and by what wide cells are made of beyond their own cells.
+            // From a cell to the far end of its wide cell, and by what wide cells are made of
+            // beyond their own cells.
             ((halo + spline) << level) + 2 * ((1 << level) - 1)
         };
         let wide = in_wide(self.level, self.wide_halo());
@@ -204,7 +221,8 @@ impl Distances {
         let bulk = wide.grown(self.wide_halo(), self.wide_halo());
         let inside = Inside::bricks_around(wide).grown(self.inside_reach, self.inside_reach);
         let drops = wide_cells(self.drops_level, cells).grown(self.drops_halo(), self.drops_halo());
-        halved_from_all(self.level, bulk.union(&inside)).union(&halved_from_all(self.drops_level, drops))
+        halved_from_all(self.level, bulk.union(&inside))
+            .union(&halved_from_all(self.drops_level, drops))
     }
 
     /// How far from a full cell there can be a surface, in cells.
@@ -226,7 +244,8 @@ impl Distances {
         6 * volume_bytes(wide.grown(halo, halo))
     }
 
-    /// Bytes of a block while its field is made, at the most, together with its neighbours where there is room for them.
+    /// Bytes of a block while its field is made, at the most, together with its neighbours where
+    /// there is room for them.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };

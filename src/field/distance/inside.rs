@@ -1,9 +1,11 @@
-//! The deep inside of a fluid, where no surface can be, by definition: neither its samples nor its field are looked at.
+//! The deep inside of a fluid, where no surface can be, by definition: neither its samples nor its
+//! field are looked at.
 //!
-//! A brick of 4^3 wide cells is full where every cube of some 4 spacings that holds any of it holds at least 0.85 of what the plateau
-//! says. A brick whose 26 neighbours are full as well is inside. The field is then at its greatest there, for all that is made of
-//! it, so that meshes stay closed whatever lies inside. Cubes slide by two wide cells, so that a bubble shows wherever it lies: one of
-//! a radius of two spacings takes a quarter of some cube.
+//! A brick of 4^3 wide cells is full where every cube of some 4 spacings that holds any of it holds
+//! at least 0.85 of what the plateau says. A brick whose 26 neighbours are full as well is inside.
+//! The field is then at its greatest there, for all that is made of it, so that meshes stay closed
+//! whatever lies inside. Cubes slide by two wide cells, so that a bubble shows wherever it lies:
+//! one of a radius of two spacings takes a quarter of some cube.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
@@ -26,13 +28,15 @@ const FULL_SHARE: f64 = 0.85;
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inside {
-    /// The inside bricks of each bin of wide cells that has any: a bit for each, by its Morton index in the bin.
+    /// The inside bricks of each bin of wide cells that has any: a bit for each, by its Morton
+    /// index in the bin.
     bricks: HashMap<IVec3, u64>,
 }
 
 /// Finds bits for each bin, and keeps those of which any is set.
 fn bits_by_bin(keys: &[MortonKey], bits: impl Fn(IVec3) -> u64 + Sync) -> HashMap<IVec3, u64> {
-    let of_bin = |key: &MortonKey| Some((key.coord(), bits(key.coord()))).filter(|(_, bits)| *bits != 0);
+    let of_bin =
+        |key: &MortonKey| Some((key.coord(), bits(key.coord()))).filter(|(_, bits)| *bits != 0);
     keys.par_iter().filter_map(of_bin).collect::<Vec<_>>().into_iter().collect()
 }
 
@@ -57,7 +61,8 @@ impl<T: Copy> Cube<T> {
         Self { edge, values }
     }
 
-    /// Joins by `both` the `width` places along each axis that begin at each place: fewer by `width` - 1 along each axis.
+    /// Joins by `both` the `width` places along each axis that begin at each place: fewer by
+    /// `width` - 1 along each axis.
     fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
@@ -70,7 +75,10 @@ impl<T: Copy> Cube<T> {
         }
         let first = |y: usize, z: usize| edge * (y + edge * z);
         let rows = (0..left).flat_map(|z| (0..left).map(move |y| first(y, z)));
-        Self { edge: left, values: rows.flat_map(|first| values[first..first + left].to_vec()).collect() }
+        Self {
+            edge: left,
+            values: rows.flat_map(|first| values[first..first + left].to_vec()).collect(),
+        }
     }
 }
 
@@ -123,44 +131,51 @@ fn cube_parts(edge: f64) -> i32 {
 }
 
 impl Inside {
-    /// How far beyond a brick wide cells of `edge` spacings decide whether it is inside, in such: its neighbours have to be full, each
-    /// by every cube that holds any of it.
-    #[must_use]
+    /// How far beyond a brick wide cells of `edge` spacings decide whether it is inside, in such:
+    /// its neighbours have to be full, each by every cube that holds any of it.
     pub fn reach(edge: f64) -> i32 {
         BRICK + PART * (cube_parts(edge) - 1)
     }
 
     /// The whole bricks that some wide cells touch, in wide cells.
-    #[must_use]
     pub fn bricks_around(cells: CellBox) -> CellBox {
         let brick = IVec3::splat(BRICK);
-        CellBox { lo: cells.lo.div_euclid(brick) * BRICK, hi: ((cells.hi - 1).div_euclid(brick) + 1) * BRICK }
+        CellBox {
+            lo: cells.lo.div_euclid(brick) * BRICK,
+            hi: ((cells.hi - 1).div_euclid(brick) + 1) * BRICK,
+        }
     }
 
-    /// Finds the bricks that are inside a field of wide cells of `edge` spacings whose samples deep in the fluid are about `plateau`.
-    #[must_use]
+    /// Finds the bricks that are inside a field of wide cells of `edge` spacings whose samples deep
+    /// in the fluid are about `plateau`.
     pub fn of(field: &DifField, edge: f64, plateau: f64) -> Self {
         let keys: Vec<MortonKey> = field.keys().collect();
         let width = cube_parts(edge);
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let margin = PART * (width - 1);
         // What is summed up are integers.
-        let elsewhere = |pages: &dyn Elsewhere| pages.full_bricks(width as u32, least.ceil() as u32);
+        let elsewhere =
+            |pages: &dyn Elsewhere| pages.full_bricks(width as u32, least.ceil() as u32);
         let full = field.elsewhere().and_then(elsewhere).map(|bits| {
             let bins = keys.iter().map(|key| key.coord());
             bins.zip(bits).filter(|&(_, bits)| bits != 0).collect()
         });
         let full: HashMap<IVec3, u64> = full.unwrap_or_else(|| {
             bits_by_bin(&keys, |bin| {
-                // Some cube that holds a brick lies in the bin: spray need not be looked at any closer.
+                // Some cube that holds a brick lies in the bin: spray need not be looked at any
+                // closer.
                 let cells = CellBox::cube(bin, BIN);
-                let own: u64 = field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
+                let own: u64 =
+                    field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
                 if (own as f64) < least {
                     return 0;
                 }
                 let sums = Cube::of_parts(&field.gather(cells.grown(margin, margin)));
                 let Cube { edge, values } = sums.joined(width as usize, |a, b| a + b);
-                let full = Cube { edge, values: values.into_iter().map(|sum| sum as f64 >= least).collect() };
+                let full = Cube {
+                    edge,
+                    values: values.into_iter().map(|sum| sum as f64 >= least).collect(),
+                };
                 let of_brick = width + BRICK / PART - 1;
                 full.joined(of_brick as usize, |a, b| a && b).halved().bits()
             })
@@ -171,13 +186,14 @@ impl Inside {
         };
         let bricks = bits_by_bin(&keys, |bin| match full.get(&bin) {
             None => 0,
-            Some(_) => Cube::new(-1, BRICKS + 1, |brick| is_full(bin, brick)).joined(3, |a, b| a && b).bits(),
+            Some(_) => Cube::new(-1, BRICKS + 1, |brick| is_full(bin, brick))
+                .joined(3, |a, b| a && b)
+                .bits(),
         });
         Self { bricks }
     }
 
     /// Whether a brick of wide cells is inside, given in bricks.
-    #[must_use]
     pub fn contains(&self, brick: IVec3) -> bool {
         let (bin, brick) = owner(IVec3::ZERO, brick);
         self.bricks.get(&bin).is_some_and(|bricks| bricks >> brick & 1 != 0)
@@ -188,12 +204,12 @@ impl Inside {
         let bins = cells.cubes(BIN).filter_map(|bin| Some((bin, *self.bricks.get(&bin)?)));
         bins.flat_map(move |(bin, bricks)| {
             let part = cells.intersection(&CellBox::cube(bin, BIN));
-            part.cubes(BRICK).filter(move |&brick| bricks >> local_morton(brick - bin * BRICKS) & 1 != 0)
+            part.cubes(BRICK)
+                .filter(move |&brick| bricks >> local_morton(brick - bin * BRICKS) & 1 != 0)
         })
     }
 
     /// A bit for each brick that some wide cells touch, x fastest, in words: those that are inside.
-    #[must_use]
     pub fn marks(&self, cells: CellBox) -> Vec<u32> {
         let CellBox { lo, hi } = Self::bricks_around(cells);
         let touched = CellBox { lo: lo / BRICK, hi: hi / BRICK };
@@ -208,7 +224,6 @@ impl Inside {
     }
 
     /// The smallest box around the bricks among some wide cells that are not inside, in wide cells.
-    #[must_use]
     pub fn rest(&self, cells: CellBox) -> CellBox {
         let mut rest = CellBox::EMPTY;
         for bin in cells.cubes(BIN) {
@@ -219,7 +234,8 @@ impl Inside {
                     let others = part
                         .cubes(BRICK)
                         .filter(|&brick| bricks >> local_morton(brick - bin * BRICKS) & 1 == 0);
-                    rest = others.fold(rest, |rest, brick| rest.union(&CellBox::cube(brick, BRICK)));
+                    rest =
+                        others.fold(rest, |rest, brick| rest.union(&CellBox::cube(brick, BRICK)));
                 }
                 None => rest = rest.union(&part),
             }

@@ -9,7 +9,8 @@ use crate::brick::vulkan::{DeviceBlocks, Window, along_each_axis, wall_bounds};
 use crate::grid::units::Isovalue;
 use crate::grid::{BIN, CellBox};
 use crate::shaders::{
-    DepthsOfPush, FullBricksPush, JoinPush, LookPush, MixBothPush, OutlyingPush, QuotientPush, RefinePush,
+    DepthsOfPush, FullBricksPush, JoinPush, LookPush, MixBothPush, OutlyingPush, QuotientPush,
+    RefinePush,
 };
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
@@ -49,14 +50,15 @@ pub struct Pipelines {
     pub full_bricks: Arc<ComputePipeline>,
 }
 
-/// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too wide for that.
-#[must_use]
+/// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too
+/// wide for that.
 pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
     let margin = PART * (width as i32 - 1);
     (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(margin, margin))
 }
 
-/// Finds the bricks of bins that are full, of blocks of their [cells](full_bricks_of): two words a bin.
+/// Finds the bricks of bins that are full, of blocks of their [cells](full_bricks_of): two words a
+/// bin.
 ///
 /// # Errors
 /// Those of the device.
@@ -68,17 +70,22 @@ pub fn full_bricks(
     [field, bricks]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let views = [&blocks.blocks, field, bricks].map(Clone::clone);
-    batch.dispatch(&pipelines.full_bricks, &views, &FullBricksPush { width, least }, [1, blocks.count, 1])
+    batch.dispatch(
+        &pipelines.full_bricks,
+        &views,
+        &FullBricksPush { width, least },
+        [1, blocks.count, 1],
+    )
 }
 
 /// The committed tables as shaders take them: of depths, and of how far away shares are.
-#[must_use]
 pub fn tables() -> [Vec<i32>; 2] {
     [DEPTHS.map(i32::from).to_vec(), AWAY.map(i32::from).to_vec()]
 }
 
-/// Makes distances of what is smoothed under each width, narrowest first: the fine surface in place of the first, what both are
-/// apart by in place of the second, and the calm surface in place of the last; `table` is of depths.
+/// Makes distances of what is smoothed under each width, narrowest first: the fine surface in place
+/// of the first, what both are apart by in place of the second, and the calm surface in place of
+/// the last; `table` is of depths.
 ///
 /// # Errors
 /// Those of the device.
@@ -107,7 +114,8 @@ pub fn depths(
     batch.dispatch(&pipelines.depths, &views, &push, blocks.flat_groups(&pipelines.depths))
 }
 
-/// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the bricks that are inside, by block.
+/// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the
+/// bricks that are inside, by block.
 ///
 /// # Errors
 /// Those of the device.
@@ -151,7 +159,8 @@ pub fn outlying(
     )
 }
 
-/// The greatest sample within the window along x, then y, then z: from `from` through `to` and `through` into `to`.
+/// The greatest sample within the window along x, then y, then z: from `from` through `to` and
+/// `through` into `to`.
 ///
 /// # Errors
 /// Those of the device.
@@ -177,13 +186,11 @@ pub struct Look {
 
 impl Look {
     /// At some cells of block number `block`.
-    #[must_use]
     pub fn new(cells: CellBox, block: u32) -> Self {
         Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
     }
 
     /// A box around the cells near which particles stand out, if they do.
-    #[must_use]
     pub fn outlying(&self, seen: &Seen) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
         (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
@@ -202,8 +209,8 @@ pub struct Seen {
     hi: [u32; 3],
 }
 
-/// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles stand out as a gate says, goes into
-/// `seen`.
+/// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles
+/// stand out as a gate says, goes into `seen`.
 ///
 /// # Errors
 /// Those of the device.
@@ -220,7 +227,8 @@ pub fn look(
     batch.dispatch(&pipelines.look, &views, &push, [1, count, 1])
 }
 
-/// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the one whose number is in `within`.
+/// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the
+/// one whose number is in `within`.
 ///
 /// # Errors
 /// Those of the device.
@@ -259,8 +267,9 @@ pub fn quotient(
     )
 }
 
-/// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the number of the block that each part is
-/// of, and `table` how far away shares are. What is near and the shares are of the parts.
+/// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the
+/// number of the block that each part is of, and `table` how far away shares are. What is near and
+/// the shares are of the parts.
 ///
 /// # Errors
 /// Those of the device.

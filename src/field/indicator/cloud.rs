@@ -10,11 +10,14 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 pub const GHOST_LAYER: i32 = 1;
 /// Bits of a share of a cloud: a power of two is the whole.
 pub const SHARE_BITS: u32 = 16;
-/// Bits that the square of a length has more than the share that is half of it: a length has one bit more than an offset.
+/// Bits that the square of a length has more than the share that is half of it: a length has one
+/// bit more than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// The least amount: of less, nothing might be left in a particle's own cell, with half of its cloud along each axis.
+/// The least amount: of less, nothing might be left in a particle's own cell, with half of its
+/// cloud along each axis.
 const LEAST_AMOUNT: u16 = 4;
-/// The most: in fine cells four particles at the very middle of one, and more elsewhere in it, still add up.
+/// The most: in fine cells four particles at the very middle of one, and more elsewhere in it,
+/// still add up.
 const GREATEST_AMOUNT: u16 = 1 << 15;
 /// Cells of a bin along an axis.
 const ROW: usize = BIN as usize;
@@ -24,16 +27,15 @@ const ROW: usize = BIN as usize;
 pub struct Amount(u16);
 
 impl Amount {
-    /// For particles `spacing` cells apart. In cells of half a spacing and more 4096 lie in each deep in the fluid; where more
-    /// than sixteen times as many particles lie close together, cells hold no more.
-    #[must_use]
+    /// For particles `spacing` cells apart. In cells of half a spacing and more 4096 lie in each
+    /// deep in the fluid; where more than sixteen times as many particles lie close together, cells
+    /// hold no more.
     pub fn of_spacing(spacing: f64) -> Self {
         let eighths = 8.0 / (spacing * spacing * spacing);
         Self(((f64::from(GREATEST_AMOUNT) / eighths.max(1.0)) as u16).max(LEAST_AMOUNT))
     }
 
     /// Returns the amount as a number of steps of a sample.
-    #[must_use]
     pub fn steps(self) -> u16 {
         self.0
     }
@@ -42,7 +44,8 @@ impl Amount {
 /// Where clouds end along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Walls {
-    /// A bin's lowest cell within the walls and its highest, counted in the bin; others, where they are in other bins.
+    /// A bin's lowest cell within the walls and its highest, counted in the bin; others, where they
+    /// are in other bins.
     ends: [[i32; 2]; 3],
 }
 
@@ -55,7 +58,8 @@ impl Walls {
             .then(|| Self { ends: [0, 1, 2].map(|axis| [lo[axis], hi[axis]]) })
     }
 
-    /// The shares of a cloud in such a cell: what would lie beyond a wall lies in the cell before it.
+    /// The shares of a cloud in such a cell: what would lie beyond a wall lies in the cell before
+    /// it.
     #[inline(always)]
     fn fold(&self, axis: usize, cell: usize, [below, own, above]: [u32; 3]) -> [u32; 3] {
         let [at_lo, at_hi] = self.ends[axis].map(|end| end == cell as i32);
@@ -65,7 +69,8 @@ impl Walls {
     }
 }
 
-/// The shares of a cloud in the cell below, the particle's own, and the one above, by its offset in its own.
+/// The shares of a cloud in the cell below, the particle's own, and the one above, by its offset in
+/// its own.
 #[inline(always)]
 fn shares(offset: u32) -> [u32; 3] {
     let length = 2 * offset + 1;
@@ -101,7 +106,12 @@ impl Clouds {
     }
 
     /// The page that a bin's particles make in a `room` of zeros, which it leaves as it was.
-    pub fn page(&self, room: &mut [u16], bin: IVec3, particles: &BinContents<'_>) -> (PageInfo, PageSamples) {
+    pub fn page(
+        &self,
+        room: &mut [u16],
+        bin: IVec3,
+        particles: &BinContents<'_>,
+    ) -> (PageInfo, PageSamples) {
         let walls = self.walls.and_then(|walls| Walls::of(walls, bin));
         let add = match self.shape.side {
             BrickSide::Four => add_clouds::<{ edge(BrickSide::Four) }>,
@@ -111,15 +121,16 @@ impl Clouds {
         let packed = particles.packed();
         add(self, room, packed, walls);
         let samples = &mut room[..self.shape.bin_samples()];
-        let page = if PageSamples::are_sparse(self.shape.cells_a_particle() * packed.len(), self.shape) {
-            // Most samples were never touched, and need not be looked at.
-            let cells = packed.iter().map(|&particle| unpack(particle).0);
-            PageInfo::take_sparse(bin, samples, cells, self.shape)
-        } else {
-            let page = PageInfo::from_bricks(bin, samples, self.shape);
-            samples.fill(0);
-            page
-        };
+        let page =
+            if PageSamples::are_sparse(self.shape.cells_a_particle() * packed.len(), self.shape) {
+                // Most samples were never touched, and need not be looked at.
+                let cells = packed.iter().map(|&particle| unpack(particle).0);
+                PageInfo::take_sparse(bin, samples, cells, self.shape)
+            } else {
+                let page = PageInfo::from_bricks(bin, samples, self.shape);
+                samples.fill(0);
+                page
+            };
         page.expect("a bin holds particles")
     }
 }
@@ -132,10 +143,19 @@ const fn edge(side: BrickSide) -> usize {
 /// Clouds that are made at once: vectors' work.
 const BATCH: usize = 32;
 
-/// Adds the clouds of particles to bricks of so many samples along an axis, row by row of four, the last of which stays
-/// as it was.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2+bmi1", "x86_64+sse4.1"))]
-fn add_clouds<const EDGE: usize>(of: &Clouds, samples: &mut [u16], packed: &[u64], walls: Option<Walls>) {
+/// Adds the clouds of particles to bricks of so many samples along an axis, row by row of four, the
+/// last of which stays as it was.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
+    "x86_64+avx2+bmi1",
+    "x86_64+sse4.1"
+))]
+fn add_clouds<const EDGE: usize>(
+    of: &Clouds,
+    samples: &mut [u16],
+    packed: &[u64],
+    walls: Option<Walls>,
+) {
     let Clouds { amount, firsts, .. } = of;
     let amount = u32::from(*amount);
     let mut batch = [0; BATCH];
@@ -170,7 +190,9 @@ fn add_clouds<const EDGE: usize>(of: &Clouds, samples: &mut [u16], packed: &[u64
             for (z, rows) in rows.iter().enumerate() {
                 for (y, rows) in rows.iter().enumerate() {
                     let to = &mut around[EDGE * (EDGE * z + y)..][..4];
-                    to.iter_mut().zip(&rows[i]).for_each(|(to, part)| *to = to.saturating_add(*part));
+                    to.iter_mut()
+                        .zip(&rows[i])
+                        .for_each(|(to, part)| *to = to.saturating_add(*part));
                 }
             }
         }
@@ -216,6 +238,10 @@ mod tests {
             Walls::of(tank, IVec3::new(0, 0, 1)).map(|walls| walls.fold(2, 15, [1, 20, 300])),
             Some([1, 320, 0])
         );
-        assert_eq!(Walls::of(CellBox::cube(IVec3::ZERO, 64), IVec3::ONE), None, "a bin in the middle");
+        assert_eq!(
+            Walls::of(CellBox::cube(IVec3::ZERO, 64), IVec3::ONE),
+            None,
+            "a bin in the middle"
+        );
     }
 }

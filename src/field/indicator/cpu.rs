@@ -22,7 +22,6 @@ pub const THETA_PER_DISTANCE: u32 = 37837;
 ///
 /// |D| / N is rounded to a quarter of a step along each axis, its length to the nearest integer. A double holds every
 /// integer here exactly, and a quotient lies farther from the next one than a double's rounding.
-#[must_use]
 #[inline(always)]
 pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
     let scale = DISTANCE_SCALE as f64;
@@ -34,15 +33,20 @@ pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
     let square = square(x) + square(y) + square(z);
     let root = square.sqrt().floor();
     let distance = if square - root * root > root { root + 1.0 } else { root };
-    let theta =
-        FULL - ((distance as i32 as u32).wrapping_mul(THETA_PER_DISTANCE).wrapping_add(1 << 14) >> 15) as u16;
+    let theta = FULL
+        - ((distance as i32 as u32).wrapping_mul(THETA_PER_DISTANCE).wrapping_add(1 << 14) >> 15)
+            as u16;
     if n > 0.0 { theta } else { 0 }
 }
 
 /// Cells of a bin along x.
 const ROW: usize = BIN as usize;
 
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
+    "x86_64+avx2",
+    "x86_64+sse4.1"
+))]
 fn symmetry_all(sums: &CellSums, theta: &mut [u16]) {
     theta.fill(0);
     let (theta, _) = theta.as_chunks_mut::<ROW>();
@@ -55,12 +59,16 @@ fn counts(sums: &CellSums, counts: &mut [u16]) {
     counts.fill(0);
     let (counts, _) = counts.as_chunks_mut::<ROW>();
     for (row, cells) in sums.rows() {
-        counts[row].iter_mut().zip(cells).for_each(|(count, &[n, ..])| *count = n.min(FULL.into()) as u16);
+        counts[row]
+            .iter_mut()
+            .zip(cells)
+            .for_each(|(count, &[n, ..])| *count = n.min(FULL.into()) as u16);
     }
 }
 
-/// The pages of a range of bins: theta by symmetry and of clouds; for counting the numbers of particles, which become
-/// theta when all bins are done and mu0 is known, by [`Indicator::decode`](super::Indicator::decode).
+/// The pages of a range of bins: theta by symmetry and of clouds; for counting the numbers of
+/// particles, which become theta when all bins are done and mu0 is known, by
+/// [`Indicator::decode`](super::Indicator::decode).
 ///
 /// # Errors
 /// Where particles are in a scratch file that cannot be read.
@@ -94,7 +102,8 @@ mod tests {
 
     #[test]
     fn the_distance_factor_is_what_its_name_says() {
-        let exact = f64::from(FULL) / (3f64.sqrt() * (DISTANCE_SCALE * u64::from(FRACTIONS)) as f64);
+        let exact =
+            f64::from(FULL) / (3f64.sqrt() * (DISTANCE_SCALE * u64::from(FRACTIONS)) as f64);
         assert_eq!(THETA_PER_DISTANCE, (exact * f64::from(1 << 15)).round() as u32);
     }
 
@@ -114,7 +123,9 @@ mod tests {
     fn theta_is_what_integers_say() {
         let mut random = 1_u64;
         let mut next = |below: u64| {
-            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (random >> 16) % below
         };
         for i in 0..100_000 {

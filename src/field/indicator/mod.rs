@@ -2,20 +2,23 @@
 //!
 //! Counting (eq. 6): theta = min(N, mu0) / mu0, rounded to the nearest integer.
 //!
-//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). With N particles whose offsets in the cell sum
-//! to S in steps of h / F, each offset standing for the middle of its step, the centroid is at
-//! (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with D = |2 S + N - N F|.
+//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). With N particles whose offsets in the
+//! cell sum to S in steps of h / F, each offset standing for the middle of its step, the centroid
+//! is at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with D = |2 S +
+//! N - N F|.
 //!
-//! Both depend on the cell's own particles alone, and jump where a particle passes from one cell to the next: layers of
-//! particles that lie along layers of cells move the surface by as much as a cell. A full cell's theta is never 0: the
-//! farthest centroid is half a step away from a corner.
+//! Both depend on the cell's own particles alone, and jump where a particle passes from one cell to
+//! the next: layers of particles that lie along layers of cells move the surface by as much as a
+//! cell. A full cell's theta is never 0: the farthest centroid is half a step away from a corner.
 //!
-//! Cloud, which is this project's, is no share of fluid but a density: rho A, at most 65535, where rho counts particles as
-//! clouds, and A is the [`Amount`] that suits the cells. A particle lies around its place as the quadratic B-spline does, the
-//! triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using Particles, 1988): at u of a cell's edge along an
-//! axis, a share of (1 - u)^2 / 2 falls to the cell below, u^2 / 2 to the one above, and the rest to its own. Cells then hold
-//! the particles' number, their centroid and how wide they lie, save for a constant, and nothing jumps. All cells around a
-//! particle's own can hold something of it. What is drawn by it: see [`distance`](super::distance).
+//! Cloud, which is this project's, is no share of fluid but a density: rho A, at most 65535, where
+//! rho counts particles as clouds, and A is the [`Amount`] that suits the cells. A particle lies
+//! around its place as the quadratic B-spline does, the triangular-shaped cloud of Hockney and
+//! Eastwood (Computer Simulation Using Particles, 1988): at u of a cell's edge along an axis, a
+//! share of (1 - u)^2 / 2 falls to the cell below, u^2 / 2 to the one above, and the rest to its
+//! own. Cells then hold the particles' number, their centroid and how wide they lie, save for a
+//! constant, and nothing jumps. All cells around a particle's own can hold something of it. What is
+//! drawn by it: see [`distance`](super::distance).
 
 mod cloud;
 mod cpu;
@@ -75,7 +78,6 @@ pub struct PageRule {
 
 impl PageRule {
     /// How the samples lie.
-    #[must_use]
     pub fn shape(&self) -> PageShape {
         self.indicator.shape(self.side)
     }
@@ -154,8 +156,9 @@ impl Indicator {
 }
 
 /// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
-#[must_use]
 pub fn count_table(mean: MeanCount) -> Vec<u16> {
     let mean = mean.particles();
-    (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
+    (0..=mean.floor() as u32)
+        .map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16)
+        .collect()
 }

@@ -24,7 +24,6 @@ pub struct SampledDif {
 
 impl SampledDif {
     /// Makes the DIF of what was stored by an indicator.
-    #[must_use]
     pub fn new(facts: FrameFacts, indicator: Indicator, stored: DifField) -> Self {
         Self {
             facts,
@@ -36,29 +35,25 @@ impl SampledDif {
     }
 
     /// Takes a folder for scratch files, where the samples are not in memory.
-    #[must_use]
     pub fn with_scratch(self, folder: &Path) -> Self {
         Self { scratch: Some(folder.to_owned()), ..self }
     }
 
     /// Whether the samples are clouds.
-    #[must_use]
     pub fn is_clouds(&self) -> bool {
         self.indicator == Indicator::Cloud
     }
 
     /// The wide cells in which the calm surface is made of clouds.
-    #[must_use]
     pub fn wide_cells(&self) -> WideCells {
         WideCells::of_spacing(self.facts.spacing_cells_or_one())
     }
 
-    /// The samples of cells 2^`level` times as wide: the samples themselves at level 0, clouds at others, up to that of the frame's
-    /// [wide cells](Self::wide_cells).
+    /// The samples of cells 2^`level` times as wide: the samples themselves at level 0, clouds at
+    /// others, up to that of the frame's [wide cells](Self::wide_cells).
     ///
     /// # Panics
     /// If the level is greater.
-    #[must_use]
     pub fn wide(&self, level: u32) -> &DifField {
         let Some(below) = (level as usize).checked_sub(1) else { return &self.dif };
         &self.wide.get_or_init(|| self.halved())[below]
@@ -66,11 +61,16 @@ impl SampledDif {
 
     fn halved(&self) -> Vec<Arc<DifField>> {
         let spacing = self.facts.spacing_cells_or_one();
-        let amount = |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
+        let amount =
+            |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
         let (mut finer, mut walls) = (Arc::clone(&self.dif), self.facts.walls());
         let levels = 0..self.wide_cells().level;
         let halved = levels.map(|level| {
-            finer = Arc::new(finer.halved(walls, amount(level + 1) / amount(level), self.scratch.as_deref()));
+            finer = Arc::new(finer.halved(
+                walls,
+                amount(level + 1) / amount(level),
+                self.scratch.as_deref(),
+            ));
             walls = walls.map(crate::brick::halved_box);
             Arc::clone(&finer)
         });

@@ -10,7 +10,8 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::{Amount, IndicatorKind, PageRule};
 
-/// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every device.
+/// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every
+/// device.
 pub const OCTANT: u32 = 8;
 /// Samples of a bin that a work group makes of clouds, at the most: the same.
 pub const CLOUD_SAMPLES: u32 = 1728;

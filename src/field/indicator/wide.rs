@@ -1,8 +1,10 @@
-//! Wide cells: those in which distances are made of clouds, of about the same size whatever the cells of the mesh are.
+//! Wide cells: those in which distances are made of clouds, of about the same size whatever the
+//! cells of the mesh are.
 
 use super::Amount;
 
-/// The least edge of the cells in which the calm surface is made, in spacings: finer ones are joined before.
+/// The least edge of the cells in which the calm surface is made, in spacings: finer ones are
+/// joined before.
 const LEAST_WIDE: f64 = 0.55;
 
 /// How wide the wide cells of a frame are.
@@ -16,7 +18,6 @@ pub struct WideCells {
 
 impl WideCells {
     /// For particles so many cells apart.
-    #[must_use]
     pub fn of_spacing(spacing: f64) -> Self {
         let mut wide = Self { level: 0, edge: 1.0 / spacing };
         // A quotient of decimals is off by a rounding.
@@ -27,13 +28,11 @@ impl WideCells {
     }
 
     /// Returns the total that a particle adds to the wide cells around it.
-    #[must_use]
     pub fn amount(self) -> Amount {
         Amount::of_spacing(1.0 / self.edge)
     }
 
     /// The sample deep in a fluid with a particle in each cubed spacing, before any gain.
-    #[must_use]
     pub fn plateau(self) -> f64 {
         f64::from(self.amount().steps()) * self.edge * self.edge * self.edge
     }

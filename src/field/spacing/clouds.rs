@@ -12,14 +12,14 @@ const BINS: usize = 32;
 /// The spacing by the mean number of particles around each particle, in cubes of about three
 /// spacings; `None` of other indicators. Where the fluid is thin it is too large: by a factor of
 /// 1.4 in sheets of a layer, by 2 in threads.
-#[must_use]
 pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     if !frame.is_clouds() {
         return None;
     }
     let wide = frame.wide_cells();
     let (field, walls) = (frame.wide(wide.level), frame.facts.walls());
-    let walls = walls.map(|walls| (0..wide.level).fold(walls, |walls, _| crate::brick::halved_box(walls)));
+    let walls =
+        walls.map(|walls| (0..wide.level).fold(walls, |walls, _| crate::brick::halved_box(walls)));
     let mut bins: Vec<IVec3> = field.keys().map(|key| key.coord()).collect();
     bins.sort_by_key(|bin| lightly_scattered(bin.as_dvec3().to_array()));
     let (mut held, mut around) = (0.0, 0.0);

@@ -38,7 +38,8 @@ fn cells_of(grid: &Grid, positions: &[[f64; 3]], cells: &mut [[u32; 3]]) {
     for (cell, &position) in cells.iter_mut().zip(positions) {
         let steps = grid.cells_from_world(position).map(|c| (c * f64::from(FRACTIONS)).floor());
         let within = steps.iter().fold(true, |all, s| all & (-STEP_LIMIT..STEP_LIMIT).contains(s));
-        *cell = steps.map(|s| if within { ((s * in_cells).floor() + 1.0) as i32 as u32 } else { u32::MAX });
+        *cell = steps
+            .map(|s| if within { ((s * in_cells).floor() + 1.0) as i32 as u32 } else { u32::MAX });
     }
 }
 
@@ -53,19 +54,21 @@ pub struct Spacings {
 
 impl Spacings {
     /// Times a factor.
-    #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
-        Self { mean: self.mean * factor, two: self.two.map(|two| two.map(|spacing| spacing * factor)) }
+        Self {
+            mean: self.mean * factor,
+            two: self.two.map(|two| two.map(|spacing| spacing * factor)),
+        }
     }
 }
 
 /// Estimates the spacings of finite particles, within their bounds, where interior cells hold at
 /// least `enough_share` of them.
-#[must_use]
 pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> Option<Spacings> {
     let Bounds { lo, hi, finite } = *bounds;
     let extent = hi - lo;
-    let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
+    let volume: f64 =
+        extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
     let mut cell = (TARGETS[0] * volume / finite as f64).cbrt();
     if !(cell.is_finite() && cell > 0.0) {
         return None;
@@ -119,8 +122,8 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     })?;
     // Cells, and particles in them, with counts in a range of multiples of that.
     let of = |from: f64, to: f64| {
-        let [from, to] =
-            [from, to].map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));
+        let [from, to] = [from, to]
+            .map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));
         &counts[from..to]
     };
     let cells = |part: &[usize]| part.len() as f64;
@@ -134,7 +137,8 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     let (dense, denser) = (of(2.0, 4.0), of(4.0, f64::INFINITY));
     let other = if cells(thinner) >= PART * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
         thinner
-    } else if particles(denser) >= PART * total as f64 && particles(denser) > 2.0 * particles(dense) {
+    } else if particles(denser) >= PART * total as f64 && particles(denser) > 2.0 * particles(dense)
+    {
         denser
     } else {
         return None;
@@ -199,13 +203,18 @@ impl Counts {
                 for (row, counts) in counts.chunks_exact(size[0]).enumerate() {
                     let [y, z] = [row % size[1], row / size[1]].map(|c| c.div_ceil(2));
                     let first = wide[0] * (y + wide[1] * z);
-                    counts.iter().enumerate().for_each(|(x, count)| sums[first + x.div_ceil(2)] += count);
+                    counts
+                        .iter()
+                        .enumerate()
+                        .for_each(|(x, count)| sums[first + x.div_ceil(2)] += count);
                 }
                 Self::Listed { size: wide, counts: sums }
             }
             Self::Hashed(counts) => {
                 let mut sums = HashMap::new();
-                counts.iter().for_each(|(cell, count)| *sums.entry(cell >> 1).or_default() += count);
+                counts
+                    .iter()
+                    .for_each(|(cell, count)| *sums.entry(cell >> 1).or_default() += count);
                 Self::Hashed(sums)
             }
         }
@@ -214,7 +223,9 @@ impl Counts {
     /// The counts of cells that hold particles.
     fn filled(&self) -> Vec<usize> {
         match self {
-            Self::Listed { counts, .. } => counts.iter().filter(|&&n| n > 0).map(|&n| n as usize).collect(),
+            Self::Listed { counts, .. } => {
+                counts.iter().filter(|&&n| n > 0).map(|&n| n as usize).collect()
+            }
             Self::Hashed(counts) => counts.values().copied().collect(),
         }
     }
@@ -238,7 +249,9 @@ impl Counts {
             }
             Self::Hashed(counts) => {
                 let around = |cell: IVec3| {
-                    (0..27).all(|i| counts.contains_key(&(cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1)))
+                    (0..27).all(|i| {
+                        counts.contains_key(&(cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1))
+                    })
                 };
                 counts.iter().filter(|&(&cell, _)| around(cell)).map(|(_, &count)| count).collect()
             }
@@ -248,7 +261,11 @@ impl Counts {
 
 /// A cell size at which the typical particle shares its cell with about `target` others, and the
 /// counts in such cells.
-fn cell_for(counts: impl Fn(f64) -> Option<Counts>, target: f64, mut cell: f64) -> Option<(f64, Counts)> {
+fn cell_for(
+    counts: impl Fn(f64) -> Option<Counts>,
+    target: f64,
+    mut cell: f64,
+) -> Option<(f64, Counts)> {
     for _ in 0..12 {
         let counted = counts(cell)?;
         let mut sizes = counted.filled();
@@ -283,8 +300,9 @@ mod tests {
         let particles = lattice(23);
         let near = bounds(&particles[..]).unwrap();
         for (shift, cell) in [(0.0, 3.1), (0.7, 2.0), (1.3, 5.5)] {
-            let of =
-                |far: f64| Counts::of(&particles, [near.lo, near.hi + far], near.lo - shift, cell).unwrap();
+            let of = |far: f64| {
+                Counts::of(&particles, [near.lo, near.hi + far], near.lo - shift, cell).unwrap()
+            };
             let (listed, hashed) = (of(0.0), of(1e6));
             assert!(matches!(listed, Counts::Listed { .. }) && matches!(hashed, Counts::Hashed(_)));
             let sorted = |mut counts: Vec<usize>| {
@@ -293,10 +311,11 @@ mod tests {
             };
             assert_eq!(sorted(listed.filled()), sorted(hashed.filled()));
             assert_eq!(sorted(listed.interior()), sorted(hashed.interior()));
-            let twice =
-                [listed.twice_as_wide(), hashed.twice_as_wide()].map(|twice| sorted(twice.interior()));
+            let twice = [listed.twice_as_wide(), hashed.twice_as_wide()]
+                .map(|twice| sorted(twice.interior()));
             assert_eq!(twice[0], twice[1]);
-            let wide = Counts::of(&particles, [near.lo, near.hi], near.lo - shift, 2.0 * cell).unwrap();
+            let wide =
+                Counts::of(&particles, [near.lo, near.hi], near.lo - shift, 2.0 * cell).unwrap();
             assert_eq!(twice[0], sorted(wide.interior()));
             assert!(!twice[0].is_empty() && listed.interior().len() > twice[0].len());
         }

@@ -125,14 +125,12 @@ pub struct Draft {
 }
 
 /// Estimates the spacing of particles; `None` where they do not tell it.
-#[must_use]
 pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     evidence(particles)?.estimate().ok().map(|estimate| estimate.spacing)
 }
 
-/// Reads the particles once, or if they are more than [`ALL`] twice or more, for what they say of their
-/// spacing; `None` where none is finite.
-#[must_use]
+/// Reads the particles once, or if they are more than [`ALL`] twice or more, for what they say of
+/// their spacing; `None` where none is finite.
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     if particles.len() <= ALL {
         return of_all(gathered(particles));
@@ -149,7 +147,6 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
 
 /// Reads the particles once, or if they are few and do not bear it out twice, for what their
 /// neighbours say of a spacing that is known; `None` where no particle was seen.
-#[must_use]
 pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
     if particles.len() <= FEWEST_SAMPLED {
         return Look::of(Sample::whole(gathered(particles)), spacing);
@@ -181,7 +178,6 @@ pub struct Look {
 
 impl Look {
     /// Looks at a sample for a spacing; `None` where it is empty.
-    #[must_use]
     pub fn of(sample: Sample, spacing: f64) -> Option<Self> {
         let place = Place::of_sample(&sample)?;
         Some(Self { neighbours: Neighbours::that_check(sample, Some(spacing)), place })
@@ -266,7 +262,6 @@ fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
 
 impl Draft {
     /// Counts a share; `None` where it holds nothing.
-    #[must_use]
     pub fn of(share: Taken) -> Option<Self> {
         let Taken { positions, part, places, bounds: all, .. } = share;
         let bounds = bounds(&positions[..])?;
@@ -275,32 +270,29 @@ impl Draft {
         // A layer may be too thin to have an inside that so few can tell: then its neighbours do.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
         let counted = counted.map(|counted| counted.scaled(part.cbrt()));
-        // What cannot be counted may be sheets: in these few are farther apart by the root of the part.
+        // What cannot be counted may be sheets: in these few are farther apart by the root of the
+        // part.
         let in_sheets = || Some(2.4 * part.sqrt() * scale_of(positions)?);
         let scale = counted.map(|counted| counted.mean).or_else(in_sheets);
         Some(Self { particles, places, counted, scale: scale.unwrap_or(1.0), place })
     }
 
     /// The spacing by counting.
-    #[must_use]
     pub fn counted(&self) -> Option<f64> {
         self.counted.map(|counted| counted.mean)
     }
 
     /// Takes all particles in some cubes, to be shown all particles.
-    #[must_use]
     pub fn in_cubes(&self) -> InCubes {
         InCubes::new(Cubes::for_spacing(self.scale), self.particles)
     }
 
     /// Whether neighbours that were looked for at the scale of a spacing show what is to be seen.
-    #[must_use]
     pub fn suits(&self, spacing: f64) -> bool {
         within(spacing / self.scale, 2.5)
     }
 
     /// Reads the particles for their neighbours: once, where the scale to look for them is known.
-    #[must_use]
     pub fn completed(mut self, particles: &(impl Particles + ?Sized)) -> Evidence {
         const READINGS: u32 = 8;
         for _ in 1..READINGS {
@@ -313,7 +305,9 @@ impl Draft {
             }
             let neighbours = Neighbours::that_check(sample, self.counted());
             match neighbours.suggested() {
-                Some(suggested) if self.counted.is_none() && !self.suits(suggested) => self.scale = suggested,
+                Some(suggested) if self.counted.is_none() && !self.suits(suggested) => {
+                    self.scale = suggested
+                }
                 None if self.counted.is_none() => self.scale *= 4.0,
                 _ => return self.with(neighbours),
             }
@@ -324,14 +318,12 @@ impl Draft {
     }
 
     /// Adds the neighbours in a sample, as far as they are needed to check the count.
-    #[must_use]
     pub fn with_sample(self, sample: Sample) -> Evidence {
         let neighbours = Neighbours::that_check(sample, self.counted());
         self.with(neighbours)
     }
 
     /// Adds the neighbours of the particles in some cubes.
-    #[must_use]
     pub fn with(self, neighbours: Neighbours) -> Evidence {
         let Self { particles, places, counted, place, .. } = self;
         Evidence { particles, places, counted, neighbours, place }
@@ -381,15 +373,13 @@ fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
     let is_single = coordinates.iter().all(|&c| f64::from(c as f32) == c);
     let far = far as f32;
     let step = f64::from(far.next_up() - far);
-    let is_rounded = || coordinates.iter().any(|c| c.abs() < 2.0 * f64::from(far) && (c / step) % 2.0 != 0.0);
+    let is_rounded =
+        || coordinates.iter().any(|c| c.abs() < 2.0 * f64::from(far) && (c / step) % 2.0 != 0.0);
     (is_single && is_rounded()).then_some(step)
 }
 
 impl Evidence {
     /// Estimates the spacing.
-    ///
-    /// # Errors
-    /// [`Untold`].
     pub fn estimate(&self) -> Result<Estimate, Untold> {
         let places = self.places;
         if places < FEWEST {

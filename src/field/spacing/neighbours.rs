@@ -100,7 +100,6 @@ struct Neighbourhood {
 impl Neighbours {
     /// Looks at a few cubes; `None` where these do not bear out a spacing, and more have to be
     /// looked at.
-    #[must_use]
     pub fn of_few(sample: Sample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
         (few.bear_out(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
@@ -108,15 +107,14 @@ impl Neighbours {
 
     /// Looks at a few of a sample's cubes, and at all where these do not bear out a spacing by
     /// counting.
-    #[must_use]
     pub fn that_check(mut sample: Sample, counted: Option<f64>) -> Self {
         let few = std::mem::take(&mut sample.few);
-        let few = Sample { cubes: sample.cubes, coincident: sample.coincident, ..Sample::whole(few) };
+        let few =
+            Sample { cubes: sample.cubes, coincident: sample.coincident, ..Sample::whole(few) };
         counted.and_then(|counted| Self::of_few(few, counted)).unwrap_or_else(|| Self::of(sample))
     }
 
     /// Looks at a sample.
-    #[must_use]
     pub fn of(sample: Sample) -> Self {
         let Sample { positions, cubes, coincident, .. } = sample;
         let all = positions.len() + coincident;
@@ -127,8 +125,11 @@ impl Neighbours {
             let shown = cubes.map_or(Some(f64::INFINITY), |of| of.shown_around(point))?;
             Some((point, shown))
         };
-        let mut asked =
-            positions.iter().filter_map(shown).take(QUERIES_OF_RANDOM.max(wanted)).collect::<Vec<_>>();
+        let mut asked = positions
+            .iter()
+            .filter_map(shown)
+            .take(QUERIES_OF_RANDOM.max(wanted))
+            .collect::<Vec<_>>();
         let more = asked.split_off(wanted.min(asked.len()));
         let tree = Tree::new(positions);
         let found = |asked: Vec<([f64; 3], f64)>| {
@@ -145,16 +146,20 @@ impl Neighbours {
 
     fn told_by(all: &[Neighbourhood], coincident: usize) -> Self {
         let queried = all.len();
-        let enough = |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
+        let enough =
+            |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
         // The estimate is that of the fluid, not of spray around it: only the most densely packed
         // particles count, by the distance of their third neighbours.
-        let mut thirds: Vec<f64> = all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
+        let mut thirds: Vec<f64> =
+            all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
         thirds.sort_unstable_by(f64::total_cmp);
         let packed = densest(&thirds).unwrap_or(f64::INFINITY);
-        let packed: Vec<&Neighbourhood> = all.iter().filter(|of| of.distances[2] <= 2.0 * packed).collect();
+        let packed: Vec<&Neighbourhood> =
+            all.iter().filter(|of| of.distances[2] <= 2.0 * packed).collect();
         let nearest = (packed.len() >= 4).then(|| {
-            [0, 1, 2, 3]
-                .map(|k| median(packed.iter().map(|of| of.distances[k]).collect()).unwrap_or_default())
+            [0, 1, 2, 3].map(|k| {
+                median(packed.iter().map(|of| of.distances[k]).collect()).unwrap_or_default()
+            })
         });
         let solid: Vec<&Neighbourhood> = all.iter().filter(|of| of.solid).collect();
         let density = |of: &&Neighbourhood| of.spacing(OF_SOLID, |k| (k * 0.75 / PI).cbrt());
@@ -162,10 +167,15 @@ impl Neighbours {
         solids.sort_unstable_by(f64::total_cmp);
         let by_solid = densest(&solids).filter(|_| enough(solids.len()));
         let flat = packed.iter().filter(|of| of.flat).count() as f64;
-        let sheet: Vec<f64> =
-            packed.iter().filter(|of| of.sheet).map(|of| of.spacing(OF_SHEET, |k| (k / PI).sqrt())).collect();
-        let plane =
-            all.iter().filter(|of| of.plane).map(|of| of.spacing(OF_PLANE, |k| FARTHER * (k / PI).sqrt()));
+        let sheet: Vec<f64> = packed
+            .iter()
+            .filter(|of| of.sheet)
+            .map(|of| of.spacing(OF_SHEET, |k| (k / PI).sqrt()))
+            .collect();
+        let plane = all
+            .iter()
+            .filter(|of| of.plane)
+            .map(|of| of.spacing(OF_PLANE, |k| FARTHER * (k / PI).sqrt()));
         let plane: Vec<f64> = plane.collect();
         Self {
             queried,
@@ -175,14 +185,14 @@ impl Neighbours {
             sheet: (enough(sheet.len()) && flat > SHEETS * packed.len() as f64)
                 .then(|| median(sheet))
                 .flatten(),
-            scatter: (solid.len() >= ENOUGH_FOR_SCATTER).then(|| [12, 20].map(|k| scatter(&solid, k))),
+            scatter: (solid.len() >= ENOUGH_FOR_SCATTER)
+                .then(|| [12, 20].map(|k| scatter(&solid, k))),
             solids,
             coincident,
         }
     }
 
     /// Whether some of the fluid is as dense as a spacing says, and deep.
-    #[must_use]
     pub fn has_solid(&self, spacing: f64) -> bool {
         const SOME: f64 = 0.02;
         let below = |ratio: f64| self.solids.partition_point(|&solid| solid < ratio * spacing);
@@ -191,7 +201,6 @@ impl Neighbours {
     }
 
     /// The spacing that the nearest neighbours suggest, without a look at how many there are.
-    #[must_use]
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
         // In order three or four neighbours are a spacing away, and in a compressed liquid somewhat
@@ -209,7 +218,6 @@ impl Neighbours {
     /// The spacing by the density around deep particles, if it fits the distances of their nearest
     /// neighbours: of sheets or threads close to each other it does not. With it comes the share of
     /// such particles.
-    #[must_use]
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;
         let (spacing, share) = self.solid?;
@@ -226,9 +234,10 @@ impl Neighbours {
     }
 
     /// Whether a spacing by counting is that of the neighbours, too.
-    #[must_use]
     pub fn bear_out(&self, counted: f64) -> bool {
-        let Some(((measured, _), by_third)) = self.measured().zip(self.by_third()) else { return false };
+        let Some(((measured, _), by_third)) = self.measured().zip(self.by_third()) else {
+            return false;
+        };
         let agree = |factor: f64| (1.0 / factor..factor).contains(&(counted / measured));
         // Between sheets that nearly touch both are too large; the third neighbours are not.
         let most = if agree(1.02) { 1.06 } else { 1.04 };
@@ -236,13 +245,11 @@ impl Neighbours {
     }
 
     /// Whether particles are placed as at random: no fluid keeps them so, but spray is.
-    #[must_use]
     pub fn is_random(&self) -> bool {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
     }
 
     /// Whether they may be spray: too few are deep to tell that they are not at random.
-    #[must_use]
     pub fn may_be_spray(&self) -> bool {
         self.scatter.is_none() || self.is_random()
     }
@@ -282,7 +289,8 @@ impl Neighbourhood {
     fn spacing(&self, neighbours: RangeInclusive<usize>, radius: impl Fn(f64) -> f64) -> f64 {
         let count = neighbours.clone().count() as f64;
         // The k-th distance's median is that at which k - 1/3 are expected.
-        neighbours.map(|k| self.distances[k - 1] / radius(k as f64 - 1.0 / 3.0)).sum::<f64>() / count
+        neighbours.map(|k| self.distances[k - 1] / radius(k as f64 - 1.0 / 3.0)).sum::<f64>()
+            / count
     }
 }
 
@@ -321,7 +329,8 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 fn densest(values: &[f64]) -> Option<f64> {
     const WITHIN: f64 = 1.25;
     const GROUP: f64 = 0.1;
-    let group = |first: usize| values.partition_point(|&value| value <= WITHIN * values[first]) - first;
+    let group =
+        |first: usize| values.partition_point(|&value| value <= WITHIN * values[first]) - first;
     let enough = (GROUP * values.len() as f64).max(4.0);
     let lowest = (0..values.len()).find(|&first| group(first) as f64 >= enough)?;
     // Up from its flank.
@@ -433,14 +442,17 @@ mod tests {
 
     #[test]
     fn the_tree_finds_what_a_look_at_all_points_finds() {
-        let coordinate = |i: u32| f64::from(i.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 20);
+        let coordinate =
+            |i: u32| f64::from(i.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 20);
         let points: Vec<[f64; 3]> = (0..1500)
             .map(|i| [coordinate(3 * i), coordinate(3 * i + 1), 0.1 * coordinate(3 * i + 2)])
             .collect();
         let tree = Tree::new(points.clone());
         for &point in points.iter().step_by(7) {
-            let mut all: Vec<f64> =
-                points.iter().map(|&p| (DVec3::from(p) - DVec3::from(point)).length_squared()).collect();
+            let mut all: Vec<f64> = points
+                .iter()
+                .map(|&p| (DVec3::from(p) - DVec3::from(point)).length_squared())
+                .collect();
             all.sort_unstable_by(f64::total_cmp);
             let found = tree.nearest(point);
             let squares: Vec<f64> = found.found.iter().map(|(squared, _)| *squared).collect();

@@ -44,7 +44,6 @@ pub struct Taken {
 
 impl Share {
     /// The share of `particles` particles, none of which was looked at yet.
-    #[must_use]
     pub fn of(particles: usize) -> Self {
         Self::one_in((particles / SHARE).max(1).next_power_of_two() as u64)
     }
@@ -64,7 +63,9 @@ impl Share {
             let numbers = &mut numbers[..positions.len()];
             scatter(positions, numbers, &mut bounds);
             let ours = |&(_, number): &(_, &u64)| number & (NOT_FINITE | (self.one_in - 1)) == 0;
-            taken.extend(positions.iter().zip(&*numbers).filter(ours).map(|(&position, _)| position));
+            taken.extend(
+                positions.iter().zip(&*numbers).filter(ours).map(|(&position, _)| position),
+            );
         }
         let all = taken.len();
         taken.dedup_by_key(|position| position.map(f64::to_bits));
@@ -79,7 +80,6 @@ impl Share {
     }
 
     /// Ends the looking, and returns the share.
-    #[must_use]
     pub fn taken(self) -> Taken {
         let Self { one_in, held } = self;
         let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -97,7 +97,8 @@ impl Share {
 }
 
 impl Held {
-    /// Sorts on this thread alone: others may wait for the lock, and a thread that helps them would wait for itself.
+    /// Sorts on this thread alone: others may wait for the lock, and a thread that helps them would
+    /// wait for itself.
     fn drop_duplicates(&mut self) {
         let all = self.positions.len();
         self.positions.sort_unstable_by_key(|position| position.map(f64::to_bits));
@@ -109,7 +110,6 @@ impl Held {
 impl Taken {
     /// A larger share to be taken instead, where particles are in so few places that this one holds
     /// next to none of them.
-    #[must_use]
     pub fn larger(&self) -> Option<Share> {
         const FEW: usize = SHARE / 256;
         let is_small = self.positions.len() < FEW && self.one_in > 1;
@@ -173,7 +173,6 @@ impl Cubes {
     const SPACINGS: f64 = 6.37;
 
     /// Cubes that show the neighbours of particles so far apart.
-    #[must_use]
     pub fn for_spacing(spacing: f64) -> Self {
         Self { edge: Self::SPACINGS * spacing }
     }
@@ -185,7 +184,8 @@ impl Cubes {
         // Beyond 2^31 all cubes are one.
         let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
         // The finalizer of MurmurHash3, of a number that differs between neighbours.
-        let sum = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
+        let sum =
+            x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
         let mixed = (sum ^ (sum >> 16)).wrapping_mul(0x85eb_ca6b);
         let mixed = (mixed ^ (mixed >> 13)).wrapping_mul(0xc2b2_ae35);
         mixed ^ (mixed >> 16)
@@ -193,7 +193,6 @@ impl Cubes {
 
     /// The distance within which all neighbours of a particle are in its cube; `None` outside of
     /// the cube's middle.
-    #[must_use]
     pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
             // Coordinate 0, where floors and planes are, is in the middle of a cube.
@@ -224,7 +223,6 @@ const FEW: usize = 1 << 13;
 
 impl Sample {
     /// All particles.
-    #[must_use]
     pub fn whole(positions: Vec<[f64; 3]>) -> Self {
         Self { positions, few: Vec::new(), cubes: None, coincident: 0 }
     }
@@ -232,7 +230,6 @@ impl Sample {
 
 /// One position of those in each place, in an order as good as random that is the same for all
 /// orders of the particles.
-#[must_use]
 pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let mut numbered: Vec<(u64, [f64; 3])> =
         positions.into_par_iter().map(|position| (scattered(position), position)).collect();
@@ -265,13 +262,11 @@ struct Kept {
 
 impl InCubes {
     /// Begins with none, of `particles` particles.
-    #[must_use]
     pub fn new(cubes: Cubes, particles: usize) -> Self {
         Self::within(1 << 15, cubes, particles)
     }
 
     /// Begins with none, to keep a few of `particles` particles: enough to bear out a count.
-    #[must_use]
     pub fn few(cubes: Cubes, particles: usize) -> Self {
         Self::within(FEW, cubes, particles)
     }
@@ -293,7 +288,11 @@ impl InCubes {
             let numbers = &mut numbers[..positions.len()];
             cube_numbers(self.cubes, positions, numbers);
             let both = positions.iter().zip(&*numbers).filter(|&(_, &number)| number < end);
-            taken.extend(both.map(|(&position, &number)| Kept { number, position, several: false }));
+            taken.extend(both.map(|(&position, &number)| Kept {
+                number,
+                position,
+                several: false,
+            }));
         }
         taken.retain(|kept| DVec3::from(kept.position).is_finite());
         Kept::merge(&mut taken);
@@ -322,9 +321,9 @@ impl InCubes {
     }
 
     /// The sample, once all particles were looked at.
-    #[must_use]
     pub fn sample(self) -> Sample {
-        let mut kept = std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut kept =
+            std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner));
         let end = self.fitted(&mut kept, self.end.load(Ordering::Relaxed));
         let positions: Vec<[f64; 3]> = kept.iter().map(|kept| kept.position).collect();
         let share = (FEW as f64 / positions.len().max(1) as f64).min(1.0);

@@ -13,7 +13,8 @@ fn layers(counts: [usize; 3], jitter: f64) -> Vec<[f64; 3]> {
     (0..x * y * z)
         .map(|i| {
             let place = [i % x, i / x % y, i / (x * y)];
-            [0, 1, 2].map(|axis| place[axis] as f64 + jitter * (2.0 * unit((3 * i + axis) as u64) - 1.0))
+            [0, 1, 2]
+                .map(|axis| place[axis] as f64 + jitter * (2.0 * unit((3 * i + axis) as u64) - 1.0))
         })
         .collect()
 }
@@ -65,13 +66,18 @@ fn many_particles_tell_the_same_in_any_order() {
 fn a_share_of_a_lattice_is_as_good_as_random_whatever_its_spacing() {
     for spacing in [1.0, 1.0 / 64.0, 0.02] {
         let side = 110;
-        let of = |i: usize| [i % side, i / side % side, i / (side * side)].map(|c| c as f64 * spacing);
+        let of =
+            |i: usize| [i % side, i / side % side, i / (side * side)].map(|c| c as f64 * spacing);
         let particles: Vec<[f64; 3]> = (0..side * side * side).map(of).collect();
         let part = part_of(&particles);
         for axis in 0..3 {
             let column = |p: &[f64; 3]| [p[(axis + 1) % 3], p[(axis + 2) % 3]].map(f64::to_bits);
             let columns: HashSet<[u64; 2]> = part.iter().map(column).collect();
-            assert!(100 * columns.len() > 99 * side * side, "{} columns along {axis}", columns.len());
+            assert!(
+                100 * columns.len() > 99 * side * side,
+                "{} columns along {axis}",
+                columns.len()
+            );
         }
         let estimated = estimated(&particles).spacing;
         assert!((estimated / spacing - 1.0).abs() < 0.005, "{estimated} of {spacing}");
@@ -93,7 +99,10 @@ fn deep_fluid_is_counted_and_never_called_thin() {
     for side in [16, 30] {
         for jitter in [0.0, 0.1, 0.3, 0.5] {
             let found = estimated(&layers([side; 3], jitter));
-            assert!((found.spacing - 1.0).abs() < 0.02 && !found.thin, "{side} {jitter}: {found:?}");
+            assert!(
+                (found.spacing - 1.0).abs() < 0.02 && !found.thin,
+                "{side} {jitter}: {found:?}"
+            );
         }
     }
 }
@@ -114,7 +123,10 @@ fn bars_and_sheets_with_gaps_are_told_by_neighbours_and_called_thin() {
                 for size in [[40, width, width], [40, 40, width]] {
                     let found = estimated(&bars(size, gap, jitter));
                     let error = (found.spacing - 1.0).abs();
-                    assert!(error < 0.12 || found.thin && error < 0.25, "{size:?} {gap} {jitter}: {found:?}");
+                    assert!(
+                        error < 0.12 || found.thin && error < 0.25,
+                        "{size:?} {gap} {jitter}: {found:?}"
+                    );
                 }
             }
         }
@@ -172,7 +184,9 @@ fn duplicates_and_clumps_are_kept_out() {
     let twice = [once.clone(), once.clone()].concat();
     let parked = [once.clone(), vec![[90.0; 3]; 15_000]].concat();
     let parked_inside = [vec![once[100]; 9_000], once.clone()].concat();
-    for (particles, places) in [(twice, once.len()), (parked, once.len() + 1), (parked_inside, once.len())] {
+    for (particles, places) in
+        [(twice, once.len()), (parked, once.len() + 1), (parked_inside, once.len())]
+    {
         let all = evidence(&particles[..]).unwrap();
         // A clump in one place need not be in the sample: then all are counted.
         assert!([places, particles.len()].contains(&all.places), "{} places", all.places);
@@ -192,7 +206,11 @@ fn duplicates_and_clumps_are_kept_out_of_a_share_of_many() {
     let parked = |at: f64| [once.clone(), vec![[at; 3]; 900_000]].concat();
     for particles in [twice, parked(0.0), parked(90.0), parked(1e7)] {
         let all = evidence(&particles[..]).unwrap();
-        assert!((all.places as f64 / once.len() as f64 - 1.0).abs() < 0.02, "{} places", all.places);
+        assert!(
+            (all.places as f64 / once.len() as f64 - 1.0).abs() < 0.02,
+            "{} places",
+            all.places
+        );
         let found = all.estimate().unwrap();
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02 && !found.thin, "{found:?}");
     }
@@ -250,7 +268,8 @@ fn a_plane_across_an_axis_is_found_and_measured_in_it() {
     assert_eq!(evidence(&stray[..]).unwrap().place.plane, None, "all but one are near each other");
     let tilted = turned(layers([50, 40, 1], 0.0));
     assert_eq!(evidence(&tilted[..]).unwrap().place.plane, None);
-    let wide: Vec<[f64; 3]> = layers([200, 200, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 2.9]).collect();
+    let wide: Vec<[f64; 3]> =
+        layers([200, 200, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 2.9]).collect();
     assert!((estimated(&wide).spacing - 1.0).abs() < 0.03);
     let line = layers([50, 1, 1], 0.0);
     assert_eq!(evidence(&line[..]).unwrap().place.plane, None);
@@ -268,11 +287,13 @@ fn single_precision_is_told_with_its_step() {
     let farther = evidence(&at(3e6)[..]).unwrap();
     assert_eq!(farther.estimate(), Err(Untold::SinglePrecision { step: 0.25 }));
     // All of these happen to be numbers of 32 bits.
-    let dyadic: Vec<[f64; 3]> = layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();
+    let dyadic: Vec<[f64; 3]> =
+        layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();
     let dyadic = evidence(&dyadic[..]).unwrap();
     assert_eq!(dyadic.place.step, None);
     assert!((dyadic.estimate().unwrap().spacing / 0.5 - 1.0).abs() < 0.01);
-    let double: Vec<[f64; 3]> = layers([20; 3], 0.3).into_iter().map(|p| p.map(|c| 0.05 * c + 3e6)).collect();
+    let double: Vec<[f64; 3]> =
+        layers([20; 3], 0.3).into_iter().map(|p| p.map(|c| 0.05 * c + 3e6)).collect();
     let double = evidence(&double[..]).unwrap();
     assert_eq!(double.place.step, None);
     assert!((double.estimate().unwrap().spacing / 0.05 - 1.0).abs() < 0.02);
@@ -308,7 +329,8 @@ fn many_threads_take_the_same_sample_of_particles_that_are_there_twice() {
     let taken = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let (in_cubes, share) = (InCubes::few(Cubes::for_spacing(1.0), twice.len() / 8), Share::of(1));
+            let (in_cubes, share) =
+                (InCubes::few(Cubes::for_spacing(1.0), twice.len() / 8), Share::of(1));
             twice.par_chunks(300).for_each(|positions| {
                 in_cubes.look(positions);
                 share.look(positions);

@@ -19,7 +19,8 @@ pub fn empty_document() -> Value {
     json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
 }
 
-/// A scene of all views, where they are encoded with so many bytes each; positions are within `bounds`.
+/// A scene of all views, where they are encoded with so many bytes each; positions are within
+/// `bounds`.
 pub fn document(
     layout: Layout,
     space: Space,
@@ -60,8 +61,7 @@ pub fn document(
         document["extensionsUsed"] = extensions.clone();
         document["extensionsRequired"] = extensions;
         let fallback = json!({ "EXT_meshopt_compression": { "fallback": true } });
-        document["buffers"] =
-            json!([{ "byteLength": encoded_end }, { "byteLength": plain_end, "extensions": fallback }]);
+        document["buffers"] = json!([{ "byteLength": encoded_end }, { "byteLength": plain_end, "extensions": fallback }]);
         // Half a step along each axis.
         document["asset"]["extras"] = json!({ "positionError": space.step / 2.0 });
     }

@@ -1,10 +1,11 @@
 //! glTF 2.0 in one binary file: a scene of one node with one mesh of one primitive.
 //!
-//! Positions, NORMAL, `_VELOCITY` and further attributes, and u32 indices, each in a buffer view of its own, in an order
-//! that suits vertex caches. glTF's y axis points up; where the particles' z axis does, the node turns the mesh.
+//! Positions, NORMAL, `_VELOCITY` and further attributes, and u32 indices, each in a buffer view of
+//! its own, in an order that suits vertex caches. glTF's y axis points up; where the particles' z
+//! axis does, the node turns the mesh.
 //!
-//! Compressed, everything is quantized (KHR_mesh_quantization) and encoded (EXT_meshopt_compression, with version 0 of
-//! the vertex codec, as it demands):
+//! Compressed, everything is quantized (KHR_mesh_quantization) and encoded
+//! (EXT_meshopt_compression, with version 0 of the vertex codec, as it demands):
 //!
 //! | what | as | off by at most |
 //! |---|---|---|
@@ -13,7 +14,8 @@
 //! | other values | 15-bit mantissas, an exponent a vertex | 2^-14 of a vertex's greatest component |
 //! | triangles | as they are | |
 //!
-//! The grid is anchored at the origin, so that what stands still does not flicker from frame to frame.
+//! The grid is anchored at the origin, so that what stands still does not flicker from frame to
+//! frame.
 
 mod document;
 mod view;
@@ -46,8 +48,8 @@ pub enum Compression {
     Meshopt,
 }
 
-/// The step of the grid of compressed positions: the least power of two of which 2^16 - 2 span `extent`.
-#[must_use]
+/// The step of the grid of compressed positions: the least power of two of which 2^16 - 2 span
+/// `extent`.
 pub fn grid_step(extent: f64) -> f64 {
     // One step may be lost at either end, where the mesh's box is not on the grid.
     let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);

@@ -3,7 +3,8 @@
 use std::io::{self, Write};
 
 use meshopt::{
-    EncodeExpMode, encode_filter_exp, encode_filter_oct, encode_index_buffer, encode_vertex_buffer_level,
+    EncodeExpMode, encode_filter_exp, encode_filter_oct, encode_index_buffer,
+    encode_vertex_buffer_level,
 };
 
 use crate::io::encode::{in_order, write_triangles, write_vertices};
@@ -38,7 +39,9 @@ impl Space {
     }
 
     pub fn on_grid(&self, position: [f64; 3]) -> [u16; 3] {
-        std::array::from_fn(|axis| ((position[axis] - self.origin[axis]) / self.step).round() as u16)
+        std::array::from_fn(|axis| {
+            ((position[axis] - self.origin[axis]) / self.step).round() as u16
+        })
     }
 }
 
@@ -101,7 +104,8 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
     views
 }
 
-/// Returns the attributes' names in the file, no two alike; None for attributes that it cannot hold.
+/// Returns the attributes' names in the file, no two alike; None for attributes that it cannot
+/// hold.
 fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     let mut taken: Vec<String> = Vec::new();
     let name = |info: &AttributeInfo| {
@@ -140,7 +144,10 @@ impl View {
                 match what {
                     What::Normals => vertices.normals.as_flattened().iter().for_each(put),
                     What::Attribute(index) => vertices.attributes[index].iter().for_each(put),
-                    _ => vertices.positions.iter().for_each(|&p| space.stored(p).iter().for_each(&mut put)),
+                    _ => vertices
+                        .positions
+                        .iter()
+                        .for_each(|&p| space.stored(p).iter().for_each(&mut put)),
                 }
             }),
         }
@@ -162,7 +169,11 @@ impl View {
                 let normals = gathered(mesh, |vertices, out| {
                     out.extend(vertices.normals.iter().map(|&[x, y, z]| [x, y, z, 0.0]));
                 })?;
-                encode_vertex_buffer_level(&encode_filter_oct::<i8>(&normals, NORMAL_BITS), LEVEL, CODEC)
+                encode_vertex_buffer_level(
+                    &encode_filter_oct::<i8>(&normals, NORMAL_BITS),
+                    LEVEL,
+                    CODEC,
+                )
             }
             What::Attribute(index) => {
                 let values = gathered(mesh, |vertices, out| {
@@ -180,7 +191,9 @@ impl View {
             What::Indices => {
                 let mut corners = Vec::with_capacity(self.count as usize);
                 let make = |piece: usize, out: &mut Vec<u32>| {
-                    out.extend(mesh.triangles(piece)?.as_flattened().iter().map(|&vertex| vertex as u32));
+                    out.extend(
+                        mesh.triangles(piece)?.as_flattened().iter().map(|&vertex| vertex as u32),
+                    );
                     Ok(())
                 };
                 in_order(mesh.pieces(), make, |corners_of_piece| {

@@ -12,11 +12,12 @@ use super::document::{aligned, document, empty_document};
 use super::view::{Space, View, views};
 use super::{Compression, Layout, grid_step};
 
-/// Writes `mesh` as `layout` says. Uncompressed it streams, but for 4 bytes a vertex; compressed it is held in memory.
+/// Writes `mesh` as `layout` says. Uncompressed it streams, but for 4 bytes a vertex; compressed it
+/// is held in memory.
 ///
-/// Positions are f32; with [`CoordinateWidth::F64`] they are counted from the middle of the mesh's box, where the node
-/// then is. Attributes are called by their names in upper case behind an underscore; those of more than four
-/// components have no place.
+/// Positions are f32; with [`CoordinateWidth::F64`] they are counted from the middle of the mesh's
+/// box, where the node then is. Attributes are called by their names in upper case behind an
+/// underscore; those of more than four components have no place.
 ///
 /// # Errors
 /// Those of `mesh` and `out`; before anything is written
@@ -48,9 +49,12 @@ pub fn write_mesh(
     let views = views(&mesh, layout.compression);
     let encoded = match layout.compression {
         Compression::None => None,
-        Compression::Meshopt => {
-            Some(views.iter().map(|view| view.encoded(&mesh, space)).collect::<io::Result<Vec<Vec<u8>>>>()?)
-        }
+        Compression::Meshopt => Some(
+            views
+                .iter()
+                .map(|view| view.encoded(&mesh, space))
+                .collect::<io::Result<Vec<Vec<u8>>>>()?,
+        ),
     };
     let lengths: Option<Vec<u64>> =
         encoded.as_ref().map(|all| all.iter().map(|bytes| bytes.len() as u64).collect());
@@ -76,7 +80,9 @@ fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Resul
     let binary = if stored > 0 { 8 + stored } else { 0 };
     let total = 12 + 8 + json.len() as u64 + binary;
     let Ok(total) = u32::try_from(total) else {
-        let what = format!("the mesh takes {total} bytes, a .glb file holds 4 GiB; write .ply, .obj or .vtp");
+        let what = format!(
+            "the mesh takes {total} bytes, a .glb file holds 4 GiB; write .ply, .obj or .vtp"
+        );
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };
     out.write_all(b"glTF")?;

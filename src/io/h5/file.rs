@@ -68,7 +68,8 @@ impl<'a> File<'a> {
         Arc::into_inner(self.bytes).expect("the library has let go of the file")
     }
 
-    /// Where in the file the rows of a data set lie one after the other as they are, if they do: not in chunks, nor elsewhere.
+    /// Where in the file the rows of a data set lie one after the other as they are, if they do:
+    /// not in chunks, nor elsewhere.
     pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
         let header = self.hdf.get_or_parse_header(set.address()).ok()?;
         let elsewhere = |message: &HdfMessage| {
@@ -110,15 +111,20 @@ pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
     let attribute = group.attribute(name).ok()?;
     let whole = |values: Vec<i64>| values.into_iter().map(|value| value as f64).collect();
     let read = attribute.read_1d::<f64>();
-    read.or_else(|_| attribute.read_1d::<f32>().map(|values| values.into_iter().map(f64::from).collect()))
-        .or_else(|_| attribute.read_1d::<i64>().map(whole))
-        .or_else(|_| attribute.read_1d::<u64>().map(|v| v.into_iter().map(|value| value as f64).collect()))
-        .or_else(|_| attribute.read_1d::<i32>().map(|v| v.into_iter().map(f64::from).collect()))
-        .or_else(|_| attribute.read_1d::<u32>().map(|v| v.into_iter().map(f64::from).collect()))
-        .ok()
+    read.or_else(|_| {
+        attribute.read_1d::<f32>().map(|values| values.into_iter().map(f64::from).collect())
+    })
+    .or_else(|_| attribute.read_1d::<i64>().map(whole))
+    .or_else(|_| {
+        attribute.read_1d::<u64>().map(|v| v.into_iter().map(|value| value as f64).collect())
+    })
+    .or_else(|_| attribute.read_1d::<i32>().map(|v| v.into_iter().map(f64::from).collect()))
+    .or_else(|_| attribute.read_1d::<u32>().map(|v| v.into_iter().map(f64::from).collect()))
+    .ok()
 }
 
-/// Reads ranges of the file as the library asks for them, by their position where it lies on disk as it is, and keeps none of them.
+/// Reads ranges of the file as the library asks for them, by their position where it lies on disk
+/// as it is, and keeps none of them.
 struct Ranges(Arc<Bytes>);
 
 impl Storage for Ranges {

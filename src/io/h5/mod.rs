@@ -8,8 +8,8 @@
 //! | PySPH | groups `particles` and `solver_data` | one |
 //! | H5Part, and tables | groups `Step#12`, or data sets of equal length at the root | its steps |
 //!
-//! `sim.h5part#12` names one of several frames. The library that parses the file is bounded: no header, chunk
-//! or run of rows is read that the file's size does not vouch for.
+//! `sim.h5part#12` names one of several frames. The library that parses the file is bounded: no
+//! header, chunk or run of rows is read that the file's size does not vouch for.
 
 mod file;
 mod openpmd;
@@ -58,13 +58,15 @@ impl Layout {
     }
 }
 
-/// Reads a frame of the file at `path`, whose bytes these are; a snapshot's other files lie beside it.
+/// Reads a frame of the file at `path`, whose bytes these are; a snapshot's other files lie beside
+/// it.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] where a step or a type of particles has to be chosen or is not there, and where no position is
-/// found; [`ReadFault::Malformed`] for what HDF5 or the layout does not allow, and data sets that differ in length;
-/// [`ReadFault::Compression`] for a file that unpacks beyond all reason; [`ReadFault::Scratch`] where it is decoded into a scratch
-/// file that fails; [`ReadFault::Io`] for a missing piece, which the error names.
+/// [`ReadFault::Unsupported`] where a step or a type of particles has to be chosen or is not there,
+/// and where no position is found; [`ReadFault::Malformed`] for what HDF5 or the layout does not
+/// allow, and data sets that differ in length; [`ReadFault::Compression`] for a file that unpacks
+/// beyond all reason; [`ReadFault::Scratch`] where it is decoded into a scratch file that fails;
+/// [`ReadFault::Io`] for a missing piece, which the error names.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -76,7 +78,9 @@ pub fn open_particles(
     let file = File::open(bytes, unpacking).map_err(fail)?;
     let layout = Layout::of(&file).map_err(fail)?;
     if let (Layout::Snapshot | Layout::PySph, Some(step)) = (&layout, step) {
-        return Err(fail(ReadFault::Unsupported(format!("it holds one frame, and no step {step}"))));
+        return Err(fail(ReadFault::Unsupported(format!(
+            "it holds one frame, and no step {step}"
+        ))));
     }
     if let (Layout::VtkHdf | Layout::Table, Some(name)) = (&layout, wanted.particle_type) {
         return Err(fail(no_types(name)));
@@ -105,9 +109,6 @@ pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Whether a file holds polygons in VTKHDF; one of nothing at all is a mesh too.
-///
-/// # Errors
-/// As [`steps`].
 pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     let file = File::open(bytes, Unpacking::in_memory())?;
     match Layout::of(&file)? {
@@ -119,7 +120,8 @@ pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
 /// Reads the polygons of a VTKHDF file as a mesh, fanned from their first corner.
 ///
 /// # Errors
-/// As [`open_particles`]; besides [`ReadFault::Unsupported`] for strips, other layouts and data sets, and several steps.
+/// As [`open_particles`]; besides [`ReadFault::Unsupported`] for strips, other layouts and data
+/// sets, and several steps.
 pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
     let file = File::open(bytes, Unpacking::in_memory())?;
     match Layout::of(&file)? {

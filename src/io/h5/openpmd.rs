@@ -1,6 +1,7 @@
 //! openPMD in HDF5: species of particles whose records say in what unit they are.
 //!
-//! A particle is at `position` plus `positionOffset`, each in its own unit; all values are turned into the SI's.
+//! A particle is at `position` plus `positionOffset`, each in its own unit; all values are turned
+//! into the SI's.
 
 use std::io;
 
@@ -42,10 +43,16 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Reads the particles of an iteration, of the species that is `wanted` or the only one.
-pub fn read_particles(file: File, step: Option<u64>, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
+pub fn read_particles(
+    file: File,
+    step: Option<u64>,
+    wanted: Wanted,
+) -> Result<ParticleFile, ReadFault> {
     let step = match (step, &*steps(&file)?) {
         (Some(step), known) if known.contains(&step) => step,
-        (Some(step), _) => return Err(ReadFault::Unsupported(format!("there is no iteration {step}"))),
+        (Some(step), _) => {
+            return Err(ReadFault::Unsupported(format!("there is no iteration {step}")));
+        }
         (None, [only]) => *only,
         (None, []) => return Err(malformed(0, "no iterations")),
         (None, [first, .., last]) => return Err(a_sequence(*first, *last)),
@@ -54,13 +61,18 @@ pub fn read_particles(file: File, step: Option<u64>, wanted: Wanted) -> Result<P
     let (groups, _) = checked(iterations(&root)?.member_names())?;
     let name = groups.iter().find(|name| name.parse() == Ok(step)).expect("listed above");
     let iteration = checked(iterations(&root)?.group(name))?;
-    let time = time_of(&iteration).map(|time| time * number(&iteration, "timeUnitSI").unwrap_or(1.0));
+    let time =
+        time_of(&iteration).map(|time| time * number(&iteration, "timeUnitSI").unwrap_or(1.0));
     let path = root.attribute("particlesPath").and_then(|path| path.read_string());
     let path = path.unwrap_or_else(|_| "particles/".to_owned());
     let all = checked(iteration.group(path.trim_matches('/')))?;
     let (known, _) = checked(all.member_names())?;
     let species = checked(all.group(&chosen_type(&known, wanted.particle_type, None)?))?;
-    Ok(ParticleFile { time, unit_metres: Some(1.0), ..particles(&species, &file, wanted.attributes)? })
+    Ok(ParticleFile {
+        time,
+        unit_metres: Some(1.0),
+        ..particles(&species, &file, wanted.attributes)?
+    })
 }
 
 /// A component of a record.
@@ -82,10 +94,10 @@ impl Component {
         let (groups, sets) = checked(group.member_names())?;
         if sets.iter().any(|set| set == name) {
             let array = Array::named(group, name)?;
-            let unit = array.set.attribute("unitSI").and_then(|unit| unit.read_as_f64()).unwrap_or(1.0);
-            return Ok(
-                (array.components == 1).then_some(Self { values: Values::Stored(Box::new(array)), unit })
-            );
+            let unit =
+                array.set.attribute("unitSI").and_then(|unit| unit.read_as_f64()).unwrap_or(1.0);
+            return Ok((array.components == 1)
+                .then_some(Self { values: Values::Stored(Box::new(array)), unit }));
         }
         if !groups.iter().any(|group| group == name) {
             return Ok(None);
@@ -96,7 +108,10 @@ impl Component {
     fn constant(group: &Group) -> Option<Self> {
         let value = number(group, "value")?;
         let rows = numbers(group, "shape")?.first().copied().filter(|rows| *rows >= 0.0)? as u64;
-        Some(Self { values: Values::Constant(value, rows), unit: number(group, "unitSI").unwrap_or(1.0) })
+        Some(Self {
+            values: Values::Constant(value, rows),
+            unit: number(group, "unitSI").unwrap_or(1.0),
+        })
     }
 
     fn rows(&self) -> u64 {
@@ -135,7 +150,11 @@ fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFau
     Ok((components.len() == 3).then_some(components))
 }
 
-fn particles(species: &Group, file: &File, wanted: WantedAttributes) -> Result<ParticleFile, ReadFault> {
+fn particles(
+    species: &Group,
+    file: &File,
+    wanted: WantedAttributes,
+) -> Result<ParticleFile, ReadFault> {
     let position = record(species, "position")?.filter(|position| position.len() == 3);
     let position = position.ok_or_else(|| {
         ReadFault::Unsupported("no position of three components; particles are in space".to_owned())
@@ -162,15 +181,18 @@ fn particles(species: &Group, file: &File, wanted: WantedAttributes) -> Result<P
     let (mut attributes, mut unread) = (Vec::new(), Vec::new());
     for ((info, components), reads) in records.into_iter().zip(wanted.among(&infos)) {
         if reads {
-            attributes.push((info, columns_of(&components, None, Scalar::F32, file, &mut decoded)?));
+            attributes
+                .push((info, columns_of(&components, None, Scalar::F32, file, &mut decoded)?));
         } else {
             unread.push(info);
         }
     }
-    let rows = usize::try_from(rows).map_err(|_| malformed(0, "more particles than can be addressed"))?;
+    let rows =
+        usize::try_from(rows).map_err(|_| malformed(0, "more particles than can be addressed"))?;
     file.check()?;
     let position = spot.try_into().expect("of three components");
-    let store: ColumnStore = ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
+    let store: ColumnStore =
+        ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
@@ -186,7 +208,9 @@ fn columns_of(
     let stride = components.len() * scalar.size();
     let end = rows.checked_mul(stride as u64).and_then(|bytes| bytes.checked_add(decoded.len()));
     if end.is_none_or(|end| end > file.limit) {
-        return Err(ReadFault::Compression(format!("{rows} particles are beyond all reason for this file")));
+        return Err(ReadFault::Compression(format!(
+            "{rows} particles are beyond all reason for this file"
+        )));
     }
     let stored = components.iter().find_map(|component| match &component.values {
         Values::Stored(array) => Some(array.windows()),
@@ -206,11 +230,14 @@ fn columns_of(
             }
         }
         match scalar {
-            Scalar::F32 => tuples.iter().for_each(|&value| out.extend((value as f32).to_le_bytes())),
+            Scalar::F32 => {
+                tuples.iter().for_each(|&value| out.extend((value as f32).to_le_bytes()))
+            }
             _ => tuples.iter().for_each(|&value| out.extend(value.to_le_bytes())),
         }
         Ok(())
     };
-    in_order(windows.count, make, |bytes| decoded.push(bytes).map_err(io::Error::other)).map_err(fault_of)?;
+    in_order(windows.count, make, |bytes| decoded.push(bytes).map_err(io::Error::other))
+        .map_err(fault_of)?;
     Ok(columns(start, stride, components.len(), scalar, Endian::Little))
 }

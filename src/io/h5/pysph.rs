@@ -1,4 +1,5 @@
-//! PySPH's output in HDF5: `particles`, with a group for each of its arrays of particles, and the solver's time.
+//! PySPH's output in HDF5: `particles`, with a group for each of its arrays of particles, and the
+//! solver's time.
 
 use crate::io::wanted::{TAG, Wanted};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -13,8 +14,8 @@ pub const PARTICLES: &str = "particles";
 /// Name of the group that the solver's time is in.
 pub const SOLVER: &str = "solver_data";
 
-/// Reads the particles of the array that is `wanted`, or of `fluid`. A `tag` that is not 0 marks copies of other processes' particles, and
-/// those that periodicity needs: they are left out.
+/// Reads the particles of the array that is `wanted`, or of `fluid`. A `tag` that is not 0 marks
+/// copies of other processes' particles, and those that periodicity needs: they are left out.
 pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
@@ -26,7 +27,8 @@ pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFa
 
 /// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.
 fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
-    let named = |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);
+    let named =
+        |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);
     let vector = |names: [&str; 3]| -> Option<[usize; 3]> {
         let [x, y, z] = names.map(named);
         Some([x?, y?, z?])
@@ -37,7 +39,8 @@ fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
     if position.iter().any(|&axis| arrays[axis].rows != rows) {
         return Err(malformed(0, "x, y and z differ in length"));
     }
-    let velocity = vector(["u", "v", "w"]).filter(|v| v.iter().all(|&axis| arrays[axis].rows == rows));
+    let velocity =
+        vector(["u", "v", "w"]).filter(|v| v.iter().all(|&axis| arrays[axis].rows == rows));
     let places = |columns: [usize; 3]| columns.map(|array| -> Place { (array, 0) });
     let info = |name: &str, components| AttributeInfo { name: name.to_owned(), components };
     let mut attributes: Vec<_> =

@@ -1,7 +1,8 @@
-//! Snapshots of SWIFT and GADGET: a group for each type of particles, `PartType0` for gas, in one file or in several.
+//! Snapshots of SWIFT and GADGET: a group for each type of particles, `PartType0` for gas, in one
+//! file or in several.
 //!
-//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each says how many they are. A file `base.hdf5` beside them, whose
-//! data sets are views of theirs, is never read but for that number.
+//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each says how many they are. A file
+//! `base.hdf5` beside them, whose data sets are views of theirs, is never read but for that number.
 
 use std::path::{Path, PathBuf};
 
@@ -60,7 +61,8 @@ impl Header {
             let high = high.into_iter().chain(std::iter::repeat(0));
             low.into_iter().zip(high).map(|(low, high)| low.saturating_add(high << 32)).collect()
         });
-        let files = number(&header, "NumFilesPerSnapshot").filter(|files| *files >= 1.0).unwrap_or(1.0);
+        let files =
+            number(&header, "NumFilesPerSnapshot").filter(|files| *files >= 1.0).unwrap_or(1.0);
         let box_size = numbers(&header, "BoxSize").and_then(|edges| match *edges {
             [edge] => Some([edge; 3]),
             [x, y, z] => Some([x, y, z]),
@@ -80,7 +82,11 @@ impl Header {
     /// The types of which there are particles, in any of the files.
     fn types(&self) -> Vec<String> {
         let counts = self.total.as_ref().unwrap_or(&self.here);
-        (0..).zip(counts).filter(|(_, count)| **count > 0).map(|(kind, _)| format!("{TYPE}{kind}")).collect()
+        (0..)
+            .zip(counts)
+            .filter(|(_, count)| **count > 0)
+            .map(|(kind, _)| format!("{TYPE}{kind}"))
+            .collect()
     }
 
     /// Whether another file may be of the same snapshot.
@@ -99,7 +105,8 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     swift().or_else(gadget).map(|centimetres| centimetres / 100.0).filter(|metres| *metres > 0.0)
 }
 
-/// Reads all files of the snapshot that `file`, at `path`, is one of: particles of the type that is `wanted`, or gas.
+/// Reads all files of the snapshot that `file`, at `path`, is one of: particles of the type that is
+/// `wanted`, or gas.
 pub fn open_particles(
     path: &Path,
     file: File,
@@ -108,7 +115,8 @@ pub fn open_particles(
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let header = file.root().and_then(|root| Header::read(&root)).map_err(fail)?;
-    let kind = chosen_type(&header.types(), wanted.particle_type.or(Some(GAS)), None).map_err(fail)?;
+    let kind =
+        chosen_type(&header.types(), wanted.particle_type.or(Some(GAS)), None).map_err(fail)?;
     let read = if header.files == 1 && !header.is_view {
         read_piece(file, &kind, wanted, &header, None).map_err(fail)?
     } else {
@@ -130,9 +138,11 @@ pub fn open_particles(
         // All are waited for, so that the error is the first piece's.
         let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let unread = all.iter().find(|file| !file.particles.is_empty()).map(|file| file.unread.clone());
+        let unread =
+            all.iter().find(|file| !file.particles.is_empty()).map(|file| file.unread.clone());
         let all = all.into_iter().map(|file| file.particles).collect();
-        let joined = Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
+        let joined =
+            Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
         let unread = unread.unwrap_or_default();
         ParticleFile { unread, ..ParticleFile::new(joined, "SWIFT or GADGET HDF5 in pieces") }
     };
@@ -147,9 +157,10 @@ pub fn open_particles(
 fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFault> {
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     match header.total.as_ref().and_then(|total| total.get(index)) {
-        Some(&total) if total != found as u64 => {
-            Err(malformed(0, format!("{total} particles of {kind} are announced, its files hold {found}")))
-        }
+        Some(&total) if total != found as u64 => Err(malformed(
+            0,
+            format!("{total} particles of {kind} are announced, its files hold {found}"),
+        )),
         _ => Ok(()),
     }
 }
@@ -175,7 +186,8 @@ fn read_piece(
     let missing = || malformed(0, format!("no {POSITION} of three components in {kind}"));
     let table = Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
-        let what = format!("{announced} particles of {kind} are announced, {} are there", table.rows());
+        let what =
+            format!("{announced} particles of {kind} are announced, {} are there", table.rows());
         return Err(malformed(0, what));
     }
     drop(group);
@@ -188,7 +200,8 @@ fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> 
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
     let [stem, extension] =
         [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
-    let unnamed = || ReadFault::Unsupported("one of several files whose names are like base.0.hdf5".into());
+    let unnamed =
+        || ReadFault::Unsupported("one of several files whose names are like base.0.hdf5".into());
     let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
     let mut paths = Vec::new();
     for number in 0..header.files {
@@ -201,7 +214,6 @@ fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> 
 }
 
 /// How many files a snapshot is in, by one of them; `None` of what is no snapshot.
-#[must_use]
 pub fn pieces_of(path: &Path) -> Option<u64> {
     let file = File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
     let root = file.root().ok().filter(says_pieces)?;

@@ -1,4 +1,5 @@
-//! The steps of H5Part, groups `Step#12` with one data set a quantity, or such data sets at the file's root.
+//! The steps of H5Part, groups `Step#12` with one data set a quantity, or such data sets at the
+//! file's root.
 
 use hdf5_reader::group::Group;
 
@@ -13,9 +14,9 @@ use super::table::{Array, Place, Table};
 /// Prefix of the names of H5Part's groups.
 const STEP: &str = "Step#";
 
-/// Reads a step, or what is at the root of a file without steps: data sets of N rows of one or three numbers, of which `x`, `y` and `z`, or
-/// one of three columns called `pos`, `position` or the like, hold the position. All other ones of N
-/// rows are attributes.
+/// Reads a step, or what is at the root of a file without steps: data sets of N rows of one or
+/// three numbers, of which `x`, `y` and `z`, or one of three columns called `pos`, `position` or
+/// the like, hold the position. All other ones of N rows are attributes.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
@@ -41,27 +42,32 @@ pub fn read_particles(
 
 /// Refuses to take several steps for one frame.
 pub fn a_sequence(first: u64, last: u64) -> ReadFault {
-    let what =
-        format!("steps {first} to {last}: several frames; append #{first} to the name for one of them");
+    let what = format!(
+        "steps {first} to {last}: several frames; append #{first} to the name for one of them"
+    );
     ReadFault::Unsupported(what)
 }
 
 /// The columns of a group.
 fn table(group: &Group) -> Result<Table, ReadFault> {
     let (names, arrays) = arrays(group)?;
-    let missing = || ReadFault::Unsupported("no data set of positions, such as x, y and z, or pos".into());
+    let missing =
+        || ReadFault::Unsupported("no data set of positions, such as x, y and z, or pos".into());
     let (position, others) = quantities(&names).ok_or_else(missing)?;
     // Each column's array and component, in the order of the names.
     let places: Vec<Place> =
         (0..).zip(&arrays).flat_map(|(i, a)| (0..a.components).map(move |c| (i, c))).collect();
     let rows = arrays[places[position.columns[0]].0].rows;
-    let fits = |quantity: &Quantity| quantity.columns.iter().all(|&c| arrays[places[c].0].rows == rows);
+    let fits =
+        |quantity: &Quantity| quantity.columns.iter().all(|&c| arrays[places[c].0].rows == rows);
     if !fits(&position) {
         return Err(malformed(0, "the data sets of the position differ in length"));
     }
-    let places_of = |quantity: &Quantity| quantity.columns.iter().map(|&c| places[c]).collect::<Vec<_>>();
+    let places_of =
+        |quantity: &Quantity| quantity.columns.iter().map(|&c| places[c]).collect::<Vec<_>>();
     let attributes = others.iter().filter(|quantity| fits(quantity)).map(|quantity| {
-        let info = AttributeInfo { name: quantity.name.clone(), components: quantity.columns.len() };
+        let info =
+            AttributeInfo { name: quantity.name.clone(), components: quantity.columns.len() };
         (info, places_of(quantity))
     });
     let attributes = attributes.collect();

@@ -1,4 +1,5 @@
-//! Data sets of numbers, a row a particle, as columns: where they lie if all do so as they are, else decoded.
+//! Data sets of numbers, a row a particle, as columns: where they lie if all do so as they are,
+//! else decoded.
 
 use std::io;
 
@@ -71,7 +72,10 @@ impl Array {
     pub fn part(self, first: u64, rows: u64) -> Result<Self, ReadFault> {
         if first.checked_add(rows).is_none_or(|end| end > self.rows) {
             let Self { name, rows: all, .. } = &self;
-            return Err(malformed(0, format!("{rows} rows from {first} on of the {all} of {name}")));
+            return Err(malformed(
+                0,
+                format!("{rows} rows from {first} on of the {all} of {name}"),
+            ));
         }
         Ok(Self { first: self.first + first, rows, ..self })
     }
@@ -82,7 +86,8 @@ impl Array {
 
     /// Refuses more rows than the file's size vouches for, beside what was decoded before.
     fn check(&self, before: u64, limit: u64) -> Result<(), ReadFault> {
-        let end = self.rows.checked_mul(self.stride() as u64).and_then(|bytes| bytes.checked_add(before));
+        let end =
+            self.rows.checked_mul(self.stride() as u64).and_then(|bytes| bytes.checked_add(before));
         if end.is_none_or(|end| end > limit) {
             let Self { rows, name, .. } = self;
             let what = format!("{rows} rows of {name} are beyond all reason for this file");
@@ -98,12 +103,14 @@ impl Array {
         let windows = self.windows();
         let window = |index: usize| windows.rows(index, self.rows);
         // A batch of windows is decoded while another is kept.
-        let held =
-            4 * rayon::current_num_threads() as u64 * windows.size.saturating_mul(self.stride() as u64);
+        let held = 4
+            * rayon::current_num_threads() as u64
+            * windows.size.saturating_mul(self.stride() as u64);
         let mut keep = |bytes: &[u8]| decoded.push(bytes).map_err(io::Error::other);
         let read = if held <= file.unpacking.in_memory.max(WINDOW) {
-            let make =
-                |index: usize, out: &mut Vec<u8>| self.bytes(window(index), out).map_err(io::Error::other);
+            let make = |index: usize, out: &mut Vec<u8>| {
+                self.bytes(window(index), out).map_err(io::Error::other)
+            };
             in_order(windows.count, make, keep)
         } else {
             let mut bytes = Vec::new();
@@ -119,7 +126,8 @@ impl Array {
 
     /// Rows to read at once: whole chunks.
     pub fn windows(&self) -> Windows {
-        let chunk = self.set.chunks().and_then(|chunks| chunks.first().copied()).unwrap_or(1).max(1);
+        let chunk =
+            self.set.chunks().and_then(|chunks| chunks.first().copied()).unwrap_or(1).max(1);
         let chunk = u64::from(chunk).min(self.rows.max(1));
         let fit = WINDOW / (chunk * self.stride() as u64).max(1);
         let size = chunk * fit.max(1);
@@ -162,8 +170,12 @@ impl Array {
             Scalar::U16 => self.values::<u16>(rows)?.into_iter().map(f64::from).collect(),
             Scalar::I32 => self.values::<i32>(rows)?.into_iter().map(f64::from).collect(),
             Scalar::U32 => self.values::<u32>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::I64 => self.values::<i64>(rows)?.into_iter().map(|value| value as f64).collect(),
-            Scalar::U64 => self.values::<u64>(rows)?.into_iter().map(|value| value as f64).collect(),
+            Scalar::I64 => {
+                self.values::<i64>(rows)?.into_iter().map(|value| value as f64).collect()
+            }
+            Scalar::U64 => {
+                self.values::<u64>(rows)?.into_iter().map(|value| value as f64).collect()
+            }
             Scalar::F32 => self.values::<f32>(rows)?.into_iter().map(f64::from).collect(),
             Scalar::F64 => self.values::<f64>(rows)?,
         })
@@ -184,7 +196,8 @@ impl Array {
     pub fn some_integers(&self, rows: [u64; 2]) -> Result<Vec<i64>, ReadFault> {
         let mut bytes = Vec::new();
         self.bytes(rows, &mut bytes)?;
-        let numbers = bytes.chunks_exact(self.scalar.size()).map(|bytes| integer(self.scalar, NATIVE, bytes));
+        let numbers =
+            bytes.chunks_exact(self.scalar.size()).map(|bytes| integer(self.scalar, NATIVE, bytes));
         let no_integers = || malformed(0, format!("{} is not of integers", self.name));
         numbers.collect::<Option<_>>().ok_or_else(no_integers)
     }
@@ -282,14 +295,16 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Takes every array as an attribute but for the one called `position`, of three components, and those of another number of rows.
+    /// Takes every array as an attribute but for the one called `position`, of three components,
+    /// and those of another number of rows.
     ///
     /// Returns `None` where there is no such position.
     pub fn of_arrays(arrays: Vec<Array>, position: &str) -> Option<Self> {
         let is_it = |array: &Array| array.name == position && array.components == 3;
         let found = arrays.iter().position(is_it)?;
         let rows = arrays[found].rows;
-        let others = arrays.iter().enumerate().filter(|(index, a)| *index != found && a.rows == rows);
+        let others =
+            arrays.iter().enumerate().filter(|(index, a)| *index != found && a.rows == rows);
         let attributes = others.map(|(index, array)| {
             let info = AttributeInfo { name: array.name.clone(), components: array.components };
             (info, (0..array.components).map(|component| (index, component)).collect())
@@ -303,16 +318,16 @@ impl Table {
         self.arrays[self.position[0].0].rows
     }
 
-    /// The particles with the attributes that are wanted. Their columns are those of the file where every array that is used lies
-    /// there as it is; else all are decoded.
+    /// The particles with the attributes that are wanted. Their columns are those of the file where
+    /// every array that is used lies there as it is; else all are decoded.
     pub fn read(
         self,
         file: File,
         format: &'static str,
         wanted: WantedAttributes,
     ) -> Result<ParticleFile, ReadFault> {
-        let rows =
-            usize::try_from(self.rows()).map_err(|_| malformed(0, "more rows than can be addressed"))?;
+        let rows = usize::try_from(self.rows())
+            .map_err(|_| malformed(0, "more rows than can be addressed"))?;
         let Self { arrays, position, attributes } = self;
         let infos: Vec<AttributeInfo> = attributes.iter().map(|(info, _)| info.clone()).collect();
         let mut reads = wanted.among(&infos).into_iter();
@@ -331,14 +346,17 @@ impl Table {
             found.push(match in_place(&file, array).filter(|_| in_file) {
                 _ if !used => Vec::new(),
                 Some(columns) => columns,
-                None if rows == 0 => columns(0, array.stride(), array.components, array.scalar, NATIVE),
+                None if rows == 0 => {
+                    columns(0, array.stride(), array.components, array.scalar, NATIVE)
+                }
                 None => array.decode(&mut decoded, &file)?,
             });
         }
         let column = |&(array, component): &Place| found[array][component];
         let position = [0, 1, 2].map(|axis| column(&position[axis]));
-        let attributes =
-            attributes.iter().map(|(info, places)| (info.clone(), places.iter().map(column).collect()));
+        let attributes = attributes
+            .iter()
+            .map(|(info, places)| (info.clone(), places.iter().map(column).collect()));
         let attributes = attributes.collect();
         drop(arrays);
         file.check()?;
@@ -353,7 +371,13 @@ fn in_place(file: &File, array: &Array) -> Option<Vec<Column>> {
     let stride = array.stride() as u64;
     let end = array.first.checked_add(array.rows)?.checked_mul(stride)?;
     let start = file.place(&array.set, end)?.checked_add(array.first * stride)?;
-    Some(columns(usize::try_from(start).ok()?, array.stride(), array.components, array.scalar, array.endian))
+    Some(columns(
+        usize::try_from(start).ok()?,
+        array.stride(),
+        array.components,
+        array.scalar,
+        array.endian,
+    ))
 }
 
 /// The type of particles that is meant: by its name, or `usual`, or the only one.
@@ -366,14 +390,13 @@ pub(super) fn chosen_type(
     let is_there = |name: &&str| known.iter().any(|known| known == name);
     match (named, known) {
         (Some(name), _) if is_there(&name) => Ok(name.to_owned()),
-        (Some(name), _) => {
-            Err(ReadFault::Unsupported(format!("no particles of the type {name}; there are: {list}")))
-        }
+        (Some(name), _) => Err(ReadFault::Unsupported(format!(
+            "no particles of the type {name}; there are: {list}"
+        ))),
         (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
         (None, [only]) => Ok(only.clone()),
-        (None, _) => usual
-            .filter(is_there)
-            .map(str::to_owned)
-            .ok_or_else(|| ReadFault::Unsupported(format!("particles of several types: {list}; name one"))),
+        (None, _) => usual.filter(is_there).map(str::to_owned).ok_or_else(|| {
+            ReadFault::Unsupported(format!("particles of several types: {list}; name one"))
+        }),
     }
 }

@@ -1,7 +1,7 @@
 //! Frames: the DIF of one moment, its bricks compressed page by page in Morton order (.mnf).
 //!
-//! All numbers are little-endian. A page holds the bricks of one bin of 16^3 cells. The file is written from its
-//! first byte to its last; what is in it is known at the end, and stands there.
+//! All numbers are little-endian. A page holds the bricks of one bin of 16^3 cells. The file is
+//! written from its first byte to its last; what is in it is known at the end, and stands there.
 //!
 //! | part | bytes | what |
 //! |---|---|---|
@@ -33,14 +33,16 @@
 //! | | 4 | CRC-32 of the header, the footer, the index and the number before this |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
 //!
-//! The samples of a page are those of its bricks one after the other, x fastest in each: first the low bytes of all
-//! samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for counting they are numbers of
-//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded; for cloud a brick has a
-//! ghost layer of one more cell on every side, and its samples are what its own particles add there, each in all as much as suits their
-//! spacing in cells ([`Amount`](crate::field::indicator::Amount)); what lies in a cell is the sum over all bricks, at most 65535.
-//! A cell is full where what its own page holds of it is not 0.
+//! The samples of a page are those of its bricks one after the other, x fastest in each: first the
+//! low bytes of all samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for
+//! counting they are numbers of particles, at most 65535, and the DIF is theta(N) = min(N, mu0) /
+//! mu0 in 65535ths, rounded; for cloud a brick has a ghost layer of one more cell on every side,
+//! and its samples are what its own particles add there, each in all as much as suits their spacing
+//! in cells ([`Amount`](crate::field::indicator::Amount)); what lies in a cell is the sum over all
+//! bricks, at most 65535. A cell is full where what its own page holds of it is not 0.
 //!
-//! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is refused, all others are read.
+//! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is
+//! refused, all others are read.
 //!
 //! What packed frames are good for is said in `packed.md`, a page of the docs.
 
@@ -78,7 +80,8 @@ const ENTRY: usize = 44;
 /// Bytes of the tail.
 const TAIL: usize = 20;
 
-/// The low bytes of `samples`, then the high bytes: alike stands beside alike, and no machine's order shows.
+/// The low bytes of `samples`, then the high bytes: alike stands beside alike, and no machine's
+/// order shows.
 fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
     let bytes = |byte: usize| samples.iter().map(move |sample| sample.to_le_bytes()[byte]);
     bytes(0).chain(bytes(1)).collect()

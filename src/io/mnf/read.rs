@@ -31,19 +31,24 @@ const AROUND: u64 = 64 << 10;
 /// Bytes that are looked at in one go.
 const CHUNK: usize = 1 << 20;
 
-/// Opens a frame, of whatever size. Every byte of it is looked at and checked before this returns, and none is
-/// kept but the index: samples are read again where they are gathered, and those of the pages last used stay in
-/// memory as long as they take no more than `cache_bytes`. Besides, a few MiB of the file are mapped at a time.
+/// Opens a frame, of whatever size. Every byte of it is looked at and checked before this returns,
+/// and none is kept but the index: samples are read again where they are gathered, and those of the
+/// pages last used stay in memory as long as they take no more than `cache_bytes`. Besides, a few
+/// MiB of the file are mapped at a time.
 ///
-/// Another program that changes the file while the field is in use ends the run: by a panic, or a signal.
+/// Another program that changes the file while the field is in use ends the run: by a panic, or a
+/// signal.
 ///
 /// # Errors
-/// Whatever the system refuses; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and [`ReadFault::Compression`]
-/// for what is no frame, or a damaged one, and [`ReadFault::Unsupported`] for a frame of another version.
+/// Whatever the system refuses; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and
+/// [`ReadFault::Compression`] for what is no frame, or a damaged one, and
+/// [`ReadFault::Unsupported`] for a frame of another version.
 pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let kept = match open_bytes(path)? {
-        Bytes::File(file) => file.file().map_err(ReadFault::from).and_then(|file| Ok(Kept::map(&file)?)),
+        Bytes::File(file) => {
+            file.file().map_err(ReadFault::from).and_then(|file| Ok(Kept::map(&file)?))
+        }
         Bytes::Kept(kept) => Ok(kept),
     };
     let Index { facts, indicator, infos, pages } = kept.and_then(read_index).map_err(fail)?;
@@ -102,7 +107,8 @@ impl MappedPages {
         &self.window.bytes[self.first[page] as usize..self.first[page + 1] as usize]
     }
 
-    /// The samples of a page; `None` for a zstd stream that is damaged, or not exactly of the page's size.
+    /// The samples of a page; `None` for a zstd stream that is damaged, or not exactly of the
+    /// page's size.
     fn decompress(&self, page: usize) -> Option<Vec<u16>> {
         thread_local! {
             static SCRATCH: RefCell<(Decompressor<'static>, Vec<u8>)> = RefCell::default();
@@ -110,7 +116,8 @@ impl MappedPages {
         let count = usize::from(self.bricks[page]) * self.shape.brick_samples();
         SCRATCH.with_borrow_mut(|(decompressor, planes)| {
             planes.resize(count * size_of::<u16>(), 0);
-            let found = decompressor.decompress_to_buffer(self.compressed(page), &mut planes[..]).ok()?;
+            let found =
+                decompressor.decompress_to_buffer(self.compressed(page), &mut planes[..]).ok()?;
             (found == planes.len()).then(|| samples_from_planes(planes))
         })
     }
@@ -125,7 +132,8 @@ impl MappedPages {
                 match self.decompress(page) {
                     None => Some("does not decompress to its size"),
                     Some(samples) => {
-                        let found = PageInfo::from_samples(info.key, info.bricks, &samples, self.shape);
+                        let found =
+                            PageInfo::from_samples(info.key, info.bricks, &samples, self.shape);
                         (found != Some(*info)).then_some("holds other cells than the index says")
                     }
                 }
@@ -144,7 +152,8 @@ impl MappedPages {
 
 impl PageSource for MappedPages {
     fn samples(&self, page: usize) -> Vec<u16> {
-        let samples = self.decompress(page).expect("a frame that does not change after it is opened");
+        let samples =
+            self.decompress(page).expect("a frame that does not change after it is opened");
         self.window.looked_at(self.compressed(page).len() as u64 + AROUND);
         samples
     }
@@ -165,7 +174,8 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
     if version == FIRST_VERSION && indicator == Indicator::Cloud {
-        let what = "clouds of version 1, which another surface was drawn of; pack the particles again";
+        let what =
+            "clouds of version 1, which another surface was drawn of; pack the particles again";
         return Err(ReadFault::Unsupported(what.into()));
     }
     let index = window.bytes.len() - TAIL - cursor.at();
@@ -198,7 +208,10 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
         window.looked_at(ENTRY as u64);
     }
     if end != footer as u64 {
-        return Err(malformed(end as usize, "there is something between the last page and the footer"));
+        return Err(malformed(
+            end as usize,
+            "there is something between the last page and the footer",
+        ));
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
@@ -206,7 +219,10 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     let most = places * shape.cells_a_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
-        return Err(malformed(footer, format!("more full cells than particles make: {full_cells}")));
+        return Err(malformed(
+            footer,
+            format!("more full cells than particles make: {full_cells}"),
+        ));
     }
     let pages = MappedPages { window, shape, first, bricks, checksums };
     Ok(Index { facts, indicator, infos, pages })
@@ -219,8 +235,9 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
     }
     let version = cursor.u32("the version")?;
     if !(FIRST_VERSION..=VERSION).contains(&version) {
-        let what =
-            format!("a frame of version {version}; this program reads versions {FIRST_VERSION} to {VERSION}");
+        let what = format!(
+            "a frame of version {version}; this program reads versions {FIRST_VERSION} to {VERSION}"
+        );
         return Err(ReadFault::Unsupported(what));
     }
     let at = cursor.at();
@@ -341,7 +358,11 @@ struct Entry {
 }
 
 /// One entry, as far as it can be wrong without regard to others.
-fn read_entry(cursor: &mut Cursor<'_>, side: BrickSide, facts: &FrameFacts) -> Result<Entry, ReadFault> {
+fn read_entry(
+    cursor: &mut Cursor<'_>,
+    side: BrickSide,
+    facts: &FrameFacts,
+) -> Result<Entry, ReadFault> {
     let at = cursor.at();
     let key = MortonKey(cursor.u64("a page's key")?);
     let offset = cursor.u64("a page's place")?;
@@ -367,7 +388,10 @@ fn read_entry(cursor: &mut Cursor<'_>, side: BrickSide, facts: &FrameFacts) -> R
         (bricks == 0 || beyond != 0, "a page's bricks are none, or not of its bin"),
         (local.is_empty() || local.hi.max_element() > BIN, "a page's box is not in its bin"),
         (!limits.covers(&full), "a page's box is beyond the grid or the walls"),
-        (full_count == 0 || full_count as usize > full.volume(), "a page's full cells do not fit in its box"),
+        (
+            full_count == 0 || full_count as usize > full.volume(),
+            "a page's full cells do not fit in its box",
+        ),
         (zero != 0, "a page's entry does not end in zeros"),
     ];
     match wrong.into_iter().find(|&(wrong, _)| wrong) {

@@ -54,8 +54,9 @@ impl<W: Write> FrameWriter<W> {
         Ok(Self { out, shape, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
     }
 
-    /// Appends pages, of which `samples` gives all samples of their bricks: compresses them on all threads, and writes them
-    /// in order. The bytes depend neither on the threads nor on how the pages are divided among the calls.
+    /// Appends pages, of which `samples` gives all samples of their bricks: compresses them on all
+    /// threads, and writes them in order. The bytes depend neither on the threads nor on how the
+    /// pages are divided among the calls.
     ///
     /// # Panics
     /// If the pages are not in the order of their keys, or the samples not of their bricks' number.
@@ -105,7 +106,9 @@ impl<W: Write> FrameWriter<W> {
         footer.extend(self.pages.to_le_bytes());
         let place = self.at.to_le_bytes();
         let mut hasher = Hasher::new();
-        [&self.header[..], &footer, &self.index, &place].into_iter().for_each(|part| hasher.update(part));
+        [&self.header[..], &footer, &self.index, &place]
+            .into_iter()
+            .for_each(|part| hasher.update(part));
         self.out.write_all(&footer)?;
         self.out.write_all(&self.index)?;
         self.out.write_all(&[&place[..], &hasher.finalize().to_le_bytes(), &END_MAGIC].concat())?;
@@ -170,9 +173,6 @@ fn compress<'a, P>(
 }
 
 /// Writes a whole frame, of whatever size. Returns the bytes of the file.
-///
-/// # Errors
-/// Those of `out`.
 pub fn write_frame(out: impl Write, frame: &SampledDif) -> io::Result<u64> {
     let field = &frame.dif;
     let mut writer = FrameWriter::create(out, field.shape())?;

@@ -65,7 +65,8 @@ impl Header {
             let here = lines.clone();
             let fault = |what: String| here.fault(here.at(), what);
             let ahead = lines.ahead(REMARK)?;
-            if matches!(ahead.split(u8::is_ascii_whitespace).next(), Some(b"comment" | b"obj_info")) {
+            if matches!(ahead.split(u8::is_ascii_whitespace).next(), Some(b"comment" | b"obj_info"))
+            {
                 lines.skip_line()?;
                 continue;
             }

@@ -1,7 +1,8 @@
 //! .ply, the Stanford format: particles or meshes, in text or in binary of either byte order.
 //!
-//! A header lists elements in the order of their data, each with a count and its properties. `vertex` holds
-//! particles or the vertices of a mesh; `face` holds polygons, and a file without any is a particle file.
+//! A header lists elements in the order of their data, each with a count and its properties.
+//! `vertex` holds particles or the vertices of a mesh; `face` holds polygons, and a file without
+//! any is a particle file.
 
 mod header;
 mod read;

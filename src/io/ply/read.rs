@@ -28,17 +28,19 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     }
 }
 
-/// Reads the rows of `vertex` as particles, whatever faces there are: binary ones stay where they are, text becomes columns of f64.
+/// Reads the rows of `vertex` as particles, whatever faces there are: binary ones stay where they
+/// are, text becomes columns of f64.
 ///
-/// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...) are the
-/// attribute `velocity`, nx, ny and nz `normal`; properties `a_0`, `a_1`, ... that follow each other are one
-/// attribute `a`, and any other is an attribute of its own. Elements that follow are not looked at.
+/// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...)
+/// are the attribute `velocity`, nx, ny and nz `normal`; properties `a_0`, `a_1`, ... that follow
+/// each other are one attribute `a`, and any other is an attribute of its own. Elements that follow
+/// are not looked at.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a header, or a row of text, that does not parse, [`ReadFault::Truncated`] for fewer
-/// rows than the header counts, [`ReadFault::Malformed`] where there are no vertices with x, y and z, and
-/// [`ReadFault::Unsupported`] for lists on vertices; [`ReadFault::Scratch`] where text is decoded into a scratch
-/// file that fails.
+/// [`ReadFault::Line`] for a header, or a row of text, that does not parse,
+/// [`ReadFault::Truncated`] for fewer rows than the header counts, [`ReadFault::Malformed`] where
+/// there are no vertices with x, y and z, and [`ReadFault::Unsupported`] for lists on vertices;
+/// [`ReadFault::Scratch`] where text is decoded into a scratch file that fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = Header::parse(bytes.view())?;
     points(bytes, &header, unpacking)
@@ -58,7 +60,8 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
     Ok(vertices(bytes.view(), header, unpacking)?.into_particles(bytes, format))
 }
 
-/// Whether there are faces, so that the file is a mesh rather than particles. Reads the header only.
+/// Whether there are faces, so that the file is a mesh rather than particles. Reads the header
+/// only.
 ///
 /// # Errors
 /// As [`read_mesh`], as far as the header shows it.
@@ -69,8 +72,8 @@ pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
 /// Reads vertices and faces; polygons of more than three corners are fanned from their first.
 ///
 /// # Errors
-/// As [`read_points`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not there,
-/// and [`ReadFault::Unsupported`] for triangle strips.
+/// As [`read_points`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not
+/// there, and [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = View::from(bytes);
     let header = Header::parse(view)?;
@@ -85,9 +88,14 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(vertices.into_mesh(bytes, triangles.triangles))
 }
 
-pub(super) fn vertices(bytes: View, header: &Header, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
+pub(super) fn vertices(
+    bytes: View,
+    header: &Header,
+    unpacking: Unpacking,
+) -> Result<Vertices, ReadFault> {
     let element = header.elements.iter().find(|element| element.name == "vertex");
-    let element = element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
+    let element =
+        element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
     if let Some(list) = element.properties.iter().find(|p| p.list.is_some()) {
         let what = format!("vertices hold a list ({}); save the file without it", list.name);
         return Err(ReadFault::Unsupported(what));
@@ -99,7 +107,9 @@ pub(super) fn vertices(bytes: View, header: &Header, unpacking: Unpacking) -> Re
     let position = [axis("x")?, axis("y")?, axis("z")?];
     let at = start(bytes, header, element)?;
     let (decoded, columns) = match header.encoding {
-        Encoding::Ascii => (Some(decode(bytes.kept()?, at, element, unpacking)?), text_columns(element)),
+        Encoding::Ascii => {
+            (Some(decode(bytes.kept()?, at, element, unpacking)?), text_columns(element))
+        }
         Encoding::Binary(endian) => {
             skip(bytes, header.encoding, element, at)?;
             (None, binary_columns(element, at, endian))
@@ -112,16 +122,19 @@ pub(super) fn vertices(bytes: View, header: &Header, unpacking: Unpacking) -> Re
             (AttributeInfo { name, components: members.len() }, members)
         })
         .collect();
-    let normals = attributes.iter().position(|(info, _)| info.name == NORMAL && info.components == 3);
+    let normals =
+        attributes.iter().position(|(info, _)| info.name == NORMAL && info.components == 3);
     let position = position.map(|index| columns[index]);
     Ok(Vertices { decoded, count: element.count, position, attributes, normals })
 }
 
-/// The attributes that `properties` without those of `position` make: names, and numbers of properties.
+/// The attributes that `properties` without those of `position` make: names, and numbers of
+/// properties.
 fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
     let named = |name: &str| properties.iter().position(|p| p.name == name);
     let groups = GROUPS.map(|(name, members)| (name, members.map(named)));
-    let whole = |members: &[Option<usize>; 3]| members.iter().copied().collect::<Option<Vec<usize>>>();
+    let whole =
+        |members: &[Option<usize>; 3]| members.iter().copied().collect::<Option<Vec<usize>>>();
     let mut taken = vec![false; properties.len()];
     position.iter().for_each(|&index| taken[index] = true);
     let mut attributes = Vec::new();
@@ -130,22 +143,26 @@ fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usiz
             continue;
         }
         let group = groups.iter().filter(|(_, members)| members.contains(&Some(index)));
-        let mut group = group.filter_map(|(name, members)| Some(((*name).to_owned(), whole(members)?)));
-        let (name, members) = group.next().unwrap_or_else(|| numbered_run(properties, &taken, index));
+        let mut group =
+            group.filter_map(|(name, members)| Some(((*name).to_owned(), whole(members)?)));
+        let (name, members) =
+            group.next().unwrap_or_else(|| numbered_run(properties, &taken, index));
         members.iter().for_each(|&member| taken[member] = true);
         attributes.push((name, members));
     }
     attributes
 }
 
-/// The properties `a_0`, `a_1`, ... from number `first` on as `a`, or that one alone under its own name.
+/// The properties `a_0`, `a_1`, ... from number `first` on as `a`, or that one alone under its own
+/// name.
 fn numbered_run(properties: &[Property], taken: &[bool], first: usize) -> (String, Vec<usize>) {
     let name = &properties[first].name;
     let Some(base) = name.strip_suffix("_0") else {
         return (name.clone(), vec![first]);
     };
     let follows = |&index: &usize| {
-        let number = properties[index].name.strip_prefix(base).and_then(|rest| rest.strip_prefix('_'));
+        let number =
+            properties[index].name.strip_prefix(base).and_then(|rest| rest.strip_prefix('_'));
         !taken[index] && number.and_then(|number| number.parse().ok()) == Some(index - first)
     };
     match (first + 1..properties.len()).take_while(follows).count() {
@@ -170,7 +187,12 @@ fn text_columns(element: &Element) -> Vec<Column> {
 }
 
 /// Rows of text as little-endian f64.
-fn decode(source: Slice, at: usize, element: &Element, unpacking: Unpacking) -> Result<Kept, ReadFault> {
+fn decode(
+    source: Slice,
+    at: usize,
+    element: &Element,
+    unpacking: Unpacking,
+) -> Result<Kept, ReadFault> {
     let width = element.properties.len();
     let scan = Scanner::new(source.bytes(), at);
     scan.expect_numbers(element.count.saturating_mul(width), "the text of `vertex`")?;
@@ -200,7 +222,11 @@ fn decode(source: Slice, at: usize, element: &Element, unpacking: Unpacking) -> 
 }
 
 /// The rows of whole lines, up to the first that is wrong, and how.
-fn decode_rows(source: Slice, lines: Range<usize>, width: usize) -> (Vec<u8>, Result<(), ReadFault>) {
+fn decode_rows(
+    source: Slice,
+    lines: Range<usize>,
+    width: usize,
+) -> (Vec<u8>, Result<(), ReadFault>) {
     let mut scan = Scanner::new(source.bytes(), lines.start);
     let mut rows = Vec::new();
     loop {
@@ -232,9 +258,11 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
     }
 }
 
-/// The element that holds faces, if there are any, and the number of the property that lists corners.
+/// The element that holds faces, if there are any, and the number of the property that lists
+/// corners.
 pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
-    let filled = |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
+    let filled =
+        |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
     if filled("tristrips").is_some() {
         return Err(ReadFault::Unsupported("triangle strips; save the mesh with faces".into()));
     }
@@ -248,7 +276,10 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
     };
     let list = element.properties.iter().position(is_corners);
     let list = list.ok_or_else(|| {
-        malformed(header.body, "faces have no list of integers called `vertex_indices` or `vertex_index`")
+        malformed(
+            header.body,
+            "faces have no list of integers called `vertex_indices` or `vertex_index`",
+        )
     })?;
     Ok(Some((element, list)))
 }
@@ -270,7 +301,8 @@ fn skip(bytes: View, encoding: Encoding, element: &Element, at: usize) -> Result
             for row in 0..element.count {
                 scan.skip_whitespace();
                 if !scan.skip_line() {
-                    let what = format!("the file ends where row {row} of `{}` should", element.name);
+                    let what =
+                        format!("the file ends where row {row} of `{}` should", element.name);
                     return Err(scan.fault(scan.at(), what));
                 }
             }
@@ -287,8 +319,8 @@ fn skip(bytes: View, encoding: Encoding, element: &Element, at: usize) -> Result
     }
 }
 
-/// Visits every row of `element` from byte `at` on: its number, its place, and the list that is property
-/// number `list`. Returns where the rows end.
+/// Visits every row of `element` from byte `at` on: its number, its place, and the list that is
+/// property number `list`. Returns where the rows end.
 fn walk(
     bytes: &[u8],
     encoding: Encoding,
@@ -343,7 +375,12 @@ fn next_integer(scan: &mut Scanner, encoding: Encoding, scalar: Scalar) -> Resul
     }
 }
 
-fn pass(scan: &mut Scanner, encoding: Encoding, scalar: Scalar, count: usize) -> Result<(), ReadFault> {
+fn pass(
+    scan: &mut Scanner,
+    encoding: Encoding,
+    scalar: Scalar,
+    count: usize,
+) -> Result<(), ReadFault> {
     match encoding {
         Encoding::Ascii => (0..count).try_for_each(|_| {
             scan.skip_blanks();

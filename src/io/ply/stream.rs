@@ -32,8 +32,9 @@ pub struct StreamedMesh {
 }
 
 impl StreamedMesh {
-    /// A mesh as this library writes it: little-endian, all faces triangles, corners in 32 bits, nothing behind them; `None` for any
-    /// other. The file's bytes are given twice, to read vertices and faces apart.
+    /// A mesh as this library writes it: little-endian, all faces triangles, corners in 32 bits,
+    /// nothing behind them; `None` for any other. The file's bytes are given twice, to read
+    /// vertices and faces apart.
     ///
     /// # Errors
     /// Those of [`read_mesh`](super::read_mesh), as far as the header shows them.
@@ -63,7 +64,11 @@ impl StreamedMesh {
         let others: Vec<usize> = (0..all.len()).filter(|&index| Some(index) != normals).collect();
         let velocity = velocity_attribute(all);
         let info = |&index: &usize| AttributeInfo {
-            name: if Some(index) == velocity { "velocity".to_owned() } else { all[index].name.clone() },
+            name: if Some(index) == velocity {
+                "velocity".to_owned()
+            } else {
+                all[index].name.clone()
+            },
             components: all[index].components,
         };
         let outline = Outline {
@@ -113,8 +118,9 @@ impl MeshSource for StreamedMesh {
             };
             (*count == 3).then(|| [0, 1, 2].map(number))
         };
-        let triangles: Option<Vec<_>> =
-            self.faces.with(bytes.clone(), |bytes| bytes.as_chunks().0.iter().map(corners).collect());
+        let triangles: Option<Vec<_>> = self
+            .faces
+            .with(bytes.clone(), |bytes| bytes.as_chunks().0.iter().map(corners).collect());
         self.faces.check().map_err(unread)?;
         triangles.ok_or_else(|| {
             let what = "faces are no triangles; a mesh of other faces is read as a whole";

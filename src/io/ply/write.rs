@@ -12,20 +12,23 @@ use super::{GROUPS, NORMAL};
 /// Bytes of a face: how many corners, and their numbers.
 const FACE: usize = 1 + 3 * size_of::<u32>();
 
-/// Writes `mesh` in little-endian binary: x, y, z as float or double by `width`; nx, ny, nz, and vx, vy, vz for
-/// an attribute `velocity` of three components; further attributes as `name`, or `name_0`, `name_1`, ...;
-/// and faces as lists of three.
+/// Writes `mesh` in little-endian binary: x, y, z as float or double by `width`; nx, ny, nz, and
+/// vx, vy, vz for an attribute `velocity` of three components; further attributes as `name`, or
+/// `name_0`, `name_1`, ...; and faces as lists of three.
 ///
-/// A name that the format has no room for (white space, or one that is taken) is altered by underscores.
-///
-/// # Errors
-/// Those of `mesh` and `out`.
+/// A name that the format has no room for (white space, or one that is taken) is altered by
+/// underscores.
 ///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+pub fn write_mesh(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+) -> io::Result<()> {
     out.write_all(header(mesh, width).as_bytes())?;
-    let components: Vec<_> = mesh.attributes().iter().map(|attribute| attribute.components).collect();
+    let components: Vec<_> =
+        mesh.attributes().iter().map(|attribute| attribute.components).collect();
     write_vertices(out, mesh, |vertices, out| {
         out.reserve(vertices.positions.len() * 3 * size_of::<f64>());
         for (vertex, position) in vertices.positions.iter().enumerate() {
@@ -41,10 +44,13 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
     })?;
     write_triangles(out, mesh, |triangles, out| {
         let first = out.len();
-        // Each begins with the number of its corners, which is what the rest is filled with until it is known.
+        // Each begins with the number of its corners, which is what the rest is filled with until
+        // it is known.
         out.resize(first + triangles.len() * FACE, 3);
         for (face, corners) in out[first..].as_chunks_mut::<FACE>().0.iter_mut().zip(triangles) {
-            face[1..].copy_from_slice(corners.map(|corner| (corner as u32).to_le_bytes()).as_flattened());
+            face[1..].copy_from_slice(
+                corners.map(|corner| (corner as u32).to_le_bytes()).as_flattened(),
+            );
         }
     })
 }
@@ -58,7 +64,8 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
     let names = property_names(mesh);
     let kinds = std::iter::repeat_n(coordinate, 3).chain(std::iter::repeat("float"));
-    let lines: String = kinds.zip(names).map(|(kind, name)| format!("property {kind} {name}\n")).collect();
+    let lines: String =
+        kinds.zip(names).map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{lines}element face {}\n\
          property list uchar {index} vertex_indices\nend_header\n",
@@ -68,13 +75,17 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
 }
 
 /// Names of the attributes, before the numbers of their components.
-pub(in crate::io) fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
+pub(in crate::io) fn attribute_names(
+    attributes: &[AttributeInfo],
+    has_normals: bool,
+) -> Vec<String> {
     named(attributes, has_normals).into_iter().map(|(name, _)| name).collect()
 }
 
 /// Returns the names of the properties of `vertex`, no two alike.
 fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
-    let properties = named(&mesh.attributes(), mesh.has_normals()).into_iter().flat_map(|(_, names)| names);
+    let properties =
+        named(&mesh.attributes(), mesh.has_normals()).into_iter().flat_map(|(_, names)| names);
     fixed(mesh.has_normals()).into_iter().chain(properties).collect()
 }
 

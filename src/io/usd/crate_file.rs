@@ -1,5 +1,5 @@
-//! The structure of a binary layer ("crate", version 0.8.0): tables of tokens, fields, paths and specs behind the
-//! values, packed into LZ4 blocks of literals alone.
+//! The structure of a binary layer ("crate", version 0.8.0): tables of tokens, fields, paths and
+//! specs behind the values, packed into LZ4 blocks of literals alone.
 
 /// Bytes before the first value.
 pub(super) const HEADER: u64 = 88;
@@ -156,16 +156,20 @@ impl Tail {
         if let Some((_, jump)) = self.paths.last_mut() {
             *jump = -2;
         }
-        let text: Vec<u8> = self.tokens.iter().flat_map(|token| [token.as_bytes(), &[0]].concat()).collect();
+        let text: Vec<u8> =
+            self.tokens.iter().flat_map(|token| [token.as_bytes(), &[0]].concat()).collect();
         let packed_text = packed(&text);
         let count = |count: usize| (count as u64).to_le_bytes().to_vec();
         let tokens =
-            [count(self.tokens.len()), count(text.len()), count(packed_text.len()), packed_text].concat();
-        let values: Vec<u8> = self.fields.iter().flat_map(|(_, value)| value.0.to_le_bytes()).collect();
+            [count(self.tokens.len()), count(text.len()), count(packed_text.len()), packed_text]
+                .concat();
+        let values: Vec<u8> =
+            self.fields.iter().flat_map(|(_, value)| value.0.to_le_bytes()).collect();
         let values = packed(&values);
         let names = integers(self.fields.iter().map(|(name, _)| *name as i32));
         let fields = [count(self.fields.len()), names, count(values.len()), values].concat();
-        let field_sets = [count(self.field_sets.len()), integers(self.field_sets.iter().copied())].concat();
+        let field_sets =
+            [count(self.field_sets.len()), integers(self.field_sets.iter().copied())].concat();
         let numbers = integers(0..self.paths.len() as i32);
         let elements = integers(self.paths.iter().map(|(element, _)| *element));
         let jumps = integers(self.paths.iter().map(|(_, jump)| *jump));

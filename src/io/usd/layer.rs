@@ -13,13 +13,11 @@ use super::{PRIM, Property, properties};
 /// Triangles whose counts of corners are written at once.
 const COUNTS: u64 = 1 << 16;
 
-/// Writes `mesh` as a .usdc layer: points as f32, which is what the schema has; an attribute `velocity` of three
-/// components as `velocities`, others as `primvars` under their name with underscores for what it may not hold.
+/// Writes `mesh` as a .usdc layer: points as f32, which is what the schema has; an attribute
+/// `velocity` of three components as `velocities`, others as `primvars` under their name with
+/// underscores for what it may not hold.
 ///
 /// `up` is stated, and nothing turned. No unit is known here but metres: 1 unit is 1 m.
-///
-/// # Errors
-/// Those of `mesh` and `out`.
 ///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -87,7 +85,13 @@ fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
     arrays
 }
 
-fn tail(properties: &[Property], arrays: &[Array], offsets: &[u64], at: u64, up: UpAxis) -> (Vec<u8>, u64) {
+fn tail(
+    properties: &[Property],
+    arrays: &[Array],
+    offsets: &[u64],
+    at: u64,
+    up: UpAxis,
+) -> (Vec<u8>, u64) {
     let mut tail = Tail::new(at);
     let children = tail.tokens(&[PRIM]);
     let prim = tail.token(PRIM);
@@ -99,12 +103,16 @@ fn tail(properties: &[Property], arrays: &[Array], offsets: &[u64], at: u64, up:
         ("primChildren", children),
     ]);
     const SCHEME: &str = "subdivisionScheme";
-    let names: Vec<_> = [SCHEME].into_iter().chain(properties.iter().map(|p| p.name.as_str())).collect();
+    let names: Vec<_> =
+        [SCHEME].into_iter().chain(properties.iter().map(|p| p.name.as_str())).collect();
     let names = tail.tokens(&names);
     let mesh = tail.token("Mesh");
     tail.prim(PRIM, &[("specifier", Value::def()), ("typeName", mesh), ("properties", names)]);
     let (token, none) = (tail.token("token"), tail.token("none"));
-    tail.property(SCHEME, &[("typeName", token), ("variability", Value::uniform()), ("default", none)]);
+    tail.property(
+        SCHEME,
+        &[("typeName", token), ("variability", Value::uniform()), ("default", none)],
+    );
     for ((property, array), &offset) in properties.iter().zip(arrays).zip(offsets) {
         let value = Value::array(array.kind, offset, array.length);
         let mut fields = vec![("typeName", tail.token(property.kind)), ("default", value)];
@@ -153,19 +161,31 @@ impl Array {
                     all[1][axis] = all[1][axis].max(own[1][axis]);
                 }
             }),
-            Values::CornerCounts => write_pieces(out, self.length.div_ceil(COUNTS) as usize, |piece, out| {
-                let count = COUNTS.min(self.length - piece as u64 * COUNTS);
-                out.extend(3i32.to_le_bytes().repeat(count as usize));
-                Ok(())
-            }),
+            Values::CornerCounts => {
+                write_pieces(out, self.length.div_ceil(COUNTS) as usize, |piece, out| {
+                    let count = COUNTS.min(self.length - piece as u64 * COUNTS);
+                    out.extend(3i32.to_le_bytes().repeat(count as usize));
+                    Ok(())
+                })
+            }
             Values::Corners => write_triangles(out, mesh, |triangles, out| {
-                triangles.as_flattened().iter().for_each(|&corner| out.extend((corner as i32).to_le_bytes()));
+                triangles
+                    .as_flattened()
+                    .iter()
+                    .for_each(|&corner| out.extend((corner as i32).to_le_bytes()));
             }),
             Values::Extent => out.write_all(
-                extent().as_flattened().iter().map(|x| x.to_le_bytes()).collect::<Vec<_>>().as_flattened(),
+                extent()
+                    .as_flattened()
+                    .iter()
+                    .map(|x| x.to_le_bytes())
+                    .collect::<Vec<_>>()
+                    .as_flattened(),
             ),
             Values::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
-            Values::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
+            Values::Attribute(index) => {
+                write_floats(out, mesh, |vertices| &vertices.attributes[index])
+            }
         }
     }
 }

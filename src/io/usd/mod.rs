@@ -1,8 +1,10 @@
-//! Universal Scene Description: a mesh as a binary layer, and a stage that plays many as one animated mesh.
+//! Universal Scene Description: a mesh as a binary layer, and a stage that plays many as one
+//! animated mesh.
 //!
-//! A layer holds one frame on the prim `/fluid`: its values once, as defaults for programs that open it alone, and as
-//! samples at time 0, which is what value clips look for. A stage shifts each layer to its own time, so a layer
-//! depends on nothing but its mesh. Velocities are in units of length per second.
+//! A layer holds one frame on the prim `/fluid`: its values once, as defaults for programs that
+//! open it alone, and as samples at time 0, which is what value clips look for. A stage shifts each
+//! layer to its own time, so a layer depends on nothing but its mesh. Velocities are in units of
+//! length per second.
 
 mod crate_file;
 mod layer;
@@ -28,8 +30,12 @@ struct Property {
 
 /// All of a mesh with these normals and attributes, in the order that a layer has them.
 fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> {
-    let plain =
-        |name: &str, kind| Property { name: name.into(), kind, interpolation: None, element_size: None };
+    let plain = |name: &str, kind| Property {
+        name: name.into(),
+        kind,
+        interpolation: None,
+        element_size: None,
+    };
     let mut all = vec![
         plain("points", "point3f[]"),
         plain("faceVertexCounts", "int[]"),

@@ -7,16 +7,21 @@ use crate::particles::AttributeInfo;
 
 use super::{PRIM, properties};
 
-/// The stage's text: `clips` are layers, each with the time code that it starts at, in order; a layer is shown from
-/// its time to the next one's.
+/// The stage's text: `clips` are layers, each with the time code that it starts at, in order; a
+/// layer is shown from its time to the next one's.
 ///
 /// Paths are relative to the stage.
-#[must_use]
-pub fn stage(clips: &[(f64, String)], manifest: &Manifest, codes_per_second: f64, up: UpAxis) -> String {
+pub fn stage(
+    clips: &[(f64, String)],
+    manifest: &Manifest,
+    codes_per_second: f64,
+    up: UpAxis,
+) -> String {
     let list = |items: Vec<String>| items.join(", ");
     let layers = list(clips.iter().map(|(_, layer)| asset(layer)).collect());
-    let active =
-        list(clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect());
+    let active = list(
+        clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect(),
+    );
     // Each layer's time 0 is its own time of the stage; a time that is named twice is a jump.
     let ends = clips.iter().skip(1).map(|(time, _)| Some(*time)).chain([None]);
     let times = clips.iter().zip(ends).flat_map(|((time, _), end)| {
@@ -54,22 +59,26 @@ pub struct Manifest {
 
 impl Manifest {
     /// The file's text.
-    #[must_use]
     pub fn text(&self) -> String {
         let declared = self.declarations();
-        format!("#usda 1.0\n(\n    defaultPrim = \"{PRIM}\"\n)\n\nover \"{PRIM}\"\n{{\n{declared}}}\n")
+        format!(
+            "#usda 1.0\n(\n    defaultPrim = \"{PRIM}\"\n)\n\nover \"{PRIM}\"\n{{\n{declared}}}\n"
+        )
     }
 
-    /// The stage's prim needs them too: a clip gives values to what is declared, and declares nothing.
+    /// The stage's prim needs them too: a clip gives values to what is declared, and declares
+    /// nothing.
     fn declarations(&self) -> String {
         let mut text = String::new();
         for property in properties(self.normals, &self.attributes) {
             let mut details = Vec::new();
             details.extend(property.interpolation.map(|how| format!("interpolation = \"{how}\"")));
             details.extend(property.element_size.map(|size| format!("elementSize = {size}")));
-            let details: String = details.iter().map(|detail| format!("        {detail}\n")).collect();
+            let details: String =
+                details.iter().map(|detail| format!("        {detail}\n")).collect();
             let details = if details.is_empty() { details } else { format!(" (\n{details}    )") };
-            writeln!(text, "    {} {}{details}", property.kind, property.name).expect("memory takes all");
+            writeln!(text, "    {} {}{details}", property.kind, property.name)
+                .expect("memory takes all");
         }
         text
     }
@@ -77,5 +86,9 @@ impl Manifest {
 
 fn asset(path: &str) -> String {
     let path = if path.starts_with('/') { path.to_owned() } else { format!("./{path}") };
-    if path.contains('@') { format!("@@@{}@@@", path.replace("@@@", "\\@@@")) } else { format!("@{path}@") }
+    if path.contains('@') {
+        format!("@@@{}@@@", path.replace("@@@", "\\@@@"))
+    } else {
+        format!("@{path}@")
+    }
 }

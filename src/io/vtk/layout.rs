@@ -7,7 +7,8 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
 
-/// An array without tuples is kept up to a tensor's components: no byte of the file vouches for more.
+/// An array without tuples is kept up to a tensor's components: no byte of the file vouches for
+/// more.
 const MOST_OF_NOTHING: usize = 9;
 
 /// Names of the field that is the file's time: for VTK's readers, and from its newer writers.
@@ -99,7 +100,6 @@ struct Walk<'a> {
 }
 
 /// Whether the arrays are text, by the lines before all sections.
-#[must_use]
 pub fn is_text(bytes: View) -> bool {
     Walk::start(bytes).is_ok_and(|walk| walk.ascii)
 }
@@ -119,9 +119,13 @@ impl<'a> Walk<'a> {
         let mut lines = Lines::new(bytes, 0);
         let first = lines.line()?.unwrap_or_default();
         let version = first.strip_prefix("# vtk DataFile Version ");
-        let major = version.and_then(|version| version.trim().split('.').next()?.parse::<u32>().ok());
+        let major =
+            version.and_then(|version| version.trim().split('.').next()?.parse::<u32>().ok());
         let major = major.ok_or_else(|| {
-            lines.fault(0, "a legacy .vtk file starts with `# vtk DataFile Version` and a number".into())
+            lines.fault(
+                0,
+                "a legacy .vtk file starts with `# vtk DataFile Version` and a number".into(),
+            )
         })?;
         lines.skip_line()?;
         let line_at = lines.at();
@@ -157,7 +161,8 @@ impl<'a> Walk<'a> {
         self.lines.line()
     }
 
-    /// Returns the next line that has words, past any `METADATA`; an error if the file ends before `what`.
+    /// Returns the next line that has words, past any `METADATA`; an error if the file ends before
+    /// `what`.
     fn line_of(&mut self, what: &str) -> Result<String, ReadFault> {
         loop {
             match self.next_line()? {
@@ -169,7 +174,11 @@ impl<'a> Walk<'a> {
     }
 
     fn fault(&self, what: String) -> ReadFault {
-        if self.ascii { self.lines.fault(self.line_at, what) } else { malformed(self.line_at, what) }
+        if self.ascii {
+            self.lines.fault(self.line_at, what)
+        } else {
+            malformed(self.line_at, what)
+        }
     }
 
     fn section(&mut self, words: &[&str]) -> Result<(), ReadFault> {
@@ -210,8 +219,14 @@ impl<'a> Walk<'a> {
                 let components = rest.first().map_or(Ok(1), |count| self.count(count))?;
                 let at = self.line_at;
                 let table = self.line_of("LOOKUP_TABLE")?;
-                if !table.split_ascii_whitespace().next().is_some_and(|word| is(word, "LOOKUP_TABLE")) {
-                    return Err(self.fault(format!("SCALARS {name} (byte {at}) need a LOOKUP_TABLE")));
+                if !table
+                    .split_ascii_whitespace()
+                    .next()
+                    .is_some_and(|word| is(word, "LOOKUP_TABLE"))
+                {
+                    return Err(
+                        self.fault(format!("SCALARS {name} (byte {at}) need a LOOKUP_TABLE"))
+                    );
                 }
                 self.attribute(name, components, kind)?;
             }
@@ -255,7 +270,10 @@ impl<'a> Walk<'a> {
         let cells: usize = typed.map(|cells| cells.corners.cells()).sum();
         let types = self.cell_types.as_ref().map_or(0, |types| types.tuples);
         if cells != types {
-            return Err(malformed(end, format!("the file has {cells} CELLS, but {types} CELL_TYPES")));
+            return Err(malformed(
+                end,
+                format!("the file has {cells} CELLS, but {types} CELL_TYPES"),
+            ));
         }
         Ok(Layout {
             ascii: self.ascii,
@@ -293,9 +311,14 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Passes an array that the attribute section in hand has one tuple of for each of its points or cells.
-    /// Returns its number, if it is one of the points' attributes.
-    fn attribute(&mut self, name: &str, components: usize, kind: &str) -> Result<Option<usize>, ReadFault> {
+    /// Passes an array that the attribute section in hand has one tuple of for each of its points
+    /// or cells. Returns its number, if it is one of the points' attributes.
+    fn attribute(
+        &mut self,
+        name: &str,
+        components: usize,
+        kind: &str,
+    ) -> Result<Option<usize>, ReadFault> {
         let tuples = self.tuples()?;
         let array = self.array(&decoded(name), tuples, components, kind)?;
         Ok(self.keep(array))
@@ -322,7 +345,9 @@ impl<'a> Walk<'a> {
                     }
                 }
             }
-            _ => Err(self.fault("expected an array of FIELD: name, components, tuples, type".into())),
+            _ => {
+                Err(self.fault("expected an array of FIELD: name, components, tuples, type".into()))
+            }
         }
     }
 
@@ -333,7 +358,8 @@ impl<'a> Walk<'a> {
             return None;
         }
         let most = if array.tuples > 0 { usize::MAX } else { MOST_OF_NOTHING };
-        let kept = matches!(self.owner, Some(Owner::Points(_))) && (1..=most).contains(&array.components);
+        let kept =
+            matches!(self.owner, Some(Owner::Points(_))) && (1..=most).contains(&array.components);
         kept.then(|| {
             self.attributes.push(array);
             self.attributes.len() - 1
@@ -349,7 +375,10 @@ impl<'a> Walk<'a> {
     fn corners(&mut self, count: &str, size: &str) -> Result<Corners, ReadFault> {
         let (count, size) = (self.count(count)?, self.count(size)?);
         if !self.offsets {
-            return Ok(Corners::Counted { cells: count, stream: self.numbers("cells", size, 1, "int")? });
+            return Ok(Corners::Counted {
+                cells: count,
+                stream: self.numbers("cells", size, 1, "int")?,
+            });
         }
         let offsets = self.cell_array("OFFSETS", count)?;
         let connectivity = self.cell_array("CONNECTIVITY", size)?;
@@ -376,7 +405,8 @@ impl<'a> Walk<'a> {
         array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
     }
 
-    /// Passes the array that starts here, or nothing of it is there; returns it if it is of numbers.
+    /// Passes the array that starts here, or nothing of it is there; returns it if it is of
+    /// numbers.
     fn array(
         &mut self,
         name: &str,
@@ -390,18 +420,23 @@ impl<'a> Walk<'a> {
             "bit" if self.ascii => None,
             "bit" => return self.lines.skip(values.div_ceil(8), name).map(|()| None),
             "string" => return self.strings(values, name).map(|()| None),
-            kind => Some(scalar_named(kind).ok_or_else(|| self.fault(format!("{name} of type {kind:?}")))?),
+            kind => Some(
+                scalar_named(kind).ok_or_else(|| self.fault(format!("{name} of type {kind:?}")))?,
+            ),
         };
         let at = self.lines.at();
         match scalar {
-            Some(scalar) if !self.ascii => self.lines.skip(values.saturating_mul(scalar.size()), name)?,
+            Some(scalar) if !self.ascii => {
+                self.lines.skip(values.saturating_mul(scalar.size()), name)?
+            }
             _ => {
                 let mut scan = Scanner::releasing(self.bytes.kept()?, at);
                 scan.expect_numbers(values, name)?;
                 for index in 0..values {
                     scan.skip_whitespace();
                     if scan.word().is_empty() {
-                        let what = format!("the file ends where value {index} of {name} should follow");
+                        let what =
+                            format!("the file ends where value {index} of {name} should follow");
                         return Err(scan.fault(scan.at(), what));
                     }
                 }
@@ -409,7 +444,14 @@ impl<'a> Walk<'a> {
             }
         }
         let end = self.lines.at();
-        Ok(scalar.map(|scalar| Array { name: name.to_owned(), at, end, tuples, components, scalar }))
+        Ok(scalar.map(|scalar| Array {
+            name: name.to_owned(),
+            at,
+            end,
+            tuples,
+            components,
+            scalar,
+        }))
     }
 
     /// Passes strings: lines of text, or bytes behind a length whose first two bits tell its own.
@@ -424,14 +466,16 @@ impl<'a> Walk<'a> {
             let ahead = self.lines.ahead(size_of::<u64>())?;
             let wide = ahead.first().map_or(1, |first| 8 >> (first >> 6));
             self.lines.skip(wide, name)?;
-            let length = ahead[..wide].iter().fold(0, |length, &byte| length << 8 | u64::from(byte));
+            let length =
+                ahead[..wide].iter().fold(0, |length, &byte| length << 8 | u64::from(byte));
             let length = length & (u64::MAX >> (64 - 8 * wide + 2));
             self.lines.skip(usize::try_from(length).unwrap_or(usize::MAX), name)?;
         }
         Ok(())
     }
 
-    /// Passes the lines up to an empty one; the names of components, a line each, may be empty themselves.
+    /// Passes the lines up to an empty one; the names of components, a line each, may be empty
+    /// themselves.
     fn metadata(&mut self) -> Result<(), ReadFault> {
         loop {
             match self.lines.line()?.as_deref().map(str::trim) {

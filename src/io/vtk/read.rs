@@ -1,4 +1,5 @@
-//! Reading legacy .vtk files: the points and their attributes where they lie, the cells as triangles.
+//! Reading legacy .vtk files: the points and their attributes where they lie, the cells as
+//! triangles.
 
 use std::ops::Range;
 
@@ -21,7 +22,8 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = Layout::parse(bytes.view())?;
-    let sum = |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
+    let sum =
+        |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
     let faces = faces(bytes.view(), &layout).try_fold(0, sum)?;
     if faces > 0 {
         return Err(ReadFault::Mesh { faces });
@@ -29,17 +31,19 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(bytes, &layout, unpacking)
 }
 
-/// Reads the points as particles, whatever cells are made of them: binary arrays stay where they are, text becomes columns of f64.
+/// Reads the points as particles, whatever cells are made of them: binary arrays stay where they
+/// are, text becomes columns of f64.
 ///
-/// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program knows. Strings,
-/// bits, colours, and what cells carry are passed over, but for flags of vertices that are copies, or hidden: points that have no other
-/// ones are left out. The file's own `TIME` or `TimeValue` is the time.
+/// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program
+/// knows. Strings, bits, colours, and what cells carry are passed over, but for flags of vertices
+/// that are copies, or hidden: points that have no other ones are left out. The file's own `TIME`
+/// or `TimeValue` is the time.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`] (in a text
-/// file [`ReadFault::Line`]) for what is no section, or sections that disagree, and [`ReadFault::Unsupported`]
-/// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`; [`ReadFault::Scratch`] where text is decoded into a
-/// scratch file that fails.
+/// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`]
+/// (in a text file [`ReadFault::Line`]) for what is no section, or sections that disagree, and
+/// [`ReadFault::Unsupported`] for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`;
+/// [`ReadFault::Scratch`] where text is decoded into a scratch file that fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = Layout::parse(bytes.view())?;
@@ -53,7 +57,8 @@ pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<B
 
 fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
-    let time = layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
+    let time =
+        layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
     let left = not_ghosts(bytes.view(), layout)?;
     let vertices = vertices(bytes.view(), layout, unpacking)?;
     let time = time.flatten().filter(|time| time.is_finite());
@@ -61,9 +66,6 @@ fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<Particl
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
-///
-/// # Errors
-/// As [`read_points`].
 pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     for found in faces(bytes, &Layout::parse(bytes)?) {
         if found? > 0 {
@@ -74,7 +76,10 @@ pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
 }
 
 /// The numbers of cells that have an area or a volume, of which the sum is theirs.
-fn faces<'a>(bytes: View<'a>, layout: &'a Layout) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
+fn faces<'a>(
+    bytes: View<'a>,
+    layout: &'a Layout,
+) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
     let untyped = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
     let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
     let of = |kind: Result<i64, ReadFault>| Ok::<_, ReadFault>(u64::from(!is_thin(kind?)));
@@ -93,12 +98,12 @@ fn faces<'a>(bytes: View<'a>, layout: &'a Layout) -> impl Iterator<Item = Result
     untyped.chain(typed)
 }
 
-/// Reads points, and polygons, triangle strips, and cells of those types as triangles; polygons of more than
-/// three corners are fanned from their first. Vertices and lines are ignored.
+/// Reads points, and polygons, triangle strips, and cells of those types as triangles; polygons of
+/// more than three corners are fanned from their first. Vertices and lines are ignored.
 ///
 /// # Errors
-/// As [`read_points`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not there, and
-/// [`ReadFault::Unsupported`] for cells with a volume.
+/// As [`read_points`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not
+/// there, and [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = View::from(bytes);
     let layout = Layout::parse(view)?;
@@ -145,14 +150,21 @@ fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertic
         }
         let offset = decoded.len() as usize;
         decode_numbers(bytes.kept()?, array.at..array.end, &mut decoded)?;
-        Ok(columns(offset, components * Scalar::F64.size(), components, Scalar::F64, Endian::Little))
+        Ok(columns(
+            offset,
+            components * Scalar::F64.size(),
+            components,
+            Scalar::F64,
+            Endian::Little,
+        ))
     };
     let position = place(&layout.points)?;
     let attribute = |array: &Array| {
         let info = AttributeInfo { name: array.name.clone(), components: array.components };
         Ok((info, place(array)?))
     };
-    let attributes = layout.attributes.iter().map(attribute).collect::<Result<Vec<_>, ReadFault>>()?;
+    let attributes =
+        layout.attributes.iter().map(attribute).collect::<Result<Vec<_>, ReadFault>>()?;
     Ok(Vertices {
         decoded: layout.ascii.then(|| decoded.finish()).transpose()?,
         count: layout.points.tuples,
@@ -194,8 +206,9 @@ fn visit(
     };
     let mut values = integers(bytes, ascii, stream);
     let mut next = |cell| {
-        let short =
-            || Err(malformed(stream.at, format!("cell {cell} of {count} ends beyond {}", stream.name)));
+        let short = || {
+            Err(malformed(stream.at, format!("cell {cell} of {count} ends beyond {}", stream.name)))
+        };
         values.next().unwrap_or_else(short)
     };
     let mut corners = Vec::new();
@@ -209,8 +222,8 @@ fn visit(
             }
         };
         let length = length.filter(|length| *length >= 0);
-        let length =
-            length.ok_or_else(|| malformed(stream.at, format!("cell {cell} has less than no corner")))?;
+        let length = length
+            .ok_or_else(|| malformed(stream.at, format!("cell {cell} has less than no corner")))?;
         corners.clear();
         for _ in 0..length {
             corners.push(next(cell)?);
@@ -221,15 +234,19 @@ fn visit(
 }
 
 /// Ranges of the points that are not left out for their cells; `None` where all are to stay.
-pub(super) fn not_ghosts(bytes: View, layout: &Layout) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+pub(super) fn not_ghosts(
+    bytes: View,
+    layout: &Layout,
+) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let corners = match (&layout.vertices, &*layout.cells, layout.has_others) {
         _ if layout.flags.is_empty() => return Ok(None),
         (Some(vertices), [], false) => vertices,
         (None, [Cells { kind: CellKind::Typed, corners }], false) => corners,
         _ => return Ok(None),
     };
-    let each =
-        |array: &Array, take: &mut dyn FnMut(usize, i64)| each_integer(bytes, layout.ascii, array, take);
+    let each = |array: &Array, take: &mut dyn FnMut(usize, i64)| {
+        each_integer(bytes, layout.ascii, array, take)
+    };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
         // Every other number is a count of points.

@@ -8,16 +8,17 @@ use crate::io::names::told_apart;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
-/// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS, and under
-/// POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as VECTORS, and all others
-/// as FIELD, as programs show but the first of several SCALARS.
-///
-/// # Errors
-/// Those of `mesh` and `out`.
+/// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS,
+/// and under POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as
+/// VECTORS, and all others as FIELD, as programs show but the first of several SCALARS.
 ///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+pub fn write_mesh(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+) -> io::Result<()> {
     write_points(out, mesh, width)?;
     write_polygons(out, mesh)?;
     let attributes = mesh.attributes();
@@ -39,7 +40,9 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
         writeln!(out, "FIELD FieldData {others}")?;
     }
     let names = attribute_names(&attributes, mesh.has_normals());
-    for (index, (name, AttributeInfo { components, .. })) in names.iter().zip(&attributes).enumerate() {
+    for (index, (name, AttributeInfo { components, .. })) in
+        names.iter().zip(&attributes).enumerate()
+    {
         if Some(index) != velocity {
             writeln!(out, "{} {components} {} float", encoded(name), mesh.vertex_count())?;
             write_floats(out, mesh, |vertices| &vertices.attributes[index])?;
@@ -48,7 +51,11 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
     Ok(())
 }
 
-fn write_points(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+fn write_points(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+) -> io::Result<()> {
     let scalar = match width {
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
@@ -58,7 +65,9 @@ fn write_points(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWid
     write_vertices(out, mesh, |vertices, out| {
         for position in &*vertices.positions {
             match width {
-                CoordinateWidth::F32 => out.extend(position.map(|c| (c as f32).to_be_bytes()).as_flattened()),
+                CoordinateWidth::F32 => {
+                    out.extend(position.map(|c| (c as f32).to_be_bytes()).as_flattened())
+                }
                 CoordinateWidth::F64 => out.extend(position.map(f64::to_be_bytes).as_flattened()),
             }
         }
@@ -95,7 +104,10 @@ fn write_floats(
 }
 
 /// Names of the attributes, beside that of normals.
-pub(in crate::io) fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
+pub(in crate::io) fn attribute_names(
+    attributes: &[AttributeInfo],
+    has_normals: bool,
+) -> Vec<String> {
     let taken: &[&str] = if has_normals { &["Normals"] } else { &[] };
     told_apart(attributes.iter().map(|info| &*info.name), taken, str::to_owned)
 }
@@ -104,5 +116,7 @@ pub(in crate::io) fn attribute_names(attributes: &[AttributeInfo], has_normals: 
 fn encoded(name: &str) -> String {
     let name = if name.is_empty() { "_" } else { name };
     let plain = |byte: &u8| byte.is_ascii_graphic() && !matches!(byte, b'%' | b'"');
-    name.bytes().map(|b| if plain(&b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
+    name.bytes()
+        .map(|b| if plain(&b) { char::from(b).to_string() } else { format!("%{b:02X}") })
+        .collect()
 }

@@ -1,10 +1,13 @@
-//! The arrays of a mesh as VTK's formats have them: points, their attributes, and triangles as corners and ends.
+//! The arrays of a mesh as VTK's formats have them: points, their attributes, and triangles as
+//! corners and ends.
 
 use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::columns::Scalar;
-use crate::io::encode::{put_position, write_floats, write_pieces, write_triangles, write_vertices};
+use crate::io::encode::{
+    put_position, write_floats, write_pieces, write_triangles, write_vertices,
+};
 use crate::io::names::told_apart;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
@@ -65,8 +68,8 @@ pub(in crate::io) fn point_data(
     let infos = mesh.attributes();
     let names = attribute_names(&infos, mesh.has_normals(), spelled);
     let attributes = names.into_iter().zip(&infos).enumerate();
-    let attributes =
-        attributes.map(|(index, (name, info))| array(name, info.components, Numbers::Attribute(index)));
+    let attributes = attributes
+        .map(|(index, (name, info))| array(name, info.components, Numbers::Attribute(index)));
     normals.into_iter().chain(attributes).collect()
 }
 
@@ -80,7 +83,12 @@ pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Ar
 pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     let triangles = mesh.triangle_count();
     let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));
-    let array = |name: &str, length, numbers| Array { name: name.to_owned(), components: 1, length, numbers };
+    let array = |name: &str, length, numbers| Array {
+        name: name.to_owned(),
+        components: 1,
+        length,
+        numbers,
+    };
     [
         array("connectivity", 3 * triangles, Numbers::Corners(width)),
         array("offsets", triangles, Numbers::Ends(width)),
@@ -102,9 +110,9 @@ impl Array<'_> {
             }
             Numbers::Positions(CoordinateWidth::F64) => Scalar::F64,
             Numbers::Corners(IndexWidth::I32) | Numbers::Ends(IndexWidth::I32) => Scalar::I32,
-            Numbers::Corners(IndexWidth::I64) | Numbers::Ends(IndexWidth::I64) | Numbers::Identifiers(_) => {
-                Scalar::I64
-            }
+            Numbers::Corners(IndexWidth::I64)
+            | Numbers::Ends(IndexWidth::I64)
+            | Numbers::Identifiers(_) => Scalar::I64,
         }
     }
 
@@ -116,19 +124,23 @@ impl Array<'_> {
     pub fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
         match self.numbers {
             Numbers::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
-            Numbers::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
+            Numbers::Attribute(index) => {
+                write_floats(out, mesh, |vertices| &vertices.attributes[index])
+            }
             Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
                 vertices.positions.iter().for_each(|&position| put_position(out, position, width));
             }),
             Numbers::Corners(width) => write_triangles(out, mesh, |triangles, out| {
                 triangles.as_flattened().iter().for_each(|&corner| width.put(out, corner));
             }),
-            Numbers::Ends(width) => write_pieces(out, self.length.div_ceil(ENDS) as usize, |piece, out| {
-                let first = piece as u64 * ENDS;
-                let ends = first + 1..=(first + ENDS).min(self.length);
-                ends.for_each(|triangles| width.put(out, 3 * triangles));
-                Ok(())
-            }),
+            Numbers::Ends(width) => {
+                write_pieces(out, self.length.div_ceil(ENDS) as usize, |piece, out| {
+                    let first = piece as u64 * ENDS;
+                    let ends = first + 1..=(first + ENDS).min(self.length);
+                    ends.for_each(|triangles| width.put(out, 3 * triangles));
+                    Ok(())
+                })
+            }
             Numbers::Identifiers(numbers) => {
                 let all: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
                 out.write_all(&all)
@@ -156,7 +168,8 @@ mod tests {
 
     #[test]
     fn indices_are_as_wide_as_the_greatest_one_needs() {
-        for (greatest, width, bytes) in [(0x7fff_ffff, IndexWidth::I32, 4), (0x8000_0000, IndexWidth::I64, 8)]
+        for (greatest, width, bytes) in
+            [(0x7fff_ffff, IndexWidth::I32, 4), (0x8000_0000, IndexWidth::I64, 8)]
         {
             assert_eq!(IndexWidth::that_holds(greatest), width);
             let mut out = Vec::new();

@@ -1,7 +1,9 @@
-//! The arrays' data: text, or a header of lengths and numbers, which may be in base64, compressed, or both.
+//! The arrays' data: text, or a header of lengths and numbers, which may be in base64, compressed,
+//! or both.
 //!
-//! Plain data follow their length in bytes. Compressed data follow the number of their blocks, a block's size, the
-//! size of a last block that is smaller (0 if none is) and each block's compressed size.
+//! Plain data follow their length in bytes. Compressed data follow the number of their blocks, a
+//! block's size, the size of a last block that is smaller (0 if none is) and each block's
+//! compressed size.
 
 use std::io::{self, Read};
 
@@ -28,7 +30,8 @@ pub(super) struct Decoder<'a> {
     layout: &'a Layout<'a>,
     /// The decoded data of arrays that cannot be read where they lie.
     unpacked: Unpacked<'a>,
-    /// Bytes that may yet be decoded: arrays can name the same data, and a small file ask for much memory.
+    /// Bytes that may yet be decoded: arrays can name the same data, and a small file ask for much
+    /// memory.
     allowance: u64,
 }
 
@@ -40,7 +43,8 @@ impl<'a> Decoder<'a> {
 
     /// Whether all that points have can be read where it lies.
     pub fn all_in_place(layout: &Layout) -> bool {
-        let of_points = |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
+        let of_points =
+            |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
         let is_raw = |array: &Array| matches!(array.data, Data::Raw(_));
         layout.packing == Packing::Plain && layout.arrays.iter().filter(of_points).all(is_raw)
     }
@@ -124,7 +128,11 @@ impl<'a> Decoder<'a> {
     }
 
     /// Passes the numbers of an array of integers on one by one, each with its place among them.
-    pub fn each_integer(&mut self, array: &Array, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
+    pub fn each_integer(
+        &mut self,
+        array: &Array,
+        mut take: impl FnMut(usize, i64),
+    ) -> Result<(), ReadFault> {
         let mut count = 0;
         let mut next = |number: i64| {
             take(count, number);
@@ -205,12 +213,22 @@ struct Stored<'a> {
 }
 
 impl Stored<'_> {
-    /// Passes the numbers' bytes on in pieces, if they are as many as `expected` and the `allowance` bears them.
-    fn read(&self, expected: Option<u64>, allowance: &mut u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
+    /// Passes the numbers' bytes on in pieces, if they are as many as `expected` and the
+    /// `allowance` bears them.
+    fn read(
+        &self,
+        expected: Option<u64>,
+        allowance: &mut u64,
+        take: &mut Take<'_>,
+    ) -> Result<(), ReadFault> {
         let mut stream: Box<dyn Read> = match self.array.data {
             Data::Base64(ref text) => {
-                let text =
-                    Ahead { bytes: self.layout.text(), at: text.start, end: text.end, held: text.start };
+                let text = Ahead {
+                    bytes: self.layout.text(),
+                    at: text.start,
+                    end: text.end,
+                    held: text.start,
+                };
                 Box::new(Base64 { text, plain: Vec::new(), given: 0 })
             }
             _ => Box::new(Passing::new(self.layout.bytes, self.array.place())),
@@ -243,7 +261,8 @@ impl Stored<'_> {
                 let last = self.number(&mut stream)?;
                 let full = if last == 0 { Some(count) } else { count.checked_sub(1) };
                 let full = full.ok_or_else(|| {
-                    let what = format!("array {} has a last block, and none in all", self.array.name);
+                    let what =
+                        format!("array {} has a last block, and none in all", self.array.name);
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
@@ -263,15 +282,25 @@ impl Stored<'_> {
     }
 
     /// One block, which must hold `length` bytes.
-    fn unpack(&self, packed: &mut dyn Read, length: u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
-        let damaged = |what: String| ReadFault::Compression(format!("array {}: {what}", self.array.name));
+    fn unpack(
+        &self,
+        packed: &mut dyn Read,
+        length: u64,
+        take: &mut Take<'_>,
+    ) -> Result<(), ReadFault> {
+        let damaged =
+            |what: String| ReadFault::Compression(format!("array {}: {what}", self.array.name));
         let mut plain = ZlibDecoder::new(packed);
         let mut chunk = Vec::new();
         let mut left = length;
         loop {
             chunk.clear();
             let most = left.min(CHUNK as u64) + 1;
-            plain.by_ref().take(most).read_to_end(&mut chunk).map_err(|e| damaged(e.to_string()))?;
+            plain
+                .by_ref()
+                .take(most)
+                .read_to_end(&mut chunk)
+                .map_err(|e| damaged(e.to_string()))?;
             let Some(rest) = left.checked_sub(chunk.len() as u64) else {
                 return Err(damaged(format!("a block of more than {length} bytes")));
             };
@@ -284,7 +313,12 @@ impl Stored<'_> {
         if left > 0 { Err(damaged(format!("a block of less than {length} bytes"))) } else { Ok(()) }
     }
 
-    fn pass_on(&self, stream: &mut dyn Read, length: u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
+    fn pass_on(
+        &self,
+        stream: &mut dyn Read,
+        length: u64,
+        take: &mut Take<'_>,
+    ) -> Result<(), ReadFault> {
         let mut chunk = vec![0; length.min(CHUNK as u64) as usize];
         let mut left = length;
         while left > 0 {
@@ -323,7 +357,9 @@ impl Stored<'_> {
         let have = bytes.len() as u64;
         let what = || format!("array {}", self.array.name);
         let truncated = |needed| ReadFault::Truncated { what: what(), needed, have };
-        let Data::Raw(at) = self.array.data else { return Err(malformed(self.array.place(), what())) };
+        let Data::Raw(at) = self.array.data else {
+            return Err(malformed(self.array.place(), what()));
+        };
         let start = at.saturating_add(header.size() as u64);
         if start > have {
             return Err(truncated(start));
@@ -357,8 +393,8 @@ impl<'a> Ahead<'a> {
     }
 }
 
-/// Decodes base64 with white space anywhere. Padding may end any group of four: a header that was encoded on its
-/// own has one before the data.
+/// Decodes base64 with white space anywhere. Padding may end any group of four: a header that was
+/// encoded on its own has one before the data.
 struct Base64<'a> {
     text: Ahead<'a>,
     plain: Vec<u8>,
@@ -386,7 +422,8 @@ impl Base64<'_> {
         };
         self.plain.clear();
         self.given = 0;
-        let damaged = |e: base64::DecodeError| io::Error::new(io::ErrorKind::InvalidData, e.to_string());
+        let damaged =
+            |e: base64::DecodeError| io::Error::new(io::ErrorKind::InvalidData, e.to_string());
         BASE64_STANDARD.decode_vec(codes, &mut self.plain).map_err(damaged)?;
         self.text.pass(passed);
         Ok(())

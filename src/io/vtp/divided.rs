@@ -1,7 +1,8 @@
-//! Writing a mesh as a .pvtp: a list of pieces, each a .vtp of so many triangles and the vertices that these name.
+//! Writing a mesh as a .pvtp: a list of pieces, each a .vtp of so many triangles and the vertices
+//! that these name.
 //!
-//! Vertices that several pieces name are in each of them. Their numbers in the whole mesh, an array of global identifiers,
-//! say which are the same.
+//! Vertices that several pieces name are in each of them. Their numbers in the whole mesh, an array
+//! of global identifiers, say which are the same.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -32,7 +33,8 @@ impl<'a> Divided<'a> {
     /// Divides `mesh` into pieces of no more than `most` triangles.
     pub fn new(mesh: &'a dyn MeshSource, width: CoordinateWidth, most: u64) -> io::Result<Self> {
         let counts = |piece: usize| -> io::Result<[u64; 2]> {
-            let (vertices, triangles) = (mesh.vertices(piece)?.positions.len(), mesh.triangles(piece)?.len());
+            let (vertices, triangles) =
+                (mesh.vertices(piece)?.positions.len(), mesh.triangles(piece)?.len());
             Ok([vertices as u64, triangles as u64])
         };
         let counts: Vec<[u64; 2]> =
@@ -47,7 +49,11 @@ impl<'a> Divided<'a> {
         };
         let [vertices, triangles] = [0, 1].map(starts);
         assert_eq!(vertices.last(), Some(&mesh.vertex_count()), "all vertices are in the pieces");
-        assert_eq!(triangles.last(), Some(&mesh.triangle_count()), "all triangles are in the pieces");
+        assert_eq!(
+            triangles.last(),
+            Some(&mesh.triangle_count()),
+            "all triangles are in the pieces"
+        );
         let pieces = mesh.triangle_count().div_ceil(most).max(1);
         Ok(Self { mesh, width, vertices, triangles, pieces })
     }
@@ -99,7 +105,8 @@ impl<'a> Divided<'a> {
     fn triangles(&self, wanted: Range<u64>) -> io::Result<Vec<[u64; 3]>> {
         let mut triangles = Vec::with_capacity((wanted.end - wanted.start) as usize);
         for (piece, pair) in self.triangles.windows(2).enumerate() {
-            let [start, end] = [wanted.start, wanted.end].map(|at| at.clamp(pair[0], pair[1]) - pair[0]);
+            let [start, end] =
+                [wanted.start, wanted.end].map(|at| at.clamp(pair[0], pair[1]) - pair[0]);
             if start < end {
                 triangles.extend(&self.mesh.triangles(piece)?[start as usize..end as usize]);
             }

@@ -64,12 +64,14 @@ impl Array {
     /// Returns the fault of an array that has not a value for each of so many points.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
-        let what = format!("array {name} is not of {components} numbers for each of {points} points");
+        let what =
+            format!("array {name} is not of {components} numbers for each of {points} points");
         malformed(self.place(), what)
     }
 }
 
-/// Bytes in which it shows whether arrays may stay where they are: then all XML before them is there.
+/// Bytes in which it shows whether arrays may stay where they are: then all XML before them is
+/// there.
 pub(super) const HEAD: usize = 1 << 20;
 /// Bytes behind these that the tag which they end in may go on for, and blanks behind it.
 const TAG: usize = 4 << 10;
@@ -166,7 +168,9 @@ impl<'a> Layout<'a> {
                     }
                     continue;
                 }
-                Event::Eof if text.len() < bytes.len() || layout.arrays.iter().any(Array::is_to_come) => {
+                Event::Eof
+                    if text.len() < bytes.len() || layout.arrays.iter().any(Array::is_to_come) =>
+                {
                     return Err(malformed(at, "no <AppendedData>"));
                 }
                 Event::Eof => break,
@@ -200,7 +204,9 @@ impl<'a> Layout<'a> {
         match (seen_root, pieces) {
             (false, _) => Err(malformed(0, "no <VTKFile>")),
             (true, 1) => Ok(layout),
-            (true, _) => Err(ReadFault::Unsupported(format!("{pieces} pieces; save the data as one"))),
+            (true, _) => {
+                Err(ReadFault::Unsupported(format!("{pieces} pieces; save the data as one")))
+            }
         }
     }
 
@@ -218,7 +224,8 @@ impl<'a> Layout<'a> {
             None | Some("") => Packing::Plain,
             Some("vtkZLibDataCompressor") => Packing::Zlib,
             Some(other) => {
-                let what = format!("data compressed by {other}; save them by zlib, or uncompressed");
+                let what =
+                    format!("data compressed by {other}; save them by zlib, or uncompressed");
                 return Err(ReadFault::Unsupported(what));
             }
         };
@@ -241,11 +248,18 @@ impl<'a> Layout<'a> {
         Ok(())
     }
 
-    fn array(&mut self, tag: &Tag, section: Section, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
+    fn array(
+        &mut self,
+        tag: &Tag,
+        section: Section,
+        xml: &[u8],
+        behind: usize,
+    ) -> Result<(), ReadFault> {
         let name = tag.value("Name")?.unwrap_or_default();
         let kind = tag.value("type")?.unwrap_or_default();
         let Some(scalar) = scalar_named(&kind) else {
-            // Strings and bits are no values of a vertex; whatever else needs this array will miss it.
+            // Strings and bits are no values of a vertex; whatever else needs this array will miss
+            // it.
             return Ok(());
         };
         if section == Section::FieldData && name != TIME {
@@ -257,14 +271,18 @@ impl<'a> Layout<'a> {
             Some("appended") => {
                 let offset = tag.number("offset")?;
                 Data::Appended(
-                    offset.ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
+                    offset
+                        .ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
                 )
             }
             Some("ascii") => Data::Text(text(xml, behind)),
             Some("binary") => Data::Base64(text(xml, behind)),
             other => {
                 let shown = other.unwrap_or_default();
-                return Err(malformed(tag.at, format!("array {name} has the unknown format {shown:?}")));
+                return Err(malformed(
+                    tag.at,
+                    format!("array {name} has the unknown format {shown:?}"),
+                ));
             }
         };
         self.arrays.push(Array { section, name, scalar, components, data });
@@ -273,7 +291,8 @@ impl<'a> Layout<'a> {
 
     /// Adds where the data start to the offsets so far. The XML ends here for us.
     fn appended(&mut self, tag: &Tag, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
-        let mark = behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+        let mark =
+            behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
         if xml.get(mark) != Some(&b'_') {
             return Err(malformed(mark, "no underscore before the data"));
         }
@@ -282,7 +301,12 @@ impl<'a> Layout<'a> {
         let text = match encoding.as_str() {
             "raw" => None,
             "base64" => Some(text(xml, data as usize)),
-            _ => return Err(malformed(tag.at, format!("data of the unknown encoding {encoding:?}"))),
+            _ => {
+                return Err(malformed(
+                    tag.at,
+                    format!("data of the unknown encoding {encoding:?}"),
+                ));
+            }
         };
         for array in &mut self.arrays {
             if let Data::Appended(offset) = array.data {
@@ -311,8 +335,12 @@ fn ends_as_vtk(bytes: View) -> Result<bool, ReadFault> {
     let mut end = bytes.len();
     while end > 0 {
         let start = end.saturating_sub(TAIL);
-        let blanks =
-            bytes.read(start..end)?.iter().rev().take_while(|byte| byte.is_ascii_whitespace()).count();
+        let blanks = bytes
+            .read(start..end)?
+            .iter()
+            .rev()
+            .take_while(|byte| byte.is_ascii_whitespace())
+            .count();
         end -= blanks;
         if end > start {
             break;
@@ -347,7 +375,8 @@ impl Tag<'_> {
 
     fn number<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, ReadFault> {
         let Some(value) = self.value(name)? else { return Ok(None) };
-        let parsed = value.trim().parse().map_err(|_| malformed(self.at, format!("{name} is {value:?}")))?;
+        let parsed =
+            value.trim().parse().map_err(|_| malformed(self.at, format!("{name} is {value:?}")))?;
         Ok(Some(parsed))
     }
 }

@@ -1,4 +1,5 @@
-//! VTK's parallel XML: a .pvtp or .pvtu names its pieces, .vtp or .vtu files in other places relative to it, whose points are one set.
+//! VTK's parallel XML: a .pvtp or .pvtu names its pieces, .vtp or .vtu files in other places
+//! relative to it, whose points are one set.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -19,7 +20,8 @@ use super::read::{NumberedMesh, counts, read_numbered, read_particles, unless_te
 /// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
 ///
 /// # Errors
-/// As [`read_particles`](super::read_particles), each with the piece that it concerns; a missing piece is [`ReadFault::Io`].
+/// As [`read_particles`](super::read_particles), each with the piece that it concerns; a missing
+/// piece is [`ReadFault::Io`].
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -43,7 +45,8 @@ pub fn open_particles(
     let time = files.iter().find_map(|file| file.time);
     let ghosts = files.iter().map(|file| file.ghosts).sum();
     let all = files.into_iter().map(|file| file.particles).collect();
-    let particles = Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
+    let particles =
+        Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
     Ok(ParticleFile { time, ghosts, ..ParticleFile::new(particles, format) })
 }
 
@@ -73,8 +76,9 @@ pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     Ok(Sources::parse(path, &open_whole(path)?)?.paths)
 }
 
-/// Reads the triangles of all pieces as one mesh. Vertices of different pieces are one where the pieces give them the same number
-/// in an array of global identifiers; without that they stay apart.
+/// Reads the triangles of all pieces as one mesh. Vertices of different pieces are one where the
+/// pieces give them the same number in an array of global identifiers; without that they stay
+/// apart.
 ///
 /// # Errors
 /// As [`read_mesh`](super::read_mesh), each with the piece that it concerns.
@@ -98,7 +102,10 @@ struct Joined {
 }
 
 impl Joined {
-    fn add(&mut self, NumberedMesh { mesh: piece, numbers }: NumberedMesh) -> Result<(), ReadFault> {
+    fn add(
+        &mut self,
+        NumberedMesh { mesh: piece, numbers }: NumberedMesh,
+    ) -> Result<(), ReadFault> {
         if piece.positions.is_empty() {
             return Ok(());
         }
@@ -167,8 +174,9 @@ fn names(bytes: &[u8]) -> Result<(Vec<String>, &'static str), ReadFault> {
     let (mut names, mut format) = (Vec::new(), None);
     loop {
         let at = xml.buffer_position() as usize;
-        let event =
-            xml.read_event().map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
+        let event = xml
+            .read_event()
+            .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
         let tag = match &event {
             Event::Start(tag) | Event::Empty(tag) => Tag { tag, at },
             Event::Eof => break,
@@ -182,7 +190,9 @@ fn names(bytes: &[u8]) -> Result<(Vec<String>, &'static str), ReadFault> {
                     "PUnstructuredGrid" => "VTK XML .pvtu",
                     _ => {
                         let what = "points are read from PPolyData and PUnstructuredGrid";
-                        return Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")));
+                        return Err(ReadFault::Unsupported(format!(
+                            "a data set of type {kind:?}; {what}"
+                        )));
                     }
                 });
             }

@@ -17,24 +17,27 @@ use super::NORMALS;
 use super::data::Decoder;
 use super::layout::{Array, DataSet, HEAD, Layout, Section, TIME};
 
-/// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
-/// are; if any is text, base64 or compressed, all are decoded.
+/// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that
+/// are appended raw stay where they are; if any is text, base64 or compressed, all are decoded.
 ///
-/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the time. Points that are copies, or hidden,
-/// because their vertices are flagged so under `CellData` are left out.
+/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the
+/// time. Points that are copies, or hidden, because their vertices are flagged so under `CellData`
+/// are left out.
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do
-/// not unpack, or unpack beyond all reason; [`ReadFault::Unsupported`] for other compressors than zlib, several
-/// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they are decoded
-/// into a scratch file that fails.
+/// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and
+/// [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do not unpack, or
+/// unpack beyond all reason; [`ReadFault::Unsupported`] for other compressors than zlib, several
+/// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where
+/// they are decoded into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_in_place(&Layout::parse(view)?);
     points(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) }, unpacking)
 }
 
-/// Whether all has to be read to find what is where: there are texts in the XML, or what is behind it is encoded or compressed.
+/// Whether all has to be read to find what is where: there are texts in the XML, or what is behind
+/// it is encoded or compressed.
 ///
 /// # Errors
 /// [`ReadFault::Changed`] and [`ReadFault::Io`] where the file cannot be read.
@@ -46,7 +49,11 @@ pub fn is_text(bytes: View) -> Result<bool, ReadFault> {
 
 /// The bytes where they are, or in memory as a whole where all has to be read.
 pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
-    if is_text(bytes.view())? { bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept) } else { Ok(bytes) }
+    if is_text(bytes.view())? {
+        bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept)
+    } else {
+        Ok(bytes)
+    }
 }
 
 fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
@@ -66,10 +73,8 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
-/// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing at all is one.
-///
-/// # Errors
-/// As [`read_particles`].
+/// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing
+/// at all is one.
 pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     let Counts { points, faces } = counts(bytes)?;
     Ok(points == 0 || faces > 0)
@@ -91,7 +96,8 @@ pub(super) fn counts(bytes: View) -> Result<Counts, ReadFault> {
 /// Vertices, lines and the data of cells are passed over.
 ///
 /// # Errors
-/// As [`read_particles`]; besides [`ReadFault::Unsupported`] for triangle strips and an UnstructuredGrid.
+/// As [`read_particles`]; besides [`ReadFault::Unsupported`] for triangle strips and an
+/// UnstructuredGrid.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(read_numbered(bytes)?.mesh)
 }
@@ -119,7 +125,8 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let corners = integers("connectivity")?;
     let ends = integers("offsets")?;
     if ends.len() != layout.polygons {
-        let what = format!("{} polygons are announced, {} have an offset", layout.polygons, ends.len());
+        let what =
+            format!("{} polygons are announced, {} have an offset", layout.polygons, ends.len());
         return Err(malformed(0, what));
     }
     let ids = layout.global_ids.as_ref().and_then(|ids| {
@@ -128,14 +135,18 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     });
     let numbers = ids.map(|index| decoder.integers(&layout.arrays[index])).transpose()?;
     if numbers.as_ref().is_some_and(|numbers| numbers.len() != layout.points) {
-        return Err(malformed(0, format!("not one global identifier for each of {} points", layout.points)));
+        return Err(malformed(
+            0,
+            format!("not one global identifier for each of {} points", layout.points),
+        ));
     }
     let mut triangles = Triangles::new(layout.points)?;
     let mut start = 0;
     for (face, &end) in ends.iter().enumerate() {
         let polygon = usize::try_from(end).ok().and_then(|end| corners.get(start..end));
-        let polygon = polygon
-            .ok_or_else(|| malformed(0, format!("polygon {face} has no corners from {start} to {end}")))?;
+        let polygon = polygon.ok_or_else(|| {
+            malformed(0, format!("polygon {face} has no corners from {start} to {end}"))
+        })?;
         triangles.polygon(face, 0, polygon)?;
         start += polygon.len();
     }
@@ -150,16 +161,27 @@ fn time(layout: &Layout, decoder: &mut Decoder) -> Result<Option<f64>, ReadFault
 }
 
 /// The points and all of their attributes but for array number `except`.
-fn vertices(layout: &Layout, mut decoder: Decoder, except: Option<usize>) -> Result<Vertices, ReadFault> {
+fn vertices(
+    layout: &Layout,
+    mut decoder: Decoder,
+    except: Option<usize>,
+) -> Result<Vertices, ReadFault> {
     let (count, endian) = (layout.points, layout.endian);
     if count == 0 {
         let nowhere = Column { offset: 0, stride: 0, scalar: Scalar::F32, endian };
         let attributes = Vec::new();
-        return Ok(Vertices { decoded: None, count, position: [nowhere; 3], attributes, normals: None });
+        return Ok(Vertices {
+            decoded: None,
+            count,
+            position: [nowhere; 3],
+            attributes,
+            normals: None,
+        });
     }
     let is_of_points = |section| matches!(section, Section::Points | Section::PointData);
     let others = layout.arrays.iter().enumerate().filter(|(index, _)| Some(*index) != except);
-    let arrays: Vec<_> = others.map(|(_, array)| array).filter(|a| is_of_points(a.section)).collect();
+    let arrays: Vec<_> =
+        others.map(|(_, array)| array).filter(|a| is_of_points(a.section)).collect();
     let is_normals = |name: &str| name == layout.normals.as_deref().unwrap_or(NORMALS);
     let (mut position, mut normals) = (None, None);
     let mut attributes = Vec::new();
@@ -171,9 +193,11 @@ fn vertices(layout: &Layout, mut decoder: Decoder, except: Option<usize>) -> Res
         if columns.len() == 3 && normals.is_none() && is_normals(&array.name) {
             normals = Some(attributes.len());
         }
-        attributes.push((AttributeInfo { name: array.name.clone(), components: columns.len() }, columns));
+        attributes
+            .push((AttributeInfo { name: array.name.clone(), components: columns.len() }, columns));
     }
-    let position = position.ok_or_else(|| malformed(0, "no array of points of three components"))?;
+    let position =
+        position.ok_or_else(|| malformed(0, "no array of points of three components"))?;
     Ok(Vertices { decoded: decoder.finish()?, count, position, attributes, normals })
 }
 
@@ -194,7 +218,8 @@ pub(super) fn not_ghosts(
     let flags: Vec<&Array> =
         flags.filter(|array| is_flag(&array.name, array.components, array.scalar)).collect();
     let corners = [found(section, "connectivity"), found(section, "offsets")];
-    let ([Some(corners), Some(ends)], false) = (corners, flags.is_empty() || layout.lines > 0) else {
+    let ([Some(corners), Some(ends)], false) = (corners, flags.is_empty() || layout.lines > 0)
+    else {
         return Ok(None);
     };
     // Whoever reads the points refuses more of them than the file can hold.
@@ -207,7 +232,10 @@ pub(super) fn not_ghosts(
         count = cell + 1;
     })?;
     if count != cells {
-        return Err(malformed(ends.place(), format!("{cells} cells are announced, {count} have an offset")));
+        return Err(malformed(
+            ends.place(),
+            format!("{cells} cells are announced, {count} have an offset"),
+        ));
     }
     if let (DataSet::UnstructuredGrid, Some(types)) = (layout.data_set, found(section, "types")) {
         decoder.each_integer(types, |_, kind| all_vertices &= kind == VERTEX)?;

@@ -13,17 +13,18 @@ use super::arrays::{Array, identifiers, point_data, points, polygons};
 /// Name of the array of vertices' numbers in the mesh that a piece is of.
 pub(super) const GLOBAL_IDS: &str = "GlobalPointIds";
 
-/// Writes `mesh` with all of its attributes, little-endian: points as Float32 or Float64 by `width`, indices
-/// as Int32 as long as they fit.
+/// Writes `mesh` with all of its attributes, little-endian: points as Float32 or Float64 by
+/// `width`, indices as Int32 as long as they fit.
 ///
 /// A control character in a name, for which XML has no room, is written as U+FFFD.
 ///
-/// # Errors
-/// Those of `mesh` and `out`.
-///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+pub fn write_mesh(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+) -> io::Result<()> {
     write_piece(out, mesh, width, None)
 }
 
@@ -36,7 +37,8 @@ pub(super) fn write_piece(
 ) -> io::Result<()> {
     let mut offset = 0;
     let mut element = |array: &Array| {
-        let xml = declared("DataArray", array, &format!(" format=\"appended\" offset=\"{offset}\""));
+        let xml =
+            declared("DataArray", array, &format!(" format=\"appended\" offset=\"{offset}\""));
         offset += size_of::<u64>() as u64 + array.bytes();
         xml
     };
@@ -70,7 +72,8 @@ pub(super) fn write_piece(
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
 }
 
-/// Names the arrays of points that are normals, vectors and global identifiers, in attributes of XML.
+/// Names the arrays of points that are normals, vectors and global identifiers, in attributes of
+/// XML.
 pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
     let has_velocity = mesh.attributes().iter().any(AttributeInfo::is_velocity);
     let roles = [
@@ -78,7 +81,11 @@ pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
         ("Vectors", "velocity", has_velocity),
         ("GlobalIds", GLOBAL_IDS, numbered),
     ];
-    roles.iter().filter(|(.., given)| *given).map(|(role, name, _)| format!(" {role}=\"{name}\"")).collect()
+    roles
+        .iter()
+        .filter(|(.., given)| *given)
+        .map(|(role, name, _)| format!(" {role}=\"{name}\""))
+        .collect()
 }
 
 /// The element that declares an array, with more attributes of XML behind its own.
@@ -90,7 +97,9 @@ pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
         _ => "Float32",
     };
     let (name, components) = (escaped(&array.name), array.components);
-    format!("<{element} type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\"{more}/>\n")
+    format!(
+        "<{element} type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\"{more}/>\n"
+    )
 }
 
 /// Escapes a name so that it can stand between quotes in XML.

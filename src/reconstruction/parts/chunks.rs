@@ -1,7 +1,9 @@
-//! Chunks of the input, each with a box around its particles, by which a part knows what it need not read.
+//! Chunks of the input, each with a box around its particles, by which a part knows what it need
+//! not read.
 //!
-//! Chunks are as long as the input's own order is good for: where particles that follow one another are near each other, a part
-//! reads little but its own. Where they are in random order each chunk is everywhere, and every part reads all.
+//! Chunks are as long as the input's own order is good for: where particles that follow one another
+//! are near each other, a part reads little but its own. Where they are in random order each chunk
+//! is everywhere, and every part reads all.
 
 use std::fmt;
 use std::ops::Range;
@@ -45,7 +47,11 @@ pub(super) fn cut(particles: &Pieces) -> Vec<PieceChunk> {
 }
 
 /// Chunks with the boxes around their particles, all of which were read.
-pub(super) fn boxed(chunks: &[PieceChunk], read: &WithBoxes<Pieces>, domain: Option<&Domain>) -> Vec<Chunk> {
+pub(super) fn boxed(
+    chunks: &[PieceChunk],
+    read: &WithBoxes<Pieces>,
+    domain: Option<&Domain>,
+) -> Vec<Chunk> {
     let boxes = read.boxes(domain);
     chunks.iter().zip(boxes).map(|(&particles, bins)| Chunk { particles, bins }).collect()
 }
@@ -60,7 +66,8 @@ pub(super) fn watched<'a>(
 }
 
 impl Reading {
-    /// The chunks that may hold particles that are in bins that are wanted, or have images there in a periodic box, of all of an input.
+    /// The chunks that may hold particles that are in bins that are wanted, or have images there in
+    /// a periodic box, of all of an input.
     pub(super) fn of(chunks: &[Chunk], wanted: WantedBins, periodic: Option<&Periodic>) -> Self {
         let touches = |bins: CellBox| match periodic {
             None => wanted.touch(bins),
@@ -137,7 +144,9 @@ impl TryFrom<String> for Chunk {
         let corners = corners.iter().map(coordinate).collect::<Result<Vec<_>, _>>()?;
         let bins = match corners[..] {
             [] => None,
-            [x, y, z, a, b, c] => Some(CellBox { lo: IVec3::new(x, y, z), hi: IVec3::new(a, b, c) + 1 }),
+            [x, y, z, a, b, c] => {
+                Some(CellBox { lo: IVec3::new(x, y, z), hi: IVec3::new(a, b, c) + 1 })
+            }
             _ => return Err(no_chunk()),
         };
         Ok(Self { particles, bins })
@@ -188,7 +197,8 @@ mod tests {
         let reading = Reading::of(&chunks, wanted, None);
         assert_eq!(reading.pieces, [0, 3]);
         assert_eq!(reading.counts, [25, 21]);
-        // Of the pieces that are opened, one after the other; those that follow one another are one.
+        // Of the pieces that are opened, one after the other; those that follow one another are
+        // one.
         assert_eq!(reading.ranges, [10..35, 45..46]);
         assert_eq!(reading.count(), 26);
         assert!(Reading::of(&chunks[3..5], wanted, None).is_empty());

@@ -1,4 +1,5 @@
-//! The file of a part: the meshes of its blocks as a spool keeps them, a list of these, and what a report adds up.
+//! The file of a part: the meshes of its blocks as a spool keeps them, a list of these, and what a
+//! report adds up.
 //!
 //! ```text
 //! meshes of all blocks, in Morton order       as a spool keeps them
@@ -75,7 +76,8 @@ impl Made<'_> {
     /// Writes it.
     pub(super) fn write(&self, mark: Mark, out: &mut dyn Write) -> io::Result<()> {
         let mut out = Summed { out, bytes: 0, crc: Hasher::new() };
-        let blocks: Vec<ListedBlock> = self.spool.map_or(Vec::new(), |spool| spool.listed().collect());
+        let blocks: Vec<ListedBlock> =
+            self.spool.map_or(Vec::new(), |spool| spool.listed().collect());
         self.spool.map_or(Ok(()), |spool| spool.write_all(&mut out))?;
         out.write_all(bytemuck::cast_slice(&blocks))?;
         out.write_all(bytemuck::cast_slice(&self.occupied))?;
@@ -131,11 +133,16 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens a part's file, whose vertices carry attributes of so many components, and reads all of it to see that it is whole; `None` where
-    /// there is none.
-    pub(super) fn open(path: &Path, mark: Mark, components: &[usize]) -> Result<Option<Self>, PartsError> {
+    /// Opens a part's file, whose vertices carry attributes of so many components, and reads all of
+    /// it to see that it is whole; `None` where there is none.
+    pub(super) fn open(
+        path: &Path,
+        mark: Mark,
+        components: &[usize],
+    ) -> Result<Option<Self>, PartsError> {
         let io = |fault: io::Error| PartsError::Io { path: path.to_owned(), fault };
-        let damaged = |what: &str| PartsError::Damaged { path: path.to_owned(), what: what.to_owned() };
+        let damaged =
+            |what: &str| PartsError::Damaged { path: path.to_owned(), what: what.to_owned() };
         let file = match File::open(path) {
             Ok(file) => file,
             Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -157,7 +164,8 @@ impl PartFile {
             Some(8 * u64::from(end.attributes)),
         ];
         let lists = lists.into_iter().try_fold(0_u64, |sum, bytes| sum.checked_add(bytes?));
-        let meshes_end = lists.and_then(|lists| end.bytes.checked_sub(lists)).ok_or_else(inconsistent)?;
+        let meshes_end =
+            lists.and_then(|lists| end.bytes.checked_sub(lists)).ok_or_else(inconsistent)?;
         let file = ReopenedFile::new(path, file).map_err(io)?;
         let mut at = meshes_end;
         let blocks: Vec<ListedBlock> = list(&file, &mut at, end.blocks).map_err(io)?;

@@ -32,10 +32,12 @@ struct Meshed {
 }
 
 impl Parts {
-    /// Makes a part, numbered from 0, unless it is there already, whole, and made by the same plan. Whatever else has its name is replaced.
+    /// Makes a part, numbered from 0, unless it is there already, whole, and made by the same plan.
+    /// Whatever else has its name is replaced.
     ///
     /// # Errors
-    /// [`Error::Parts`] where there is no plan, or one for something else, [`Error::Read`], [`Error::Frame`], and [`Error::Write`].
+    /// [`Error::Parts`] where there is no plan, or one for something else, [`Error::Read`],
+    /// [`Error::Frame`], and [`Error::Write`].
     pub fn part(&self, part: u32) -> Result<PartMade, Error> {
         let begun = self.begin()?;
         if part >= self.count {
@@ -59,7 +61,8 @@ impl Parts {
         let meshed = self
             .meshed(&ready, &plan, indicator, mark, &mut timings)
             .map_err(|error| error.of_file(&self.input))?;
-        let stamp = Stamp::of(&self.input).map_err(|fault| ReadError::new(&self.input, fault.into()))?;
+        let stamp =
+            Stamp::of(&self.input).map_err(|fault| ReadError::new(&self.input, fault.into()))?;
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }
@@ -70,7 +73,8 @@ impl Parts {
         let bytes = filled.keep()?;
         drop(unfinished);
         timings.done("write");
-        let (blocks, triangles) = spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
+        let (blocks, triangles) =
+            spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
         Ok(PartMade { path, bytes, blocks, triangles, read, was_there: false, warnings, timings })
     }
 
@@ -102,12 +106,15 @@ impl Parts {
             };
             let pieces = WantedPieces::Numbered(&reading.pieces);
             let wanted_of_input = Wanted { pieces, ..checked.settings.wanted() };
-            let open = || Ok::<_, Error>(open_wanted(&self.input, wanted_of_input, checked.unpacking())?);
+            let open =
+                || Ok::<_, Error>(open_wanted(&self.input, wanted_of_input, checked.unpacking())?);
             let mut file = control.during(Stage::Reading, open)?;
             timings.done("open");
             let attributes = file.particles.attributes();
             let carried = checked.settings.carried(attributes, None)?;
-            if !reading.is_of(&file.particles) || carried_infos(attributes, &carried) != plan.attributes {
+            if !reading.is_of(&file.particles)
+                || carried_infos(attributes, &carried) != plan.attributes
+            {
                 return Err(changed().into());
             }
             file.particles.keep(reading.ranges.iter().cloned());
@@ -131,7 +138,8 @@ impl Parts {
             };
             let spool = control.during(Stage::Meshing, mesh)?;
             let occupied = engine.occupied().within(mark.stretch).collect();
-            let made = Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
+            let made =
+                Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
             let warnings = engine.warnings().into_iter().map(Warning::MadeGood).collect();
             Ok(Meshed { spool: Some(spool), made, read: reading.count(), warnings })
         })
@@ -141,7 +149,8 @@ impl Parts {
 impl Meshed {
     /// No block, of so many particles that were read.
     fn nothing(plan: &Plan, read: usize) -> Self {
-        let made = Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
+        let made =
+            Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
         Self { spool: None, made, read, warnings: Vec::new() }
     }
 }

@@ -23,21 +23,24 @@ use crate::system::timings::Timings;
 use super::plan::{Plan, Share, path_in};
 use super::{Again, Begun, PartShare, PartTakes, Parts, Planned, chunks};
 
-/// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and to sample a particle.
+/// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and
+/// to sample a particle.
 const CELLS_A_PARTICLE: u64 = 4;
 
 impl Parts {
-    /// Measures the frame and shares out its blocks, unless that was done for the same request before.
+    /// Measures the frame and shares out its blocks, unless that was done for the same request
+    /// before.
     ///
     /// # Errors
-    /// [`Error::Parts`] for a plan that was made for something else, [`Error::Unfit`] for kernels and packed frames, which are not made in
-    /// parts, [`Error::Read`], and [`Error::Frame`] for particles that cannot be sampled.
+    /// [`Error::Parts`] for a plan that was made for something else, [`Error::Unfit`] for kernels
+    /// and packed frames, which are not made in parts, [`Error::Read`], and [`Error::Frame`] for
+    /// particles that cannot be sampled.
     pub fn plan(&self) -> Result<Planned, Error> {
         let begun = self.begin()?;
         let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
-            Some((plan, _)) => {
-                plan.refuse_other(&begun.folder, &begun.checked, &self.input, self.count).map(|()| Some(plan))
-            }
+            Some((plan, _)) => plan
+                .refuse_other(&begun.folder, &begun.checked, &self.input, self.count)
+                .map(|()| Some(plan)),
             None => Ok(None),
         });
         match (found, self.again) {
@@ -68,7 +71,8 @@ impl Parts {
         timings: Timings,
     ) -> Result<Planned, Error> {
         let path = path_in(&begun.folder);
-        let no_calibration = || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
+        let no_calibration =
+            || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
         let calibration = plan.calibration.ok_or_else(no_calibration)?;
         let share = |(part, share): (usize, &Share)| PartShare {
             particles: share.particles,
@@ -190,14 +194,16 @@ fn block_of(bin: MortonKey) -> MortonKey {
     MortonKey::of(block_of_bin(bin.coord()))
 }
 
-/// How long the blocks take that hold any of some particles by bin, or that a surface may pass through in so many cells: in particles
-/// that are binned, in Morton order.
+/// How long the blocks take that hold any of some particles by bin, or that a surface may pass
+/// through in so many cells: in particles that are binned, in Morton order.
 fn work(
     bins: &[(MortonKey, usize)],
     passed: impl Iterator<Item = (MortonKey, usize)>,
 ) -> Vec<(MortonKey, u64)> {
-    let of_particles = bins.iter().map(|&(bin, count)| (block_of(bin), CELLS_A_PARTICLE * count as u64));
-    let mut work: Vec<_> = of_particles.chain(passed.map(|(block, cells)| (block, cells as u64))).collect();
+    let of_particles =
+        bins.iter().map(|&(bin, count)| (block_of(bin), CELLS_A_PARTICLE * count as u64));
+    let mut work: Vec<_> =
+        of_particles.chain(passed.map(|(block, cells)| (block, cells as u64))).collect();
     work.sort_unstable_by_key(|&(block, _)| block);
     work.dedup_by(|other, one| {
         let same = other.0 == one.0;
@@ -209,7 +215,8 @@ fn work(
     work
 }
 
-/// The first block of each of so many parts, which take about as long as one another: the first has all before it, too.
+/// The first block of each of so many parts, which take about as long as one another: the first has
+/// all before it, too.
 fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
@@ -254,7 +261,9 @@ fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) 
     bins.iter().for_each(|&(bin, count)| own[part_of(cuts, block_of(bin))] += count as u64);
     let counted = |bins_of: &Vec<u32>| bins_of.iter().map(|&bin| bins[bin as usize].1 as u64).sum();
     let parts = cuts.iter().zip(own).zip(shared.iter().map(counted));
-    parts.map(|((first, particles), counted)| Share { first: first.0, particles, counted }).collect()
+    parts
+        .map(|((first, particles), counted)| Share { first: first.0, particles, counted })
+        .collect()
 }
 
 impl PartTakes {
@@ -275,7 +284,8 @@ mod tests {
     #[test]
     fn blocks_are_cut_into_parts_of_about_equal_work_whatever_their_number() {
         let keys = [3, 4, 9, 12, 13, 20_u64];
-        let work: Vec<_> = keys.into_iter().zip([1, 1, 1, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
+        let work: Vec<_> =
+            keys.into_iter().zip([1, 1, 1, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
         let first = |parts: u32| cuts(&work, parts).iter().map(|key| key.0).collect::<Vec<_>>();
         assert_eq!(first(1), [0]);
         assert_eq!(first(2), [0, 12]);

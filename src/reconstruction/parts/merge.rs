@@ -1,4 +1,5 @@
-//! Merging: all parts' blocks are listed one after the other, and are from there on those of a single run.
+//! Merging: all parts' blocks are listed one after the other, and are from there on those of a
+//! single run.
 
 use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
@@ -29,12 +30,14 @@ struct Joined {
 }
 
 impl Parts {
-    /// Merges the parts to the surface that a single run would give, with the same report but for the times, and simplifies it if that was
-    /// asked for. Its meshes stay in the parts' files, which have to stay as well until it is written.
+    /// Merges the parts to the surface that a single run would give, with the same report but for
+    /// the times, and simplifies it if that was asked for. Its meshes stay in the parts' files,
+    /// which have to stay as well until it is written.
     ///
     /// # Errors
-    /// [`Error::Parts`] where there is no plan, or one for something else, and for parts that are missing, damaged or of another plan, and
-    /// [`Error::Frame`] where there is no surface, or scratch files fail.
+    /// [`Error::Parts`] where there is no plan, or one for something else, and for parts that are
+    /// missing, damaged or of another plan, and [`Error::Frame`] where there is no surface, or
+    /// scratch files fail.
     pub fn merge(&self) -> Result<Surface, Error> {
         let begun = self.begin()?;
         let (plan, fingerprint) = self.planned(&begun)?;
@@ -79,7 +82,9 @@ fn joined(
         }
     }
     if !missing.is_empty() {
-        return Err(PartsError::Missing { folder: folder.to_owned(), missing, of: plan.count() }.into());
+        return Err(
+            PartsError::Missing { folder: folder.to_owned(), missing, of: plan.count() }.into()
+        );
     }
     let (mut occupied, mut bins) = (Occupied::default(), 0);
     let mut lacking = vec![0; components.len()];
@@ -108,13 +113,17 @@ fn drawn(
     let Joined { spool, occupied, lacking, bins } = joined;
     let iso = plan.calibration.and_then(|known| known.iso());
     if spool.is_empty() {
-        return Err(iso.map_or(FrameError::NoDistanceSurface, |iso| FrameError::NoSurface { iso }).into());
+        return Err(iso
+            .map_or(FrameError::NoDistanceSurface, |iso| FrameError::NoSurface { iso })
+            .into());
     }
-    let share = sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);
+    let share =
+        sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);
     let crossings = iso.unwrap_or(Isovalue::NO_DISTANCE);
     let surface = Stitched::new(spool, grid, walls, crossings, plan.attributes.clone());
     let resources = &checked.resources;
-    let in_scratch = |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
+    let in_scratch =
+        |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
 
     report.cells = Some(plan.cells.clone());
     report.moved = plan.moved;
@@ -123,16 +132,19 @@ fn drawn(
     let crowding = report.facts.spacing_cells().map(|spacing| occupied.crowding(spacing));
     let lacking = plan.attributes.iter().zip(lacking).filter(|&(_, without)| without > 0);
     let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
-    let warnings = of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
+    let warnings =
+        of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
     report.warnings = with_doubts(report.cells.as_ref(), warnings);
     report.lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();
-    let shortfall = spacing.map(|spacing| Shortfall::of(&surface, own, census.binned, spacing)).transpose();
+    let shortfall =
+        spacing.map(|spacing| Shortfall::of(&surface, own, census.binned, spacing)).transpose();
     checked.judge(&mut report, &surface, shortfall.map_err(in_scratch)?.flatten());
     timings.done("merge");
 
     let facts = report.facts;
-    let simplify = |surface| simplified(surface, &checked.reduction, &facts, share, resources, timings);
+    let simplify =
+        |surface| simplified(surface, &checked.reduction, &facts, share, resources, timings);
     Ok(checked.reduce(surface, report, simplify)?)
 }

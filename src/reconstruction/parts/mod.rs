@@ -1,11 +1,15 @@
-//! One frame's mesh in parts, each made by a process of its own on any machine, and merged to the bytes of a single run.
+//! One frame's mesh in parts, each made by a process of its own on any machine, and merged to the
+//! bytes of a single run.
 //!
-//! Beside the output, in a folder named as it with `.meniscus-parts` appended, there are `plan.json` and the parts' files. The plan
-//! samples the whole frame once, measures what a single run would, and cuts the Morton curve of blocks into stretches of about
-//! equal work. A part samples the bins that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what filters reach, by
-//! the recipe), and meshes those blocks. It reads the chunks of the input that may hold particles of these bins: the plan lists all with
-//! the boxes that their particles are in. Whoever merges lists all parts' blocks one after the other, as a single run would have them in
-//! its scratch file, and goes on as that would: vertices are stitched by identity, so that nothing of the cuts is left.
+//! Beside the output, in a folder named as it with `.meniscus-parts` appended, there are
+//! `plan.json` and the parts' files. The plan samples the whole frame once, measures what a single
+//! run would, and cuts the Morton curve of blocks into stretches of about equal work. A part
+//! samples the bins that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what
+//! filters reach, by the recipe), and meshes those blocks. It reads the chunks of the input that
+//! may hold particles of these bins: the plan lists all with the boxes that their particles are in.
+//! Whoever merges lists all parts' blocks one after the other, as a single run would have them in
+//! its scratch file, and goes on as that would: vertices are stitched by identity, so that nothing
+//! of the cuts is left.
 //!
 //! How they are used is in `parts.md`, a page of the docs.
 
@@ -35,13 +39,16 @@ use super::warning::Warning;
 
 use plan::Plan;
 
-/// Parts of a mesh, at the most: of more, each would sample far more around its blocks than in them.
+/// Parts of a mesh, at the most: of more, each would sample far more around its blocks than in
+/// them.
 const MOST_PARTS: u32 = 1000;
 
-/// A request for the mesh of one file of particles in parts, each to be made by a process of its own, on any machine.
+/// A request for the mesh of one file of particles in parts, each to be made by a process of its
+/// own, on any machine.
 ///
-/// First [`plan`](Self::plan), once. Then every [`part`](Self::part), in any order, as often as one likes, beside one another: none
-/// needs another. At last [`merge`](Self::merge). All have to ask for the same.
+/// First [`plan`](Self::plan), once. Then every [`part`](Self::part), in any order, as often as one
+/// likes, beside one another: none needs another. At last [`merge`](Self::merge). All have to ask
+/// for the same.
 ///
 /// ```no_run
 /// use meniscus::Reconstruction;
@@ -87,7 +94,8 @@ pub struct Planned {
     pub format: String,
     /// The cells that were chosen.
     pub cells: Cells,
-    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to suit.
+    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to
+    /// suit.
     pub moved_to: Option<[f64; 3]>,
     /// The indicator that makes the field.
     pub indicator: IndicatorKind,
@@ -109,7 +117,8 @@ pub struct Planned {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartShare {
-    /// Particles in its blocks, with their images in a periodic box: all parts' together are all of the frame.
+    /// Particles in its blocks, with their images in a periodic box: all parts' together are all of
+    /// the frame.
     pub particles: u64,
     /// Particles that it keeps: those, and what decides their blocks from around.
     pub kept: u64,
@@ -152,8 +161,14 @@ pub struct PartMade {
 }
 
 impl Reconstruction {
-    /// Asks for the mesh of a file of particles in so many parts, which are kept in a folder beside the output until they are merged.
-    pub fn parts(&self, input: impl Into<PathBuf>, output: impl Into<PathBuf>, count: u32) -> Parts {
+    /// Asks for the mesh of a file of particles in so many parts, which are kept in a folder beside
+    /// the output until they are merged.
+    pub fn parts(
+        &self,
+        input: impl Into<PathBuf>,
+        output: impl Into<PathBuf>,
+        count: u32,
+    ) -> Parts {
         Parts {
             request: self.clone(),
             input: input.into(),

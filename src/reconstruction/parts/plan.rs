@@ -1,4 +1,5 @@
-//! The plan of parts: what a single run would measure, and which blocks each part makes. It is kept as `plan.json`.
+//! The plan of parts: what a single run would measure, and which blocks each part makes. It is kept
+//! as `plan.json`.
 
 use std::fs;
 use std::io;
@@ -103,7 +104,8 @@ impl Plan {
             Err(fault) => return Err(PartsError::Io { path, fault }),
         };
         let damaged = |what: String| PartsError::Plan { path: path.clone(), what };
-        let kept: Kept = serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
+        let kept: Kept =
+            serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
         if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
             return Err(damaged("it is not as it was written".into()));
         }
@@ -136,8 +138,10 @@ impl Plan {
         if self.calibration.is_none() {
             return Err("no calibration".into());
         }
-        let listed =
-            self.chunks.iter().try_fold(0, |all: usize, chunk| all.checked_add(chunk.particles.count));
+        let listed = self
+            .chunks
+            .iter()
+            .try_fold(0, |all: usize, chunk| all.checked_add(chunk.particles.count));
         if listed != Some(self.particles) {
             return Err("its chunks are not all particles".into());
         }
@@ -183,7 +187,9 @@ impl Plan {
     }
 
     pub(super) fn stretch(&self, part: u32) -> Stretch {
-        let key = |part: usize| self.parts.get(part).map_or(Stretch::ALL.end, |share| MortonKey(share.first));
+        let key = |part: usize| {
+            self.parts.get(part).map_or(Stretch::ALL.end, |share| MortonKey(share.first))
+        };
         Stretch { first: key(part as usize), end: key(part as usize + 1) }
     }
 
@@ -192,7 +198,11 @@ impl Plan {
     }
 
     /// How parts are sampled: as all of it was, and by the mu0 that was measured.
-    pub(super) fn sampling(&self, checked: &Checked, carried: Vec<usize>) -> Result<Sampling, Error> {
+    pub(super) fn sampling(
+        &self,
+        checked: &Checked,
+        carried: Vec<usize>,
+    ) -> Result<Sampling, Error> {
         let mean = self.mean.map(MeanCount::new).transpose()?;
         let method = checked.sampling.method.with_mean(mean);
         let resources = checked.resources.clone();

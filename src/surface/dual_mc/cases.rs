@@ -1,10 +1,10 @@
 //! The marching-cubes table, derived from one rule.
 //!
-//! On a face whose two inside corners are diagonal, the surface cuts each of them off. Both cells that
-//! share the face see the same four signs, so both draw the same segments, and no face is ever open. The
-//! segments around a cell close to loops; each crossed edge lies on one loop. A loop is fanned from an
-//! apex none of whose diagonals lies in a face of the cell: a diagonal is then an edge of this cell's
-//! triangles alone, and the mesh is a 2-manifold.
+//! On a face whose two inside corners are diagonal, the surface cuts each of them off. Both cells
+//! that share the face see the same four signs, so both draw the same segments, and no face is ever
+//! open. The segments around a cell close to loops; each crossed edge lies on one loop. A loop is
+//! fanned from an apex none of whose diagonals lies in a face of the cell: a diagonal is then an
+//! edge of this cell's triangles alone, and the mesh is a 2-manifold.
 
 use std::sync::LazyLock;
 
@@ -21,7 +21,6 @@ pub struct Edge {
 
 impl Edge {
     /// The lower end, relative to the cell's lowest corner.
-    #[must_use]
     #[inline]
     pub fn offset(self) -> IVec3 {
         let corner = i32::from(self.corner);
@@ -29,7 +28,8 @@ impl Edge {
     }
 }
 
-/// The triangles of one combination of signs: edges, counter-clockwise seen from outside of the fluid.
+/// The triangles of one combination of signs: edges, counter-clockwise seen from outside of the
+/// fluid.
 pub type Triangles = Vec<[Edge; 3]>;
 
 /// For every combination of inside corners, bit by corner, what to draw.
@@ -53,17 +53,19 @@ fn edge(a: u8, b: u8) -> Edge {
     Edge { corner: a & b, axis: (a ^ b).trailing_zeros() as u8 }
 }
 
-/// The surface's closed loops through the cell, each a list of crossed edges, counter-clockwise seen
-/// from outside of the fluid.
+/// The surface's closed loops through the cell, each a list of crossed edges, counter-clockwise
+/// seen from outside of the fluid.
 fn loops(case: u8) -> Vec<Vec<Edge>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
-    // Walking around a face, seen from outside of the cell, cut each run of inside corners off on its own:
-    // from where the walk enters the run to where it leaves it.
+    // Walking around a face, seen from outside of the cell, cut each run of inside corners off on
+    // its own: from where the walk enters the run to where it leaves it.
     let mut segments = Vec::new();
     for face in faces() {
         for start in 0..4 {
             if !inside(face[start]) && inside(face[(start + 1) % 4]) {
-                let run = (2..).find(|i| !inside(face[(start + i) % 4])).expect("the run ends at its start");
+                let run = (2..)
+                    .find(|i| !inside(face[(start + i) % 4]))
+                    .expect("the run ends at its start");
                 let enter = edge(face[start], face[(start + 1) % 4]);
                 let leave = edge(face[(start + run - 1) % 4], face[(start + run) % 4]);
                 segments.push((enter, leave));
@@ -75,7 +77,8 @@ fn loops(case: u8) -> Vec<Vec<Edge>> {
         let mut polygon = vec![first];
         while at != first {
             polygon.push(at);
-            let next = segments.iter().position(|s| s.0 == at).expect("a crossed edge lies on two faces");
+            let next =
+                segments.iter().position(|s| s.0 == at).expect("a crossed edge lies on two faces");
             at = segments.swap_remove(next).1;
         }
         loops.push(polygon);
@@ -129,12 +132,16 @@ mod tests {
         for corner in 0..8_u8 {
             let [triangle] = TABLE[1 << corner][..] else { panic!("one triangle") };
             let at = |e: Edge| {
-                let bit = |a: u8| f64::from(e.corner >> a & 1) + if e.axis == a { 0.5 } else { 0.0 };
+                let bit =
+                    |a: u8| f64::from(e.corner >> a & 1) + if e.axis == a { 0.5 } else { 0.0 };
                 glam::DVec3::new(bit(0), bit(1), bit(2))
             };
             let [a, b, c] = triangle.map(at);
-            let inside =
-                glam::DVec3::new(f64::from(corner & 1), f64::from(corner >> 1 & 1), f64::from(corner >> 2));
+            let inside = glam::DVec3::new(
+                f64::from(corner & 1),
+                f64::from(corner >> 1 & 1),
+                f64::from(corner >> 2),
+            );
             assert!((b - a).cross(c - a).dot(a - inside) > 0.0, "corner {corner}");
         }
     }

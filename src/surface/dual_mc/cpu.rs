@@ -12,12 +12,11 @@ use super::{Crossings, Level, Normals};
 
 /// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.
 ///
-/// Cells outside of `walls` are ghost points, and must repeat the edge cells. Every tile with a dual cell of mixed
-/// signs is there, even when all its vertices are owned by its neighbours.
+/// Cells outside of `walls` are ghost points, and must repeat the edge cells. Every tile with a
+/// dual cell of mixed signs is there, even when all its vertices are owned by its neighbours.
 ///
 /// # Panics
 /// If `field` does not cover the region's tiles and one cell beyond their upper faces.
-#[must_use]
 pub fn contour<L: Level>(
     field: &Block<L::Sample>,
     region: CellBox,
@@ -31,8 +30,10 @@ pub fn contour<L: Level>(
     let mixed = signs.mixed_tiles();
     let mut tiles = Vec::with_capacity(mixed.iter().map(|tiles| tiles.count_ones() as usize).sum());
     let (mut vertices, mut triangle_count) = (0, 0);
-    for index in
-        (0..).step_by(64).zip(mixed).flat_map(|(first, mixed)| bits(mixed).map(move |bit| first + bit))
+    for index in (0..)
+        .step_by(64)
+        .zip(mixed)
+        .flat_map(|(first, mixed)| bits(mixed).map(move |bit| first + bit))
     {
         let mut tile = Tile { index, first_vertex: vertices, corners: [0; 8] };
         tile.corners = signs.corners(tile.corner(block));
@@ -45,7 +46,8 @@ pub fn contour<L: Level>(
         let first = field.index(tile.corner(block));
         for (axis, step) in strides.into_iter().enumerate() {
             ends.extend(bits(tile.crossed(axis)).map(|bit| {
-                // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its mirror image.
+                // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its
+                // mirror image.
                 let cell = cell_of_bit(bit).as_usizevec3();
                 let lower = first + cell.x + cell.y * strides[1] + cell.z * strides[2];
                 level.ends(samples[lower], samples[lower + step])
@@ -55,12 +57,11 @@ pub fn contour<L: Level>(
     BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
-/// The surface through a region of a field on the cells that it [needs](Normals::cells), as [`contour`] has it, with the normals
-/// that are asked for; `None` where there is none.
+/// The surface through a region of a field on the cells that it [needs](Normals::cells), as
+/// [`contour`] has it, with the normals that are asked for; `None` where there is none.
 ///
 /// # Panics
 /// If `field` does not cover those cells.
-#[must_use]
 pub fn block_mesh<L: Level + Into<Crossings>>(
     field: &Block<L::Sample>,
     region: CellBox,
@@ -78,8 +79,8 @@ where
     (!mesh.tiles.is_empty()).then_some(mesh)
 }
 
-/// Outward unit normals: the field's falling gradient by central differences at both ends of a vertex's
-/// edge, interpolated. On a wall it is the wall's.
+/// Outward unit normals: the field's falling gradient by central differences at both ends of a
+/// vertex's edge, interpolated. On a wall it is the wall's.
 fn normals<T: Copy + Default + Into<f64>>(
     field: &Block<T>,
     mesh: &BlockMesh,
@@ -88,7 +89,8 @@ fn normals<T: Copy + Default + Into<f64>>(
 ) -> Vec<[f32; 3]> {
     let strides = field.strides();
     let sample = |index: usize| -> f64 { field.samples()[index].into() };
-    let falling = |index: usize| DVec3::from(strides.map(|s| sample(index - s) - sample(index + s)));
+    let falling =
+        |index: usize| DVec3::from(strides.map(|s| sample(index - s) - sample(index + s)));
     let mut normals = Vec::with_capacity(mesh.ends.len());
     normals.extend(mesh.edges().zip(&mesh.ends).map(|((cell, axis), &ends)| {
         let at = field.index(cell);
@@ -99,9 +101,8 @@ fn normals<T: Copy + Default + Into<f64>>(
     normals
 }
 
-/// The normal of one vertex, given its edge, how far along it lies, whether the field falls along it, and by how much
-/// the field falls along each axis around both ends.
-#[must_use]
+/// The normal of one vertex, given its edge, how far along it lies, whether the field falls along
+/// it, and by how much the field falls along each axis around both ends.
 pub fn normal(
     (cell, axis): (IVec3, usize),
     fraction: f64,
@@ -130,14 +131,20 @@ const ROWS: usize = TILE as usize + 1;
 /// Tiles along a block's edge.
 const TILES: i32 = BLOCK / TILE;
 
-/// The signs of a region's cells and of those one beyond its upper faces: a word for each row along x, y fastest.
+/// The signs of a region's cells and of those one beyond its upper faces: a word for each row along
+/// x, y fastest.
 struct Signs {
     region: CellBox,
     rows: Vec<u64>,
 }
 
 impl Signs {
-    fn of<L: Level>(field: &Block<L::Sample>, region: CellBox, level: L, walls: Option<CellBox>) -> Self {
+    fn of<L: Level>(
+        field: &Block<L::Sample>,
+        region: CellBox,
+        level: L,
+        walls: Option<CellBox>,
+    ) -> Self {
         let cells = region.grown(0, 1);
         let size = cells.size().as_usizevec3();
         let mut signs = Self { region, rows: vec![0; size.y * size.z] };
@@ -158,7 +165,8 @@ impl Signs {
         ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
     }
 
-    /// The words of the rows that the dual cells of the tiles at (y, z) join: of each z those of all y.
+    /// The words of the rows that the dual cells of the tiles at (y, z) join: of each z those of
+    /// all y.
     fn rows(&self, y: i32, z: i32) -> [&[u64]; ROWS] {
         std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
     }
@@ -172,10 +180,13 @@ impl Signs {
         for z in (lo.z..hi.z).step_by(TILE as usize) {
             for y in (lo.y..hi.y).step_by(TILE as usize) {
                 let rows = self.rows(y, z);
-                let (any, all) = rows.into_iter().flatten().fold((0, !0), |(a, b), row| (a | row, b & row));
-                let (any, all) = (1..ROWS).fold((any, all), |(a, b), x| (a | any >> x, b & all >> x));
+                let (any, all) =
+                    rows.into_iter().flatten().fold((0, !0), |(a, b), row| (a | row, b & row));
+                let (any, all) =
+                    (1..ROWS).fold((any, all), |(a, b), x| (a | any >> x, b & all >> x));
                 for x in bits(any & !all & tiles) {
-                    let index = local_morton(IVec3::new(lo.x + x as i32, y, z) / TILE - block * TILES);
+                    let index =
+                        local_morton(IVec3::new(lo.x + x as i32, y, z) / TILE - block * TILES);
                     mixed[index / 64] |= 1 << (index % 64);
                 }
             }
@@ -183,19 +194,22 @@ impl Signs {
         mixed
     }
 
-    /// The signs of the cells of the tile at `corner`, and of their neighbours one cell up along the axes
-    /// in a corner's number.
+    /// The signs of the cells of the tile at `corner`, and of their neighbours one cell up along
+    /// the axes in a corner's number.
     fn corners(&self, corner: IVec3) -> [TileMask; 8] {
         let rows = self.rows(corner.y, corner.z);
         let x = corner.x - self.region.lo.x;
         // The rows of a layer one after the other, four cells of each.
         let layer = |up_x: i32, z: usize| {
-            (0..ROWS).fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))
+            (0..ROWS)
+                .fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))
         };
         let layers: [[u64; ROWS]; 2] = [0, 1].map(|up_x| std::array::from_fn(|z| layer(up_x, z)));
         std::array::from_fn(|k| {
             let [up_x, up_y, up_z] = [k & 1, k >> 1 & 1, k >> 2];
-            (0..4).fold(0, |word, z| word | (layers[up_x][z + up_z] >> (4 * up_y) & 0xffff) << (16 * z))
+            (0..4).fold(0, |word, z| {
+                word | (layers[up_x][z + up_z] >> (4 * up_y) & 0xffff) << (16 * z)
+            })
         })
     }
 }
@@ -204,7 +218,9 @@ impl Signs {
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
     let (words, rest) = row.as_chunks::<16>();
-    let rest = (0..).zip(rest).fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i);
+    let rest = (0..)
+        .zip(rest)
+        .fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i);
     words.iter().rev().fold(rest, |all, word| {
         let bit = |i: usize| if level.is_inside(word[i]) { 1_u16 << i } else { 0 };
         all << 16 | u64::from(std::array::from_fn::<u16, 16, _>(bit).iter().fold(0, |a, b| a | b))

@@ -10,7 +10,8 @@ pub trait Level: Copy {
     /// Whether a sample is inside of the surface.
     fn is_inside(self, sample: Self::Sample) -> bool;
 
-    /// Packs the samples at the lower and the upper end of an edge for its vertex; [`Crossings`] reads them.
+    /// Packs the samples at the lower and the upper end of an edge for its vertex; [`Crossings`]
+    /// reads them.
     fn ends(self, lower: Self::Sample, upper: Self::Sample) -> [u16; 2];
 }
 
@@ -29,7 +30,8 @@ impl Level for Isovalue {
     }
 }
 
-/// The level 0 of a real field that is positive inside: a vertex keeps its fraction, in steps of 2^-32.
+/// The level 0 of a real field that is positive inside: a vertex keeps its fraction, in steps of
+/// 2^-32.
 #[derive(Debug, Clone, Copy)]
 pub struct Zero;
 
@@ -75,18 +77,22 @@ impl From<Zero> for Crossings {
 impl Crossings {
     /// How far along its edge a vertex lies (eq. 8), from what it keeps.
     ///
-    /// Equal samples are those of a cell and of the ghost point that mirrors it: half-way, for phi changes its sign.
-    #[must_use]
+    /// Equal samples are those of a cell and of the ghost point that mirrors it: half-way, for phi
+    /// changes its sign.
     #[inline]
     pub fn fraction(self, [lower, upper]: [u16; 2]) -> f64 {
         match self {
             Self::Samples(_) if lower == upper => 0.5,
             Self::Samples(iso) => {
                 // phi in halves: 2 c - 2 theta, and c is an integer and a half.
-                let phi = |theta: u16| f64::from(2 * i32::from(iso.threshold()) + 1 - 2 * i32::from(theta));
+                let phi = |theta: u16| {
+                    f64::from(2 * i32::from(iso.threshold()) + 1 - 2 * i32::from(theta))
+                };
                 phi(lower) / (phi(lower) - phi(upper))
             }
-            Self::Fractions => f64::from(u32::from(lower) | u32::from(upper) << 16) / 2_f64.powi(32),
+            Self::Fractions => {
+                f64::from(u32::from(lower) | u32::from(upper) << 16) / 2_f64.powi(32)
+            }
         }
     }
 }

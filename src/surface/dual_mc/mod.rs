@@ -1,13 +1,15 @@
 //! Marching cubes on the dual grid (section 4.3).
 //!
-//! Samples are the cells' centres; a dual cell joins 2^3 of them. A sample is inside when it is greater
-//! than the isovalue's threshold. On a dual edge (i, j) whose ends differ, the vertex is
-//! v = (1 - a) p_i + a p_j with a = phi_i / (phi_i - phi_j), phi = c - theta (eq. 8).
+//! Samples are the cells' centres; a dual cell joins 2^3 of them. A sample is inside when it is
+//! greater than the isovalue's threshold. On a dual edge (i, j) whose ends differ, the vertex is v
+//! = (1 - a) p_i + a p_j with a = phi_i / (phi_i - phi_j), phi = c - theta (eq. 8).
 //!
-//! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|: outside. Where
-//! the cell is inside, the vertex is half-way between centre and ghost, which is exactly on the wall.
+//! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|: outside.
+//! Where the cell is inside, the vertex is half-way between centre and ghost, which is exactly on
+//! the wall.
 //!
-//! Needs the field on the block and one cell beyond its upper faces; normals need one cell more all round.
+//! Needs the field on the block and one cell beyond its upper faces; normals need one cell more all
+//! round.
 
 pub mod cases;
 mod cpu;
@@ -19,8 +21,8 @@ pub use level::{Crossings, Level, Zero};
 
 use crate::grid::CellBox;
 
-/// Vertices of a block with much surface, where details are smoothed away or where they are kept: spray is all surface.
-#[must_use]
+/// Vertices of a block with much surface, where details are smoothed away or where they are kept:
+/// spray is all surface.
 pub fn block_vertices(keeps_details: bool) -> u64 {
     if keeps_details { 20_000 } else { 6_000 }
 }
@@ -45,7 +47,6 @@ impl Normals {
 }
 
 /// The cells that stand around the dual cells of a region.
-#[must_use]
 pub fn dual_cells(region: CellBox) -> CellBox {
     region.tiled().grown(0, 1)
 }

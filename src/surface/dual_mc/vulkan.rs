@@ -33,7 +33,6 @@ pub struct Tally {
 
 impl Tally {
     /// Returns the counts between `begin` and this tally.
-    #[must_use]
     pub fn since(&self, begin: &Self) -> Self {
         Self {
             tiles: self.tiles - begin.tiles,
@@ -93,12 +92,11 @@ pub struct Outputs {
     pub room: u32,
 }
 
-/// By how much the field falls from one cell below to one cell above along each axis, around the lower and the upper
-/// end of a vertex's edge.
+/// By how much the field falls from one cell below to one cell above along each axis, around the
+/// lower and the upper end of a vertex's edge.
 pub type Falls = [[i32; 3]; 2];
 
 /// Triangles by case, as the shaders take them.
-#[must_use]
 pub fn lengths() -> Vec<u32> {
     TABLE.iter().map(|triangles| triangles.len() as u32).collect()
 }

@@ -1,8 +1,8 @@
 //! The surface of one block, before stitching: signs and edge samples, no indices yet.
 //!
-//! Every dual edge belongs to the tile of 4^3 cells that holds its lower cell, every dual cell to the
-//! tile of its lowest corner. Within a tile vertices are ordered by axis, then by cell (x fastest);
-//! tiles are in Morton order. This order knows nothing of blocks, bricks or threads.
+//! Every dual edge belongs to the tile of 4^3 cells that holds its lower cell, every dual cell to
+//! the tile of its lowest corner. Within a tile vertices are ordered by axis, then by cell (x
+//! fastest); tiles are in Morton order. This order knows nothing of blocks, bricks or threads.
 
 use glam::IVec3;
 
@@ -12,7 +12,6 @@ use crate::grid::{BLOCK, TILE, local_from_morton};
 pub type TileMask = u64;
 
 /// The cell of a bit, relative to its tile.
-#[must_use]
 #[inline]
 pub fn cell_of_bit(bit: u32) -> IVec3 {
     IVec3::new(bit as i32 & 3, bit as i32 >> 2 & 3, bit as i32 >> 4)
@@ -37,26 +36,24 @@ pub struct Tile {
     pub index: u32,
     /// The number of its first vertex, counted in the block.
     pub first_vertex: u32,
-    /// For each corner (x + 2 y + 4 z) of the dual cells that the tile owns: is it inside the fluid?
+    /// For each corner (x + 2 y + 4 z) of the dual cells that the tile owns: is it inside the
+    /// fluid?
     pub corners: [TileMask; 8],
 }
 
 impl Tile {
     /// The lowest cell of the tile, in the block at `block`.
-    #[must_use]
     pub fn corner(&self, block: IVec3) -> IVec3 {
         block * BLOCK + local_from_morton(self.index as usize) * TILE
     }
 
     /// The cells whose dual edge along `axis` crosses the surface.
-    #[must_use]
     #[inline]
     pub fn crossed(&self, axis: usize) -> TileMask {
         self.corners[0] ^ self.corners[1 << axis]
     }
 
     /// The dual cells with corners on both sides.
-    #[must_use]
     #[inline]
     pub fn mixed(&self) -> TileMask {
         let (any, all) = self.corners.iter().fold((0, !0), |(any, all), c| (any | c, all & c));
@@ -64,13 +61,13 @@ impl Tile {
     }
 
     /// The inside corners of one of its dual cells, bit by corner.
-    #[must_use]
     #[inline]
     pub fn case(&self, bit: u32) -> usize {
         self.corners.iter().enumerate().map(|(k, c)| ((c >> bit & 1) as usize) << k).sum()
     }
 
-    /// The edges that carry vertices, in the order of the vertices: lower cell relative to the tile, axis.
+    /// The edges that carry vertices, in the order of the vertices: lower cell relative to the
+    /// tile, axis.
     pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + use<'_> {
         (0..3).flat_map(|axis| bits(self.crossed(axis)).map(move |bit| (cell_of_bit(bit), axis)))
     }
@@ -93,7 +90,8 @@ pub struct BlockMesh {
     pub block: IVec3,
     /// The tiles that vertices are in, in Morton order.
     pub tiles: Vec<Tile>,
-    /// For every vertex what it keeps of its edge: the field at the lower and the upper end, or a fraction.
+    /// For every vertex what it keeps of its edge: the field at the lower and the upper end, or a
+    /// fraction.
     pub ends: Vec<[u16; 2]>,
     /// For every vertex its outward normal; empty where none were asked for.
     pub normals: Vec<[f32; 3]>,

@@ -1,9 +1,9 @@
 //! Is a mesh closed, oriented and 2-manifold, and where is it not?
 //!
-//! Everything is decided at one vertex at a time, from its star: every edge is looked at from its lesser end, and
-//! the triangles around a vertex hang together by the edges that they share there, or they do not. So there
-//! is nothing to hash and nothing to sort but a handful of spokes, and the order of the findings is that of
-//! the vertices, whatever the number of threads.
+//! Everything is decided at one vertex at a time, from its star: every edge is looked at from its
+//! lesser end, and the triangles around a vertex hang together by the edges that they share there,
+//! or they do not. So there is nothing to hash and nothing to sort but a handful of spokes, and the
+//! order of the findings is that of the vertices, whatever the number of threads.
 
 use std::fmt;
 
@@ -59,8 +59,8 @@ impl<T> FromIterator<T> for Found<T> {
 
 /// How the triangles of a mesh hang together, positions aside.
 ///
-/// Triangles that name a missing vertex, or one vertex twice, are counted and then left out, so that they
-/// do not show up as other defects as well. An edge falls into at most one class.
+/// Triangles that name a missing vertex, or one vertex twice, are counted and then left out, so
+/// that they do not show up as other defects as well. An edge falls into at most one class.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Topology {
     /// Pairs of vertices that a triangle joins.
@@ -81,8 +81,8 @@ pub struct Topology {
     pub pinched_vertices: Found<u32>,
     /// Triangles on the three vertices of an earlier one, whichever way round.
     ///
-    /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin shows
-    /// up as a crowded or misoriented edge, too.
+    /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin
+    /// shows up as a crowded or misoriented edge, too.
     pub twin_triangles: Found<[u32; 3]>,
     /// Vertices without a sound triangle. Not a defect.
     pub unreferenced_vertices: Found<u32>,
@@ -101,7 +101,8 @@ impl Topology {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()
     }
 
-    /// Whether all triangles are sound, no edge has more than two, and those at a vertex form one fan.
+    /// Whether all triangles are sound, no edge has more than two, and those at a vertex form one
+    /// fan.
     #[must_use]
     pub fn is_manifold(&self) -> bool {
         self.out_of_range.is_none()
@@ -110,7 +111,8 @@ impl Topology {
             && self.pinched_vertices.is_none()
     }
 
-    /// Whether the mesh is closed, oriented and 2-manifold: every directed edge occurs once, and so does its reverse.
+    /// Whether the mesh is closed, oriented and 2-manifold: every directed edge occurs once, and so
+    /// does its reverse.
     #[must_use]
     pub fn is_closed_oriented_manifold(&self) -> bool {
         self.is_closed() && self.is_oriented() && self.is_manifold()
@@ -140,7 +142,8 @@ pub struct Report {
     pub topology: Topology,
     /// Vertices with a coordinate that is infinite or not a number.
     pub non_finite_positions: Found<usize>,
-    /// Vertices on the position of an earlier one, to the bit. Not a defect: meshes may touch themselves.
+    /// Vertices on the position of an earlier one, to the bit. Not a defect: meshes may touch
+    /// themselves.
     pub duplicate_positions: Found<usize>,
 }
 
@@ -155,7 +158,8 @@ impl Report {
 /// Looks at every triangle, edge, vertex and position of `mesh`.
 #[must_use]
 pub fn check(mesh: &Mesh) -> Report {
-    let non_finite = mesh.positions.iter().enumerate().filter(|(_, p)| !p.iter().all(|x| x.is_finite()));
+    let non_finite =
+        mesh.positions.iter().enumerate().filter(|(_, p)| !p.iter().all(|x| x.is_finite()));
     Report {
         vertices: mesh.positions.len(),
         triangles: mesh.triangles.len(),
@@ -166,7 +170,6 @@ pub fn check(mesh: &Mesh) -> Report {
 }
 
 /// Looks at the triangles of `mesh` only.
-#[must_use]
 pub fn topology(mesh: &Mesh) -> Topology {
     let vertices = mesh.positions.len();
     let mut triangles = Topology::default();
@@ -180,7 +183,8 @@ pub fn topology(mesh: &Mesh) -> Topology {
         }
     }
     let stars = Stars::new(mesh.positions.len(), &mesh.triangles);
-    // No triangle names a vertex beyond u32, so one there is unreferenced, and `as` shortens no other number.
+    // No triangle names a vertex beyond u32, so one there is unreferenced, and `as` shortens no
+    // other number.
     let chunks: Vec<Topology> = (0..vertices.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
@@ -240,7 +244,9 @@ impl Survey {
             self.topology.edges += 1;
             match edge {
                 [_] => self.topology.boundary_edges.note(ends),
-                [one, other] if one.outward == other.outward => self.topology.misoriented_edges.note(ends),
+                [one, other] if one.outward == other.outward => {
+                    self.topology.misoriented_edges.note(ends)
+                }
                 [_, _] => {}
                 _ => self.topology.crowded_edges.note(ends),
             }
@@ -300,7 +306,11 @@ impl fmt::Display for Report {
     /// One line a promise, kept or not, and one a defect.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let topology = &self.topology;
-        writeln!(f, "{} vertices, {} edges, {} triangles", self.vertices, topology.edges, self.triangles)?;
+        writeln!(
+            f,
+            "{} vertices, {} edges, {} triangles",
+            self.vertices, topology.edges, self.triangles
+        )?;
         for (promise, kept) in [
             ("closed", topology.is_closed()),
             ("oriented", topology.is_oriented()),
@@ -329,13 +339,12 @@ fn line<T: fmt::Debug>(f: &mut fmt::Formatter<'_>, what: &str, found: &Found<T>)
 }
 
 /// Whether a triangle names three different vertices that exist.
-#[must_use]
 pub fn is_sound([a, b, c]: [u32; 3], vertices: usize) -> bool {
     [a, b, c].iter().all(|&v| (v as usize) < vertices) && a != b && b != c && c != a
 }
 
-/// For every vertex the edges across from it, in the order of the triangles: `[b, c]` for triangle a, b, c
-/// seen from a. Unsound triangles are left out.
+/// For every vertex the edges across from it, in the order of the triangles: `[b, c]` for triangle
+/// a, b, c seen from a. Unsound triangles are left out.
 ///
 /// 24 bytes a triangle and 8 a vertex; two passes over the triangles, one over the vertices.
 #[derive(Debug)]
@@ -346,7 +355,6 @@ pub struct Stars {
 
 impl Stars {
     /// Gathers the stars of so many vertices.
-    #[must_use]
     pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let sound = || triangles.iter().filter(|&&t| is_sound(t, vertices));
         let mut ends = vec![0; vertices];
@@ -370,14 +378,12 @@ impl Stars {
     }
 
     /// The edges across from `vertex`.
-    #[must_use]
     pub fn of(&self, vertex: usize) -> &[[u32; 2]] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.across[start..self.ends[vertex]]
     }
 
     /// Number of vertices, those without triangles included.
-    #[must_use]
     pub fn vertices(&self) -> usize {
         self.ends.len()
     }

@@ -1,12 +1,12 @@
 //! How far two surfaces lie apart.
 //!
-//! Each surface is sampled and every sample's distance to the other surface taken, exactly, to the nearest
-//! point on any of its triangles. Vertices count for the greatest distance only; means are over samples
-//! that are spread evenly by area. Samples and sums have a fixed order, so that the figures are the same
-//! on any number of threads.
+//! Each surface is sampled and every sample's distance to the other surface taken, exactly, to the
+//! nearest point on any of its triangles. Vertices count for the greatest distance only; means are
+//! over samples that are spread evenly by area. Samples and sums have a fixed order, so that the
+//! figures are the same on any number of threads.
 //!
-//! A distance's sign comes from the angle-weighted pseudo-normal at the nearest point, which tells inside
-//! from outside also where that point is an edge or a vertex (Baerentzen and Aanaes 2005).
+//! A distance's sign comes from the angle-weighted pseudo-normal at the nearest point, which tells
+//! inside from outside also where that point is an edge or a vertex (Baerentzen and Aanaes 2005).
 
 use std::ops::Range;
 
@@ -36,7 +36,8 @@ const GREATEST_COORDINATE: f64 = 1e70;
 pub struct Comparison {
     /// The greatest distance from any sample of either surface to the other.
     pub hausdorff: f64,
-    /// Mean signed distance of the mesh from the reference, positive where the mesh lies outside of it.
+    /// Mean signed distance of the mesh from the reference, positive where the mesh lies outside of
+    /// it.
     pub bias: f64,
     /// From samples of the mesh to the reference.
     pub from_mesh: Distances,
@@ -88,7 +89,6 @@ pub enum CompareError {
 
 impl CompareError {
     /// Returns the mesh that is at fault.
-    #[must_use]
     pub fn side(&self) -> Side {
         match *self {
             Self::NoSurface(side) | Self::NotFinite { side, .. } => side,
@@ -107,19 +107,26 @@ impl Side {
 
 /// Measures how far `mesh` and `reference` lie apart, in both directions.
 ///
-/// Triangles that name a missing vertex, or one twice, are left out. The reference need not be closed;
-/// the bias then speaks of the side that its triangles face.
+/// Triangles that name a missing vertex, or one twice, are left out. The reference need not be
+/// closed; the bias then speaks of the side that its triangles face.
 ///
 /// # Errors
 /// Where either has no surface, or a vertex that is no point: see [`CompareError`].
 pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError> {
     // Near the first vertex, positions have as many digits as they can.
     let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
-    let (reference, mesh) =
-        (Surface::new(reference, origin, Side::Reference)?, Surface::new(mesh, origin, Side::Mesh)?);
+    let (reference, mesh) = (
+        Surface::new(reference, origin, Side::Reference)?,
+        Surface::new(mesh, origin, Side::Mesh)?,
+    );
     let (from_mesh, bias) = mesh.distances_to(&reference, origin);
     let (from_reference, _) = reference.distances_to(&mesh, origin);
-    Ok(Comparison { hausdorff: from_mesh.max.max(from_reference.max), bias, from_mesh, from_reference })
+    Ok(Comparison {
+        hausdorff: from_mesh.max.max(from_reference.max),
+        bias,
+        from_mesh,
+        from_reference,
+    })
 }
 
 /// A mesh, ready to be sampled and searched.
@@ -130,7 +137,8 @@ pub struct Surface {
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
     stars: Stars,
-    /// The [pseudo-normal](Self::pseudo_normal) of each vertex: one of thousands of triangles may be the nearest to many samples.
+    /// The [pseudo-normal](Self::pseudo_normal) of each vertex: one of thousands of triangles may
+    /// be the nearest to many samples.
     at_vertices: Vec<DVec3>,
     tree: Bvh,
     /// Area of the triangles up to and including each.
@@ -147,7 +155,8 @@ impl Surface {
         Self::new(mesh, origin, Side::Reference)
     }
 
-    /// Distances of places from this surface, negative inside of it; NaN for what is no place within 1e70 of the origin.
+    /// Distances of places from this surface, negative inside of it; NaN for what is no place
+    /// within 1e70 of the origin.
     #[must_use]
     pub fn signed_distances(&self, places: &[[f64; 3]]) -> Vec<f64> {
         let mut near = None;
@@ -173,7 +182,8 @@ impl Surface {
         if let Some(&vertex) = triangles.iter().flatten().find(far) {
             return Err(CompareError::NotFinite { side, vertex });
         }
-        let positions: Vec<DVec3> = mesh.positions.iter().map(|&p| DVec3::from(p) - origin).collect();
+        let positions: Vec<DVec3> =
+            mesh.positions.iter().map(|&p| DVec3::from(p) - origin).collect();
         let corners = |t: &[u32; 3]| t.map(|vertex| positions[vertex as usize]);
         let area_up_to: Vec<f64> = triangles
             .iter()
@@ -191,9 +201,11 @@ impl Surface {
         });
         let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
         let stars = Stars::new(mesh.positions.len(), &mesh.triangles);
-        let weighted = |[v, p, q]: [DVec3; 3]| (p - v).angle_between(q - v) * unit_normal([v, p, q]);
+        let weighted =
+            |[v, p, q]: [DVec3; 3]| (p - v).angle_between(q - v) * unit_normal([v, p, q]);
         let vertices = (0..positions.len() as u32).into_par_iter();
-        let at_vertices = vertices.map(|vertex| around(&stars, &positions, vertex).map(weighted).sum());
+        let at_vertices =
+            vertices.map(|vertex| around(&stars, &positions, vertex).map(weighted).sum());
         let at_vertices = at_vertices.collect();
         Ok(Self { origin, positions, triangles, stars, at_vertices, tree, area_up_to })
     }
@@ -278,23 +290,32 @@ impl Surface {
         };
         let found = self.tree.find_best(bound, box_cost, triangle_cost);
         let nearer = found.map(|(_, (_, nearest))| nearest);
-        nearer.or(known).expect("there are triangles, and finite points are at a finite distance from each")
+        nearer
+            .or(known)
+            .expect("there are triangles, and finite points are at a finite distance from each")
     }
 
-    /// A vector that points outwards at the nearest point: the triangle's normal, on an edge the sum of
-    /// both unit normals, on a vertex that of all, weighted by the triangles' angles.
+    /// A vector that points outwards at the nearest point: the triangle's normal, on an edge the
+    /// sum of both unit normals, on a vertex that of all, weighted by the triangles' angles.
     fn pseudo_normal(&self, nearest: &Nearest) -> DVec3 {
         let [a, b, c] = self.triangles[nearest.triangle];
         match nearest.location {
-            TrianglePointLocation::OnVertex(corner) => self.at_vertices[[a, b, c][corner as usize] as usize],
+            TrianglePointLocation::OnVertex(corner) => {
+                self.at_vertices[[a, b, c][corner as usize] as usize]
+            }
             TrianglePointLocation::OnEdge(side, _) => {
                 let ends = [[a, b], [b, c], [a, c]][side as usize];
                 let triangles_at = |vertex: u32| self.stars.of(vertex as usize).len();
-                let [from, to] =
-                    if triangles_at(ends[1]) < triangles_at(ends[0]) { [ends[1], ends[0]] } else { ends };
+                let [from, to] = if triangles_at(ends[1]) < triangles_at(ends[0]) {
+                    [ends[1], ends[0]]
+                } else {
+                    ends
+                };
                 let around = around(&self.stars, &self.positions, from);
                 let star = self.stars.of(from as usize).iter().zip(around);
-                star.filter(|(across, _)| across.contains(&to)).map(|(_, corners)| unit_normal(corners)).sum()
+                star.filter(|(across, _)| across.contains(&to))
+                    .map(|(_, corners)| unit_normal(corners))
+                    .sum()
             }
             TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => {
                 scaled_normal(self.corners(nearest.triangle))
@@ -326,8 +347,8 @@ fn unit_normal(corners: [DVec3; 3]) -> DVec3 {
 /// (Roberts 2018), whose points are spread evenly over a square, folded onto the triangle.
 fn spot(number: usize) -> [f64; 2] {
     // The plastic number's inverse and its square.
-    let [u, v] =
-        [0.754_877_666_246_692_8, 0.569_840_290_998_053_3].map(|step| (0.5 + number as f64 * step).fract());
+    let [u, v] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3]
+        .map(|step| (0.5 + number as f64 * step).fract());
     if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! Volume is the sum of the tetrahedra between the triangles and the centre of the mesh's box (the
 //! divergence theorem), so that a mesh far from the origin keeps its digits. Genus follows from
-//! Euler's `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in order.
+//! Euler's `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in
+//! order.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -24,20 +25,23 @@ const CHUNK: usize = 1 << 14;
 /// Classes of the histogram of least angles, 5 degrees each: no triangle's least angle exceeds 60.
 pub const ANGLE_CLASSES: usize = 12;
 
-/// The result of [`measure`]. Triangles that name a missing vertex, or one twice, are left out of everything.
+/// The result of [`measure`]. Triangles that name a missing vertex, or one twice, are left out of
+/// everything.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Measures {
     /// Least and greatest corner, of the vertices that triangles use; none for an empty mesh.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The area of all triangles, in the square of the unit of length.
     pub area: f64,
-    /// The enclosed volume, in the cube of the unit of length, negative where triangles face inwards. None unless closed and oriented.
+    /// The enclosed volume, in the cube of the unit of length, negative where triangles face
+    /// inwards. None unless closed and oriented.
     pub volume: Option<f64>,
     /// Pieces that share no vertex.
     pub components: usize,
     /// Components that enclose next to nothing, as two triangles back to back.
     pub flat_components: usize,
-    /// The Euler characteristic: vertices - edges + triangles, of those vertices that triangles use.
+    /// The Euler characteristic: vertices - edges + triangles, of those vertices that triangles
+    /// use.
     pub euler_characteristic: i64,
     /// Handles, of all components together. None unless closed, oriented and 2-manifold.
     pub genus: Option<i64>,
@@ -56,8 +60,8 @@ pub struct Quality {
     pub worst_triangle: Option<usize>,
     /// Mean of the least angles, in degrees; none for an empty mesh.
     pub mean_angle: Option<f64>,
-    /// The worst aspect ratio, longest edge over shortest height, 1 for an equilateral triangle; the greatest of the triangles
-    /// with an area, none if there are no such.
+    /// The worst aspect ratio, longest edge over shortest height, 1 for an equilateral triangle;
+    /// the greatest of the triangles with an area, none if there are no such.
     pub worst_aspect: Option<f64>,
     /// Triangles without area.
     pub flat: usize,
@@ -77,7 +81,8 @@ pub fn measure(mesh: &Mesh) -> Measures {
     Measures {
         bounds: bounds.map(|corners| corners.map(|corner| corner.to_array())),
         area: sums.doubled_area / 2.0,
-        volume: (topology.is_closed() && topology.is_oriented()).then_some(sums.sextuple_volume / 6.0),
+        volume: (topology.is_closed() && topology.is_oriented())
+            .then_some(sums.sextuple_volume / 6.0),
         components,
         flat_components: pieces.iter().filter(|piece| piece.is_flat()).count(),
         euler_characteristic: euler,
@@ -112,7 +117,8 @@ impl Piece {
 
 /// Finds the pieces by joining the vertices of every triangle.
 fn pieces(mesh: &Mesh) -> Vec<Piece> {
-    // Each vertex points at a lesser one of its piece, the least at itself. No triangle names one beyond u32.
+    // Each vertex points at a lesser one of its piece, the least at itself. No triangle names one
+    // beyond u32.
     let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
     for [a, b, c] in sound(mesh) {
         let [a, b, c] = [a, b, c].map(|vertex| root(&mut lesser, vertex));
@@ -187,8 +193,10 @@ impl Sums {
         self.least_angles[((angle / 5.0) as usize).min(ANGLE_CLASSES - 1)] += 1;
         self.worst = worse(self.worst, Some((angle, number)));
         if doubled > 0.0 {
-            let longest =
-                (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            let longest = (b - a)
+                .length_squared()
+                .max((c - b).length_squared())
+                .max((a - c).length_squared());
             let aspect = longest / doubled * (3.0_f64.sqrt() / 2.0);
             self.aspect = Some(self.aspect.map_or(aspect, |worst| worst.max(aspect)));
         } else {
@@ -201,7 +209,9 @@ impl Sums {
             doubled_area: self.doubled_area + later.doubled_area,
             sextuple_volume: self.sextuple_volume + later.sextuple_volume,
             angles: self.angles + later.angles,
-            least_angles: std::array::from_fn(|class| self.least_angles[class] + later.least_angles[class]),
+            least_angles: std::array::from_fn(|class| {
+                self.least_angles[class] + later.least_angles[class]
+            }),
             worst: worse(self.worst, later.worst),
             aspect: self.aspect.into_iter().chain(later.aspect).reduce(f64::max),
             flat: self.flat + later.flat,
@@ -225,10 +235,12 @@ fn worse(earlier: Option<(f64, usize)>, later: Option<(f64, usize)>) -> Option<(
     earlier.into_iter().chain(later).reduce(|one, other| if other.0 < one.0 { other } else { one })
 }
 
-/// In degrees, from the corners and twice the area. The least angle lies across from the shortest edge.
+/// In degrees, from the corners and twice the area. The least angle lies across from the shortest
+/// edge.
 fn least_angle([a, b, c]: [DVec3; 3], doubled: f64) -> f64 {
     let across = [(b, c, a), (c, a, b), (a, b, c)];
     let cosine_scaled = across.map(|(from, to, apex)| (from - apex).dot(to - apex));
-    // atan2 is greatest where its second argument is least, so the least angle has the greatest one.
+    // atan2 is greatest where its second argument is least, so the least angle has the greatest
+    // one.
     doubled.atan2(cosine_scaled.into_iter().fold(f64::NEG_INFINITY, f64::max)).to_degrees()
 }

@@ -41,8 +41,10 @@ impl Mesh {
     /// Bytes of memory that its vertices and triangles take.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        let values: usize = self.attributes.iter().map(|attribute| size_of_val(&attribute.values[..])).sum();
+        let values: usize =
+            self.attributes.iter().map(|attribute| size_of_val(&attribute.values[..])).sum();
         let normals = self.normals.as_ref().map_or(0, |normals| size_of_val(&normals[..]));
-        (size_of_val(&self.positions[..]) + size_of_val(&self.triangles[..]) + normals + values) as u64
+        (size_of_val(&self.positions[..]) + size_of_val(&self.triangles[..]) + normals + values)
+            as u64
     }
 }

@@ -1,5 +1,5 @@
-//! A mesh in an order that renderers and codecs like: triangles so that vertices are used again while they are in the
-//! cache, vertices in the order in which they are used.
+//! A mesh in an order that renderers and codecs like: triangles so that vertices are used again
+//! while they are in the cache, vertices in the order in which they are used.
 
 use std::borrow::Cow;
 use std::io;
@@ -11,7 +11,8 @@ use rayon::prelude::*;
 use super::source::{Bounds, bounds_of, joined};
 use super::source::{MeshSource, Outline, Vertices};
 
-/// A mesh whose vertices and triangles are put in a better order, piece by piece. Takes 4 bytes a vertex.
+/// A mesh whose vertices and triangles are put in a better order, piece by piece. Takes 4 bytes a
+/// vertex.
 pub struct Ordered<'a> {
     mesh: &'a dyn MeshSource,
     /// For each vertex its new number in its piece.
@@ -23,9 +24,6 @@ pub struct Ordered<'a> {
 
 impl<'a> Ordered<'a> {
     /// Finds the order, by a pass over the vertices and one over the triangles.
-    ///
-    /// # Errors
-    /// Those of `mesh`.
     pub fn new(mesh: &'a dyn MeshSource) -> io::Result<Self> {
         let counted: Vec<_> = (0..mesh.pieces())
             .into_par_iter()
@@ -49,7 +47,6 @@ impl<'a> Ordered<'a> {
     }
 
     /// Least and greatest corner of all vertices.
-    #[must_use]
     pub fn bounds(&self) -> Option<Bounds> {
         self.bounds
     }
@@ -70,10 +67,14 @@ impl<'a> Ordered<'a> {
             })
             .collect();
         let corners = optimize_vertex_cache(&corners, global.len());
-        Ok(corners.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(|v| global[v as usize])).collect())
+        Ok(corners
+            .chunks_exact(3)
+            .map(|c| [c[0], c[1], c[2]].map(|v| global[v as usize]))
+            .collect())
     }
 
-    /// The piece's vertices in the order in which its triangles use them; those that only other pieces use last.
+    /// The piece's vertices in the order in which its triangles use them; those that only other
+    /// pieces use last.
     fn ranks_in(&self, piece: usize) -> io::Result<Vec<u32>> {
         const UNUSED: u32 = u32::MAX;
         let own = self.firsts[piece]..self.firsts[piece + 1];
@@ -116,7 +117,10 @@ impl MeshSource for Ordered<'_> {
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
         let triangles = self.cached(piece)?;
-        Ok(triangles.into_iter().map(|triangle| triangle.map(|vertex| self.renumbered(vertex))).collect())
+        Ok(triangles
+            .into_iter()
+            .map(|triangle| triangle.map(|vertex| self.renumbered(vertex)))
+            .collect())
     }
 }
 

@@ -41,8 +41,8 @@ pub struct Outline {
 /// The positions of all vertices, and all triangles as indices into them.
 pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
-/// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the triangles;
-/// a piece can be asked for as often as one likes, by several threads.
+/// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the
+/// triangles; a piece can be asked for as often as one likes, by several threads.
 pub trait MeshSource: Sync {
     /// Returns a summary of the mesh.
     fn outline(&self) -> Outline;
@@ -53,7 +53,8 @@ pub trait MeshSource: Sync {
     /// Where pieces are kept in a file that cannot be read.
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>>;
 
-    /// The triangles of piece number `piece`, perhaps none, as indices into all vertices of the mesh.
+    /// The triangles of piece number `piece`, perhaps none, as indices into all vertices of the
+    /// mesh.
     ///
     /// # Errors
     /// Where pieces are kept in a file that cannot be read.
@@ -64,7 +65,8 @@ pub trait MeshSource: Sync {
         None
     }
 
-    /// Makes the positions of all vertices, and all triangles, where that is less work at once than piece by piece.
+    /// Makes the positions of all vertices, and all triangles, where that is less work at once than
+    /// piece by piece.
     ///
     /// # Errors
     /// Where pieces are kept in a file that cannot be read.
@@ -72,8 +74,8 @@ pub trait MeshSource: Sync {
         Ok(None)
     }
 
-    /// A mesh that looks like it from afar, of about a quarter of its triangles, where that costs little. It may have fewer triangles than
-    /// its outline says.
+    /// A mesh that looks like it from afar, of about a quarter of its triangles, where that costs
+    /// little. It may have fewer triangles than its outline says.
     ///
     /// # Errors
     /// Where pieces are kept in a file that cannot be read.
@@ -109,7 +111,8 @@ pub trait MeshSource: Sync {
 
 impl MeshSource for Mesh {
     fn outline(&self) -> Outline {
-        let info = |a: &VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
+        let info =
+            |a: &VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
         Outline {
             vertices: self.positions.len() as u64,
             triangles: self.triangles.len() as u64,
@@ -125,8 +128,15 @@ impl MeshSource for Mesh {
         let attribute = |a: &VertexAttribute| range.start * a.components..range.end * a.components;
         Ok(Vertices {
             positions: Cow::Borrowed(&self.positions[range.clone()]),
-            normals: self.normals.as_ref().map_or(Cow::default(), |n| Cow::Borrowed(&n[range.clone()])),
-            attributes: self.attributes.iter().map(|a| Cow::Borrowed(&a.values[attribute(a)])).collect(),
+            normals: self
+                .normals
+                .as_ref()
+                .map_or(Cow::default(), |n| Cow::Borrowed(&n[range.clone()])),
+            attributes: self
+                .attributes
+                .iter()
+                .map(|a| Cow::Borrowed(&a.values[attribute(a)]))
+                .collect(),
         })
     }
 
@@ -150,7 +160,11 @@ fn assert_complete(mesh: &Mesh) {
     let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
     assert_eq!(normals, vertices, "one normal a vertex");
     for VertexAttribute { name, components, values } in &mesh.attributes {
-        assert_eq!(Some(values.len()), vertices.checked_mul(*components), "{components} of {name} a vertex");
+        assert_eq!(
+            Some(values.len()),
+            vertices.checked_mul(*components),
+            "{components} of {name} a vertex"
+        );
     }
 }
 
@@ -161,8 +175,8 @@ pub struct Metered<'a> {
 }
 
 impl<'a> Metered<'a> {
-    /// Counts the pieces of a mesh whose reader asks for the vertices and for the triangles of each.
-    #[must_use]
+    /// Counts the pieces of a mesh whose reader asks for the vertices and for the triangles of
+    /// each.
     pub fn new(mesh: &'a dyn MeshSource, control: &'a Control, stage: Stage) -> Self {
         Self { mesh, meter: control.meter(stage, 2 * mesh.pieces()) }
     }
@@ -199,15 +213,16 @@ impl MeshSource for Metered<'_> {
 pub type Bounds = [[f64; 3]; 2];
 
 /// The box around some positions; `None` around nothing.
-#[must_use]
 pub fn bounds_of(positions: &[[f64; 3]]) -> Option<Bounds> {
     positions.iter().map(|&p| [p, p]).reduce(joined)
 }
 
 /// The box around two boxes.
-#[must_use]
 pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
-    [std::array::from_fn(|axis| lo[axis].min(p[axis])), std::array::from_fn(|axis| hi[axis].max(q[axis]))]
+    [
+        std::array::from_fn(|axis| lo[axis].min(p[axis])),
+        std::array::from_fn(|axis| hi[axis].max(q[axis])),
+    ]
 }
 
 /// Hands a mesh on, and keeps the box of the vertices that were asked for.
@@ -218,13 +233,11 @@ pub struct Bounded<'a> {
 
 impl<'a> Bounded<'a> {
     /// Nothing is handed on yet.
-    #[must_use]
     pub fn new(mesh: &'a dyn MeshSource) -> Self {
         Self { mesh, bounds: Mutex::new(None) }
     }
 
     /// The box: that of the whole mesh, once it is written.
-    #[must_use]
     pub fn bounds(&self) -> Option<Bounds> {
         *self.bounds.lock().unwrap_or_else(PoisonError::into_inner)
     }

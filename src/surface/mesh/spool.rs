@@ -1,4 +1,5 @@
-//! The surfaces of all blocks, in Morton order: in memory while they are few, in a scratch file when not.
+//! The surfaces of all blocks, in Morton order: in memory while they are few, in a scratch file
+//! when not.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -72,14 +73,13 @@ pub struct SpoolFile {
 
 impl ListedBlock {
     /// Bytes of its surface, whose vertices take so many without their tiles.
-    #[must_use]
     pub fn bytes(&self, vertex_bytes: u64) -> u64 {
         u64::from(self.tiles) * size_of::<Tile>() as u64 + u64::from(self.vertices) * vertex_bytes
     }
 }
 
-/// Bytes of a vertex without its tile: the samples of its edge, its normal, and attributes of so many components.
-#[must_use]
+/// Bytes of a vertex without its tile: the samples of its edge, its normal, and attributes of so
+/// many components.
 pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
     let attributes = components.iter().sum::<usize>() * size_of::<f32>();
@@ -89,15 +89,14 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
 /// Bytes of a vertex's share of a tile.
 pub const TILE_SHARE: u64 = 4;
 
-/// Bytes of the surface in so many blocks that have so many vertices together, each of so many bytes without its tile.
-#[must_use]
+/// Bytes of the surface in so many blocks that have so many vertices together, each of so many
+/// bytes without its tile.
 pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
     vertices * vertex_bytes + blocks * u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
 
 impl Spool {
     /// For surfaces with or without normals, and attributes of so many components each.
-    #[must_use]
     pub fn in_memory(normals: bool, components: Vec<usize>) -> Self {
         Self { index: Vec::new(), store: Store::Memory(Vec::new()), components, normals, bytes: 0 }
     }
@@ -106,7 +105,6 @@ impl Spool {
     pub const BLOCK_BYTES: u64 = size_of::<Entry>() as u64;
 
     /// For surfaces that are in files, whose blocks are in Morton order from one file to the next.
-    #[must_use]
     pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
         let mut spool = Self::in_memory(normals, components);
         let vertex_bytes = spool.vertex_bytes();
@@ -157,13 +155,11 @@ impl Spool {
     }
 
     /// Bytes of all surfaces, in memory or in the file.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// Bytes of the surfaces that are in memory.
-    #[must_use]
     pub fn bytes_in_memory(&self) -> u64 {
         match self.store {
             Store::Memory(_) => self.bytes,
@@ -172,7 +168,6 @@ impl Spool {
     }
 
     /// Bytes of a vertex, without its tile.
-    #[must_use]
     pub fn vertex_bytes(&self) -> u64 {
         vertex_bytes(self.normals, &self.components)
     }
@@ -216,31 +211,26 @@ impl Spool {
     }
 
     /// Number of blocks.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.index.len()
     }
 
     /// Whether there is no surface.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.index.is_empty()
     }
 
     /// Vertices of all blocks.
-    #[must_use]
     pub fn vertices(&self) -> u64 {
         self.index.last().map_or(0, |e| e.first_vertex + u64::from(e.vertices))
     }
 
     /// Triangles of all blocks.
-    #[must_use]
     pub fn triangles(&self) -> u64 {
         self.index.last().map_or(0, |e| e.first_triangle + u64::from(e.triangles))
     }
 
     /// Whether vertices have normals.
-    #[must_use]
     pub fn has_normals(&self) -> bool {
         self.normals
     }
@@ -251,31 +241,26 @@ impl Spool {
     }
 
     /// The coordinates of block number `i`.
-    #[must_use]
     pub fn block(&self, i: usize) -> IVec3 {
         self.index[i].block
     }
 
     /// The number in the whole mesh of the first vertex of block number `i`.
-    #[must_use]
     pub fn first_vertex(&self, i: usize) -> u64 {
         self.index[i].first_vertex
     }
 
     /// The number of the block that has a vertex of the whole mesh.
-    #[must_use]
     pub fn piece_of(&self, vertex: u64) -> usize {
         self.index.partition_point(|entry| entry.first_vertex <= vertex) - 1
     }
 
     /// How many vertices and triangles block number `i` has.
-    #[must_use]
     pub fn counts(&self, i: usize) -> [usize; 2] {
         [self.index[i].vertices as usize, self.index[i].triangles as usize]
     }
 
     /// The number of the block at `coord`, if the surface passes through it.
-    #[must_use]
     pub fn find(&self, coord: IVec3) -> Option<usize> {
         let key = MortonKey::of(coord);
         self.index.binary_search_by_key(&key, |entry| MortonKey::of(entry.block)).ok()
@@ -350,7 +335,11 @@ impl Positioned for ReopenedFile {
     }
 }
 
-fn read_array<T: bytemuck::Pod>(file: &impl Positioned, at: &mut u64, len: usize) -> io::Result<Vec<T>> {
+fn read_array<T: bytemuck::Pod>(
+    file: &impl Positioned,
+    at: &mut u64,
+    len: usize,
+) -> io::Result<Vec<T>> {
     let mut array = vec![T::zeroed(); len];
     file.read_at(*at, bytemuck::cast_slice_mut(&mut array))?;
     *at += size_of_val(&array[..]) as u64;
@@ -364,14 +353,18 @@ impl BlockMesh {
         bytes.extend_from_slice(bytemuck::cast_slice(&self.tiles));
         bytes.extend_from_slice(bytemuck::cast_slice(&self.ends));
         bytes.extend_from_slice(bytemuck::cast_slice(&self.normals));
-        self.attributes.iter().for_each(|values| bytes.extend_from_slice(bytemuck::cast_slice(values)));
+        self.attributes
+            .iter()
+            .for_each(|values| bytes.extend_from_slice(bytemuck::cast_slice(values)));
         bytes
     }
 
     /// Returns the bytes of all arrays together.
     fn bytes(&self) -> u64 {
         let attributes: usize = self.attributes.iter().map(|values| size_of_val(&values[..])).sum();
-        let own = size_of_val(&self.tiles[..]) + size_of_val(&self.ends[..]) + size_of_val(&self.normals[..]);
+        let own = size_of_val(&self.tiles[..])
+            + size_of_val(&self.ends[..])
+            + size_of_val(&self.normals[..]);
         (own + attributes) as u64
     }
 }

@@ -33,9 +33,14 @@ impl fmt::Display for UpAxis {
 }
 
 impl UpAxis {
-    /// A place or a direction after the quarter turn about x that makes what pointed along this axis point along `to`.
+    /// A place or a direction after the quarter turn about x that makes what pointed along this
+    /// axis point along `to`.
     #[must_use]
-    pub fn turned<T: Copy + Default + Sub<Output = T>>(self, to: Self, [x, y, z]: [T; 3]) -> [T; 3] {
+    pub fn turned<T: Copy + Default + Sub<Output = T>>(
+        self,
+        to: Self,
+        [x, y, z]: [T; 3],
+    ) -> [T; 3] {
         // From zero, so that no zero turns negative.
         let negative = |value: T| T::default() - value;
         match (self, to) {
@@ -46,8 +51,8 @@ impl UpAxis {
     }
 }
 
-/// A mesh turned, if need be, so that another axis points up: positions, normals, and attributes of three components but for
-/// colours. Other attributes, tensors among them, stay as they are.
+/// A mesh turned, if need be, so that another axis points up: positions, normals, and attributes of
+/// three components but for colours. Other attributes, tensors among them, stay as they are.
 pub struct Turned<'a> {
     mesh: &'a dyn MeshSource,
     from: UpAxis,
@@ -58,7 +63,6 @@ pub struct Turned<'a> {
 
 impl<'a> Turned<'a> {
     /// `mesh`, in which `from` points up, with `to` pointing up.
-    #[must_use]
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
         let is_direction = |info: &AttributeInfo| {
             info.components == 3 && !COLOURS.contains(&&*info.name.to_ascii_lowercase())
@@ -84,7 +88,9 @@ impl MeshSource for Turned<'_> {
         }
         self.turn(vertices.positions.to_mut());
         self.turn(vertices.normals.to_mut());
-        for (values, _) in vertices.attributes.iter_mut().zip(&self.directions).filter(|(_, turns)| **turns) {
+        for (values, _) in
+            vertices.attributes.iter_mut().zip(&self.directions).filter(|(_, turns)| **turns)
+        {
             self.turn(Cow::to_mut(values).as_chunks_mut().0);
         }
         Ok(vertices)

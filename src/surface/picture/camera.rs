@@ -1,4 +1,5 @@
-//! Where a picture is taken from: a direction from which all is seen, or an eye and what it looks at.
+//! Where a picture is taken from: a direction from which all is seen, or an eye and what it looks
+//! at.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -11,7 +12,8 @@ const FILLED: f64 = 0.94;
 /// From the nearest plane that is drawn to the eye, as a share of the distance to what it looks at.
 const NEAREST: f64 = 1e-3;
 
-/// The greatest coordinate that is drawn: squares of those beyond it are not finite soon, and they do not count for the box.
+/// The greatest coordinate that is drawn: squares of those beyond it are not finite soon, and they
+/// do not count for the box.
 pub(super) const FARTHEST: f64 = 1e100;
 
 /// A way to look at a mesh.
@@ -20,7 +22,8 @@ pub(super) const FARTHEST: f64 = 1e100;
 pub enum View {
     /// From a direction, as near as all of the box is seen.
     From {
-        /// Degrees around the axis that points up: 0 looks along the horizontal axis that comes last, 90 along the other.
+        /// Degrees around the axis that points up: 0 looks along the horizontal axis that comes
+        /// last, 90 along the other.
         azimuth: f64,
         /// Degrees above the horizon.
         elevation: f64,
@@ -36,7 +39,8 @@ pub enum View {
     },
 }
 
-/// An eye, the axes of its picture, and how long a unit at a distance of 1 is seen, in heights of the picture.
+/// An eye, the axes of its picture, and how long a unit at a distance of 1 is seen, in heights of
+/// the picture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Camera {
     pub(super) eye: DVec3,
@@ -48,7 +52,8 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// The eye that looks at a box, the frame of whose world has the axes right, up and towards; `width` in heights.
+    /// The eye that looks at a box, the frame of whose world has the axes right, up and towards;
+    /// `width` in heights.
     pub(super) fn new(view: Option<View>, bounds: Bounds, world: DMat3, width: f64) -> Self {
         let [lo, hi] = bounds.map(DVec3::from);
         let (middle, half) = ((lo + hi) / 2.0, (hi - lo) / 2.0);
@@ -70,10 +75,13 @@ impl Camera {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let level = world.z_axis * azimuth.cos() + world.x_axis * azimuth.sin();
         let axes = looking(level * elevation.cos() + world.y_axis * elevation.sin(), world);
-        // The nearest place on the line of sight from which each corner is within the picture; the middle of what is seen is not
-        // that of the box, so the line is moved until it is.
+        // The nearest place on the line of sight from which each corner is within the picture; the
+        // middle of what is seen is not that of the box, so the line is moved until it is.
         let corners: Vec<DVec3> = (0..8)
-            .map(|i| middle + half * DVec3::from([1, 2, 4].map(|bit| if i & bit == 0 { -1.0 } else { 1.0 })))
+            .map(|i| {
+                middle
+                    + half * DVec3::from([1, 2, 4].map(|bit| if i & bit == 0 { -1.0 } else { 1.0 }))
+            })
             .collect();
         let mut target = middle;
         let mut distance = 0.0;
@@ -93,7 +101,9 @@ impl Camera {
             let (lo, hi) = corners
                 .iter()
                 .map(at)
-                .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), at| (lo.min(at), hi.max(at)));
+                .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), at| {
+                    (lo.min(at), hi.max(at))
+                });
             // As far as moves the nearest corner there, and no other too far.
             let nearest = corners
                 .iter()
@@ -117,8 +127,8 @@ impl Camera {
         }
     }
 
-    /// A place as the eye sees it: to the right and up in heights of the picture from its middle, times the distance; and the
-    /// distance.
+    /// A place as the eye sees it: to the right and up in heights of the picture from its middle,
+    /// times the distance; and the distance.
     #[inline]
     pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {
         let seen = self.axes.transpose() * (place - self.eye);
@@ -135,8 +145,8 @@ impl Camera {
         self.distance
     }
 
-    /// The direction in which a place of the picture is seen, in heights from its middle, y up; not of unit length: it goes a distance
-    /// of 1 forward.
+    /// The direction in which a place of the picture is seen, in heights from its middle, y up; not
+    /// of unit length: it goes a distance of 1 forward.
     pub(super) fn towards(&self, x: f64, y: f64) -> DVec3 {
         self.axes * DVec3::new(x / self.focal, y / self.focal, -1.0)
     }

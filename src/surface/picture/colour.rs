@@ -31,8 +31,9 @@ pub enum Colour {
         /// Colours from its least to its greatest value.
         map: ColourMap,
     },
-    /// The distance from another surface, negative inside of it, with a legend in the meshes' unit of length. The hundredth of the vertices
-    /// that are farthest from it has the colours of the ends.
+    /// The distance from another surface, negative inside of it, with a legend in the meshes' unit
+    /// of length. The hundredth of the vertices that are farthest from it has the colours of the
+    /// ends.
     Distance {
         /// The other surface.
         from: Reference,
@@ -129,9 +130,10 @@ impl FromStr for ColourMap {
 
     fn from_str(name: &str) -> Result<Self, PictureError> {
         let found = MAPS.iter().position(|(known, _)| *known == name);
-        found
-            .map(Self)
-            .ok_or_else(|| PictureError::Map { name: name.to_owned(), known: Self::NAMES.join(", ") })
+        found.map(Self).ok_or_else(|| PictureError::Map {
+            name: name.to_owned(),
+            known: Self::NAMES.join(", "),
+        })
     }
 }
 
@@ -208,7 +210,13 @@ impl Palette {
 }
 
 /// Shows the colours from `lo` to `hi`, and what they stand for: their ends for all `beyond`, too.
-pub(super) fn legend(image: &mut Image, name: &str, map: ColourMap, [lo, hi]: [f32; 2], beyond: bool) {
+pub(super) fn legend(
+    image: &mut Image,
+    name: &str,
+    map: ColourMap,
+    [lo, hi]: [f32; 2],
+    beyond: bool,
+) {
     let (width, height) = (image.width() as i32, image.height() as i32);
     let line = image.line();
     let (bar, long) = (line, height / 3);
@@ -232,10 +240,15 @@ pub(super) fn legend(image: &mut Image, name: &str, map: ColourMap, [lo, hi]: [f
 /// A number in four digits, whatever its size.
 fn number(value: f32) -> String {
     let size = value.abs();
-    if size == 0.0 || (1e-2..1e4).contains(&size) { format!("{value:.3}") } else { format!("{value:.2e}") }
+    if size == 0.0 || (1e-2..1e4).contains(&size) {
+        format!("{value:.3}")
+    } else {
+        format!("{value:.2e}")
+    }
 }
 
-/// The share of distances that colours tell apart: the few that are greater by magnitude would leave the others one colour.
+/// The share of distances that colours tell apart: the few that are greater by magnitude would
+/// leave the others one colour.
 const USUAL: f64 = 0.99;
 /// Bits of a number that make no difference to where it is counted: 7 of its 23 digits are left.
 const COUNTED_AS_ONE: u32 = 16;
@@ -244,7 +257,8 @@ const COUNTED_AS_ONE: u32 = 16;
 #[derive(Clone, Default)]
 pub(super) struct Spread {
     extremes: Option<[f32; 2]>,
-    /// How many distances are as large by magnitude, in steps of less than a hundredth; none of other values.
+    /// How many distances are as large by magnitude, in steps of less than a hundredth; none of
+    /// other values.
     magnitudes: Vec<u32>,
 }
 
@@ -255,9 +269,12 @@ impl Spread {
         let mut magnitudes = Vec::new();
         if matches!(kind, Values::Distance(_)) {
             magnitudes.resize(1 << (u32::BITS - 1 - COUNTED_AS_ONE), 0);
-            finite().for_each(|value| magnitudes[(value.abs().to_bits() >> COUNTED_AS_ONE) as usize] += 1);
+            finite().for_each(|value| {
+                magnitudes[(value.abs().to_bits() >> COUNTED_AS_ONE) as usize] += 1
+            });
         }
-        let extremes = finite().map(|value| [value; 2]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
+        let extremes =
+            finite().map(|value| [value; 2]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
         Self { extremes, magnitudes }
     }
 
@@ -269,7 +286,8 @@ impl Spread {
         self.magnitudes.iter_mut().zip(&other.magnitudes).for_each(|(sum, count)| *sum += count);
     }
 
-    /// The range of colours, and whether values go on beyond it: that of distances has zero in its middle.
+    /// The range of colours, and whether values go on beyond it: that of distances has zero in its
+    /// middle.
     pub(super) fn range(&self) -> (Option<[f32; 2]>, bool) {
         let Some([lo, hi]) = self.extremes else { return (None, false) };
         if self.magnitudes.is_empty() {

@@ -29,10 +29,12 @@ const COARSENED: u64 = 2;
 impl Picture {
     /// Draws a mesh.
     ///
-    /// A mesh that takes more memory than there may be used beside the picture is read in batches, several times.
+    /// A mesh that takes more memory than there may be used beside the picture is read in batches,
+    /// several times.
     ///
     /// # Errors
-    /// Those of [`check`](Self::check), [`PictureError::NoAttribute`], [`PictureError::Memory`] and [`PictureError::Io`].
+    /// Those of [`check`](Self::check), [`PictureError::NoAttribute`], [`PictureError::Memory`] and
+    /// [`PictureError::Io`].
     pub fn draw(&self, mesh: &dyn MeshSource) -> Result<Image, PictureError> {
         self.check()?;
         let values = Values::new(&self.colour, mesh)?;
@@ -54,7 +56,8 @@ impl Picture {
         Ok(Shape::read(mesh, &values, &Memory::Batches(0))?.scope)
     }
 
-    /// How a mesh fits in the memory that may be used, and what of that is left for what is seen of it.
+    /// How a mesh fits in the memory that may be used, and what of that is left for what is seen of
+    /// it.
     fn memory_for(&self, mesh: &dyn MeshSource) -> Result<(Memory, Budget), PictureError> {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();
@@ -95,8 +98,10 @@ fn draw(
     let Samples { of_pixel, of_sun, of_shadow } = Samples::new(picture.effort, height);
     let raster = Raster::new(of_pixel * width, of_pixel * height, &camera, farthest);
     let sun = Sun::new(bounds, world, of_sun);
-    let canvases =
-        [Canvas { raster: &raster, camera: &camera }, Canvas { raster: &sun.raster, camera: &sun.camera }];
+    let canvases = [
+        Canvas { raster: &raster, camera: &camera },
+        Canvas { raster: &sun.raster, camera: &sun.camera },
+    ];
     let mut corners = Corners::with_room(shape.most_corners());
     shape.batches(|batch| {
         fill(canvases, batch, &mut corners);

@@ -1,8 +1,9 @@
 //! Triangles onto two rasters at once, on all threads: the eye's and the sun's.
 //!
-//! Most triangles of a fine mesh lie between samples, and most of a coarse one in few rows. So all are looked at once, in tasks, for whether
-//! the box of their corners holds a sample at all; of those that do, the small ones are drawn at once. Of the others each thread then draws
-//! what is in strips of rows of its own, of the tasks that reach them.
+//! Most triangles of a fine mesh lie between samples, and most of a coarse one in few rows. So all
+//! are looked at once, in tasks, for whether the box of their corners holds a sample at all; of
+//! those that do, the small ones are drawn at once. Of the others each thread then draws what is in
+//! strips of rows of its own, of the tasks that reach them.
 
 use std::ops::Range;
 
@@ -21,7 +22,8 @@ const WORD: usize = u64::BITS as usize;
 const STRIPS: usize = 6;
 const LEAST_ROWS: usize = 16;
 
-/// Tells which views of a triangle may show a sample, by the halves of its corners: between samples all of them are in the same one.
+/// Tells which views of a triangle may show a sample, by the halves of its corners: between samples
+/// all of them are in the same one.
 #[inline(always)]
 fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     const LOW: u64 = 0x7fff_7fff_7fff_7fff;
@@ -32,7 +34,8 @@ fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     [both(63), both(31)]
 }
 
-/// The triangles of a task that are to be drawn yet: a bit each, and the first of the rows that they are in and the one behind.
+/// The triangles of a task that are to be drawn yet: a bit each, and the first of the rows that
+/// they are in and the one behind.
 struct Held {
     first: i32,
     end: i32,
@@ -52,7 +55,10 @@ impl Held {
     }
 
     fn members(&self) -> impl Iterator<Item = usize> + '_ {
-        self.members.iter().enumerate().flat_map(|(n, &word)| ones(word).map(move |bit| n * WORD + bit))
+        self.members
+            .iter()
+            .enumerate()
+            .flat_map(|(n, &word)| ones(word).map(move |bit| n * WORD + bit))
     }
 }
 
@@ -78,8 +84,9 @@ pub(super) fn fill(canvases: [Canvas<'_>; VIEWS], batch: &Batch<'_>, corners: &m
             for (task, held) in held.filter(|(_, held)| held.meets(&rows)) {
                 for n in held.members().map(|n| task * TASK + n) {
                     let triangle = &batch.triangles[n];
-                    let seen =
-                        || triangle.map(|corner| camera.seen(batch.places[batch.index(corner)].into()));
+                    let seen = || {
+                        triangle.map(|corner| camera.seen(batch.places[batch.index(corner)].into()))
+                    };
                     let corners = of(triangle, batch, corners, view);
                     raster.draw(&rows, batch.first + n as u32, corners, seen);
                 }
@@ -147,14 +154,18 @@ mod tests {
     /// The triangle, nearness and way through the fluid that are seen at each sample.
     fn seen(raster: &Raster) -> Vec<Option<[u32; 3]>> {
         let samples = (0..raster.width * raster.height).map(|n| raster.sample(n));
-        samples.map(|seen| seen.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()])).collect()
+        samples
+            .map(|seen| seen.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()]))
+            .collect()
     }
 
     #[test]
     fn small_triangles_that_are_drawn_at_once_show_what_those_drawn_in_rows_do() {
         let mut state = 7_u64;
         let mut unit = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 40) as f64 / f64::from(1 << 24)
         };
         let mut mesh = Mesh::default();
@@ -170,7 +181,9 @@ mod tests {
         mesh.positions.extend([[-1e9, -1e9, 0.0], [1e9, -1e9, 0.0], [0.0, 1e9, 0.0]]);
         mesh.triangles.push([60_000, 60_001, 60_002]);
         let bounds = [[-1.0; 3], [1.0; 3]];
-        let at = |eye| Camera::new(Some(View::At { eye, target: [0.0; 3] }), bounds, DMat3::IDENTITY, 1.5);
+        let at = |eye| {
+            Camera::new(Some(View::At { eye, target: [0.0; 3] }), bounds, DMat3::IDENTITY, 1.5)
+        };
         let cameras = [at([0.0, 0.0, 4.0]), at([1.2, 1.0, 0.3])];
         let rasters = || cameras.each_ref().map(|camera| Raster::new(90, 60, camera, 6.0));
         let (found, expected) = (rasters(), rasters());
@@ -183,9 +196,16 @@ mod tests {
                 for (n, triangle) in batch.triangles.iter().enumerate() {
                     for (view, raster) in expected.iter().enumerate() {
                         let places = || {
-                            triangle.map(|corner| cameras[view].seen(batch.places[corner as usize].into()))
+                            triangle.map(|corner| {
+                                cameras[view].seen(batch.places[corner as usize].into())
+                            })
                         };
-                        raster.draw(&(0..60), n as u32, of(triangle, batch, &corners, view), places);
+                        raster.draw(
+                            &(0..60),
+                            n as u32,
+                            of(triangle, batch, &corners, view),
+                            places,
+                        );
                     }
                 }
                 Ok(())

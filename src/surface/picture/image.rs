@@ -62,7 +62,8 @@ impl Image {
     pub(super) fn text(&mut self, text: &str, [x, y]: [i32; 2], alignment: Alignment) {
         let font = if self.height > HIGH { &FONT_10X20 } else { &FONT_6X10 };
         let layout = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
-        let text = Text::with_text_style(text, Point::new(x, y), MonoTextStyle::new(font, INK), layout);
+        let text =
+            Text::with_text_style(text, Point::new(x, y), MonoTextStyle::new(font, INK), layout);
         let Ok(_) = text.draw(self);
     }
 
@@ -86,7 +87,8 @@ impl Image {
         let Self { width, height, .. } = *images.first()?;
         let columns = columns.clamp(1, images.len());
         let rows = images.len().div_ceil(columns);
-        let (full_width, full_height) = (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP);
+        let (full_width, full_height) =
+            (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP);
         let mut rgb = vec![PAPER; 3 * full_width * full_height];
         for (n, image) in images.iter().enumerate() {
             assert_eq!((image.width, image.height), (width, height), "images of one size");
@@ -124,7 +126,8 @@ pub struct Animation<'a> {
 }
 
 impl<'a> Animation<'a> {
-    /// Begins a file of `images` images like the first, so many of them a second, shown over and over.
+    /// Begins a file of `images` images like the first, so many of them a second, shown over and
+    /// over.
     ///
     /// # Errors
     /// Those of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
@@ -167,7 +170,10 @@ impl DrawTarget for Image {
     type Color = Rgb888;
     type Error = Infallible;
 
-    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(
+        &mut self,
+        pixels: I,
+    ) -> Result<(), Infallible> {
         for Pixel(Point { x, y }, colour) in pixels {
             if let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y)) {
                 self.set(x, y, [colour.r(), colour.g(), colour.b()]);

@@ -1,4 +1,5 @@
-//! Light: a soft sky, a sun, the ground below, and what water, a solid colour or a colour map make of them. Colours are linear.
+//! Light: a soft sky, a sun, the ground below, and what water, a solid colour or a colour map make
+//! of them. Colours are linear.
 
 use std::sync::LazyLock;
 
@@ -20,15 +21,16 @@ const BACKDROP: [Vec3; 3] =
     [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
 /// Wires on a surface.
 const INK: Vec3 = Vec3::new(0.01, 0.012, 0.015);
-/// The share of light that a surface of water mirrors, seen straight on (Schlick 1994, index of refraction 1.33).
+/// The share of light that a surface of water mirrors, seen straight on (Schlick 1994, index of
+/// refraction 1.33).
 const MIRRORED: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
 /// Light that water takes from a ray, and gives to it, over the radius of the scene.
 const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
 const CLOUDED: f32 = 6.0;
-/// How much of light that falls on water comes back as from milk, where it is a film and where it is deep: without any, no shape would be
-/// seen in it, and drops and thin sheets not at all.
+/// How much of light that falls on water comes back as from milk, where it is a film and where it
+/// is deep: without any, no shape would be seen in it, and drops and thin sheets not at all.
 const MILK: [f32; 2] = [0.34, 0.42];
 const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
@@ -59,8 +61,11 @@ pub(super) fn backdrop(towards: Vec3) -> Vec3 {
 /// The light of the sky from a direction, the sun's glow in it.
 fn sky(towards: Vec3) -> Vec3 {
     let up = towards.y;
-    let sky =
-        if up >= 0.0 { HORIZON.lerp(ZENITH, up.sqrt()) } else { HORIZON.lerp(BELOW, (-up * 3.0).min(1.0)) };
+    let sky = if up >= 0.0 {
+        HORIZON.lerp(ZENITH, up.sqrt())
+    } else {
+        HORIZON.lerp(BELOW, (-up * 3.0).min(1.0))
+    };
     let near = towards.dot(SUN.normalize()).max(0.0);
     sky + SUNLIGHT * (1.6 * near.powi(180) + 0.25 * near.powi(12))
 }
@@ -104,7 +109,8 @@ pub(super) fn water(seen: Seen, exp: impl Fn(f32) -> f32, behind: impl Fn(Vec3) 
     body.lerp(mirror, mirrored) + SUNLIGHT * (1.4 * glint * lit)
 }
 
-/// The exponential of what is not positive, nearly: off by less than a thousandth, which no byte shows, in a fraction of the time.
+/// The exponential of what is not positive, nearly: off by less than a thousandth, which no byte
+/// shows, in a fraction of the time.
 #[inline]
 pub(super) fn quick_exp(x: f32) -> f32 {
     let power = (x * std::f32::consts::LOG2_E + EXPONENT_BIAS).max(0.0);
@@ -160,7 +166,11 @@ pub(super) struct Sketch {
 
 impl Sketch {
     /// Works it out for a picture of such a size.
-    pub(super) fn new(width: usize, height: usize, light: impl Fn(usize, usize) -> Vec3 + Sync) -> Self {
+    pub(super) fn new(
+        width: usize,
+        height: usize,
+        light: impl Fn(usize, usize) -> Vec3 + Sync,
+    ) -> Self {
         let [columns, rows] = [width, height].map(|pixels| pixels.div_ceil(STEP) + 1);
         let of = |n: usize| light(n % columns * STEP, n / columns * STEP);
         let known = (0..columns * rows).into_par_iter().with_min_len(columns).map(of).collect();
@@ -182,12 +192,17 @@ mod sketch_tests {
 
     #[test]
     fn light_that_changes_evenly_is_what_it_is_at_every_pixel() {
-        let light = |x: usize, y: usize| Vec3::new(x as f32, y as f32, 2.0 * x as f32 - 3.0 * y as f32 + 7.0);
+        let light = |x: usize, y: usize| {
+            Vec3::new(x as f32, y as f32, 2.0 * x as f32 - 3.0 * y as f32 + 7.0)
+        };
         for [width, height] in [[1, 1], [9, 8], [13, 31]] {
             let sketch = Sketch::new(width, height, light);
             for n in 0..width * height {
                 let [x, y] = [n % width, n / width];
-                assert!(sketch.at(x, y).distance(light(x, y)) < 1e-3, "{x}, {y} of {width} x {height}");
+                assert!(
+                    sketch.at(x, y).distance(light(x, y)) < 1e-3,
+                    "{x}, {y} of {width} x {height}"
+                );
             }
         }
     }
@@ -201,7 +216,11 @@ mod tests {
     fn a_quick_exponential_is_that_of_the_library_to_a_thousandth() {
         for n in 0..100_000 {
             let x = -1e-3 * n as f32;
-            assert!((quick_exp(x) - x.exp()).abs() <= 1e-3 * x.exp() + 1e-37, "{x}: {}", quick_exp(x));
+            assert!(
+                (quick_exp(x) - x.exp()).abs() <= 1e-3 * x.exp() + 1e-37,
+                "{x}: {}",
+                quick_exp(x)
+            );
         }
         assert_eq!(quick_exp(f32::NEG_INFINITY), 0.0);
     }

@@ -1,4 +1,5 @@
-//! A set of numbers within a range, a bit each, that knows how many come before each of its members.
+//! A set of numbers within a range, a bit each, that knows how many come before each of its
+//! members.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};

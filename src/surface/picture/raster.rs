@@ -1,10 +1,12 @@
-//! The surface as it is seen: for every sample of a picture which triangle is nearest there, and how much water is behind it (a
-//! visibility buffer, Burns and Hunt 2013).
+//! The surface as it is seen: for every sample of a picture which triangle is nearest there, and
+//! how much water is behind it (a visibility buffer, Burns and Hunt 2013).
 //!
-//! Corners are rounded to 1 / 256 of a sample, and a sample is inside of a triangle by integers; one on an edge belongs to the triangle
-//! below or to the right of it. So a closed surface has no cracks, and every line of sight leaves it as often as it enters. What triangles
-//! make of a sample is a sum of integers and a maximum, in which their order does not show. So triangles of few samples are drawn by whichever
-//! thread looks at them, and of larger ones each thread draws what is in rows of its own.
+//! Corners are rounded to 1 / 256 of a sample, and a sample is inside of a triangle by integers;
+//! one on an edge belongs to the triangle below or to the right of it. So a closed surface has no
+//! cracks, and every line of sight leaves it as often as it enters. What triangles make of a sample
+//! is a sum of integers and a maximum, in which their order does not show. So triangles of few
+//! samples are drawn by whichever thread looks at them, and of larger ones each thread draws what
+//! is in rows of its own.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -23,7 +25,8 @@ const FAR: i32 = 1 << 28;
 /// Steps of the way through the fluid as far as the eye is from the farthest place.
 const WAY_STEPS: f64 = (1 << 26) as f64;
 
-/// Samples in the box of a triangle that any thread may draw. More are drawn faster where no other thread draws at the time.
+/// Samples in the box of a triangle that any thread may draw. More are drawn faster where no other
+/// thread draws at the time.
 const FEW: i64 = 4;
 
 /// A corner of a triangle on the picture.
@@ -31,7 +34,8 @@ const FEW: i64 = 4;
 pub(super) struct Corner {
     /// From the middle of the first sample to the right and down, in steps.
     at: [i32; 2],
-    /// One over the distance, in units of the eye's; 0 for what is behind the eye, or too far to the side.
+    /// One over the distance, in units of the eye's; 0 for what is behind the eye, or too far to
+    /// the side.
     near: f32,
 }
 
@@ -52,7 +56,8 @@ pub(super) struct Raster {
     pub(super) height: usize,
     nearest: Vec<AtomicU64>,
     through: Vec<AtomicI32>,
-    /// Distance of the eye from what it looks at: with it as the unit, numbers keep their digits whatever the mesh's size.
+    /// Distance of the eye from what it looks at: with it as the unit, numbers keep their digits
+    /// whatever the mesh's size.
     unit: f64,
     /// The distance from which on is drawn.
     before: f64,
@@ -110,8 +115,9 @@ impl Raster {
         Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
     }
 
-    /// The column and the row of a corner in halves of samples, so that odd numbers are between samples; those of what is beside the
-    /// picture are one. Even ones, and of no sample, where it has no place.
+    /// The column and the row of a corner in halves of samples, so that odd numbers are between
+    /// samples; those of what is beside the picture are one. Even ones, and of no sample, where it
+    /// has no place.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
         let (width, height) = (self.width as i32, self.height as i32);
@@ -122,7 +128,8 @@ impl Raster {
         [halves(x, width), halves(y, height)]
     }
 
-    /// Whether the box around a triangle, in which there is a sample, holds no other; and whether that one is inside of the triangle.
+    /// Whether the box around a triangle, in which there is a sample, holds no other; and whether
+    /// that one is inside of the triangle.
     #[inline(always)]
     pub(super) fn holds_one(&self, corners: [Corner; 3]) -> [bool; 2] {
         let [[left, right], [top, bottom]] = self.around(corners);
@@ -136,11 +143,14 @@ impl Raster {
     /// The first and the last of the columns, and of the rows, in the box around a triangle.
     #[inline(always)]
     fn around(&self, corners: [Corner; 3]) -> [[i32; 2]; 2] {
-        [samples(corners, 0, &(0..self.width as i32)), samples(corners, 1, &(0..self.height as i32))]
+        [
+            samples(corners, 0, &(0..self.width as i32)),
+            samples(corners, 1, &(0..self.height as i32)),
+        ]
     }
 
-    /// Draws a triangle whose box holds few samples, whatever other threads draw. Of any other it draws nothing, and returns the rows
-    /// that it is in: all where a corner has no place.
+    /// Draws a triangle whose box holds few samples, whatever other threads draw. Of any other it
+    /// draws nothing, and returns the rows that it is in: all where a corner has no place.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
         if !placed(corners) {
@@ -161,8 +171,8 @@ impl Raster {
         None
     }
 
-    /// Draws what is in some rows of a triangle, in which no other thread draws at the time; `seen` tells how its corners are seen, where it
-    /// has to be cut off.
+    /// Draws what is in some rows of a triangle, in which no other thread draws at the time; `seen`
+    /// tells how its corners are seen, where it has to be cut off.
     pub(super) fn draw(
         &self,
         rows: &Range<i32>,
@@ -180,11 +190,13 @@ impl Raster {
         if let [first, rest @ ..] = &corners[..]
             && corners.iter().all(|corner| corner.near > 0.0)
         {
-            rest.windows(2).for_each(|pair| self.fill_rows(rows, number, [*first, pair[0], pair[1]]));
+            rest.windows(2)
+                .for_each(|pair| self.fill_rows(rows, number, [*first, pair[0], pair[1]]));
         }
     }
 
-    /// Cuts off what of a triangle is behind the eye, or too far to the side (Sutherland and Hodgman 1974).
+    /// Cuts off what of a triangle is behind the eye, or too far to the side (Sutherland and
+    /// Hodgman 1974).
     fn cut(&self, corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
         if !corners.iter().flatten().all(|x| x.abs() <= FARTHEST) {
             return Vec::new();
@@ -211,7 +223,9 @@ impl Raster {
                     } else {
                         ([corner, last], to / (to - from))
                     };
-                    kept.push(std::array::from_fn(|axis| inner[axis] + share * (outer[axis] - inner[axis])));
+                    kept.push(std::array::from_fn(|axis| {
+                        inner[axis] + share * (outer[axis] - inner[axis])
+                    }));
                 }
                 if to >= 0.0 {
                     kept.push(corner);
@@ -238,8 +252,8 @@ impl Raster {
         });
     }
 
-    /// Calls `put` for each sample of some columns and rows that is inside of a triangle, with what is compared to find the nearest, and
-    /// what is to be added to the way.
+    /// Calls `put` for each sample of some columns and rows that is inside of a triangle, with what
+    /// is compared to find the nearest, and what is to be added to the way.
     #[inline(always)]
     fn fill(
         &self,
@@ -252,9 +266,11 @@ impl Raster {
         if area == 0 {
             return;
         }
-        // Rows go down: what turns clockwise there is seen from inside, and is where the line of sight leaves the fluid.
+        // Rows go down: what turns clockwise there is seen from inside, and is where the line of
+        // sight leaves the fluid.
         let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
-        // Of an edge what is 0 or more if the first sample is inside of it, and what one to the right, and one down, adds.
+        // Of an edge what is 0 or more if the first sample is inside of it, and what one to the
+        // right, and one down, adds.
         let edge = |p: Corner, q: Corner| {
             let [x, y] = across(p, q);
             [turn_of([left, top], p, q, 1), -y * i64::from(STEPS), x * i64::from(STEPS)]
@@ -305,7 +321,8 @@ fn area([a, b, c]: [Corner; 3]) -> i64 {
     x * v - y * u
 }
 
-/// Twice the area between an edge and a sample, less one where a sample on the edge is not inside: of an edge that is turned round by -1.
+/// Twice the area between an edge and a sample, less one where a sample on the edge is not inside:
+/// of an edge that is turned round by -1.
 #[inline(always)]
 fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     let [x, y] = across(p, q);
@@ -319,7 +336,8 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
-    // What is beside the picture is between two samples that are not there, and nothing is less than 1.
+    // What is beside the picture is between two samples that are not there, and nothing is less
+    // than 1.
     (half.clamp(-1, 2 * samples - 1) + 2) as u16
 }
 
@@ -329,7 +347,8 @@ fn placed([a, b, c]: [Corner; 3]) -> bool {
     a.near.min(b.near).min(c.near) > 0.0
 }
 
-/// The first and the last of the samples along an axis, of those given, that are between the outermost corners.
+/// The first and the last of the samples along an axis, of those given, that are between the
+/// outermost corners.
 #[inline(always)]
 fn samples(corners: [Corner; 3], axis: usize, of: &Range<i32>) -> [i32; 2] {
     let [a, b, c] = [corners[0].at[axis], corners[1].at[axis], corners[2].at[axis]];
@@ -384,6 +403,10 @@ impl Corners {
             let (sun_corner, sun_halves) = sun.corner(place);
             ([eye_corner, sun_corner], eye_halves << 32 | sun_halves)
         };
-        places.par_iter().with_min_len(LEAST).map(of).unzip_into_vecs(&mut self.at, &mut self.halves);
+        places
+            .par_iter()
+            .with_min_len(LEAST)
+            .map(of)
+            .unzip_into_vecs(&mut self.at, &mut self.halves);
     }
 }

@@ -14,13 +14,15 @@ use super::colour::Colour;
 
 const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 
-/// A box and a range of values that pictures have in common, so that those of a simulation can be compared.
+/// A box and a range of values that pictures have in common, so that those of a simulation can be
+/// compared.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Scope {
     /// The box that is seen whole; `None` where there is no vertex.
     pub bounds: Option<Bounds>,
-    /// The least and the greatest value of the attribute that is shown; of distances those that hold 99 of 100 vertices.
+    /// The least and the greatest value of the attribute that is shown; of distances those that
+    /// hold 99 of 100 vertices.
     pub range: Option<[f32; 2]>,
     /// Whether there are values beyond the range, which the legend says.
     pub beyond: bool,
@@ -46,8 +48,9 @@ pub enum Effort {
     /// Four samples a pixel.
     #[default]
     Full,
-    /// For a glance, in about half of the time: one sample a pixel, a shadow half as sharp, and light that goes straight through the fluid. A
-    /// surface that was just made and has more than two vertices a pixel is drawn of fewer and larger triangles.
+    /// For a glance, in about half of the time: one sample a pixel, a shadow half as sharp, and
+    /// light that goes straight through the fluid. A surface that was just made and has more than
+    /// two vertices a pixel is drawn of fewer and larger triangles.
     Draft,
 }
 
@@ -140,7 +143,8 @@ impl Picture {
         self
     }
 
-    /// Sets the bytes of memory that a picture may take, beside its mesh: as many as it needs otherwise.
+    /// Sets the bytes of memory that a picture may take, beside its mesh: as many as it needs
+    /// otherwise.
     #[must_use]
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);

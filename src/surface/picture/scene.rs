@@ -1,4 +1,5 @@
-//! The light of every pixel: what is seen there, how much of the sun gets to it, and what is behind it.
+//! The light of every pixel: what is seen there, how much of the sun gets to it, and what is behind
+//! it.
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 
@@ -14,7 +15,8 @@ use super::visible::{Edges, Visible};
 
 /// Samples along the edge of a pixel, at the most.
 const FINEST: usize = 2;
-/// Samples along an edge of the sun's view: of large pictures, and of those of no more rows than that.
+/// Samples along an edge of the sun's view: of large pictures, and of those of no more rows than
+/// that.
 const SUN_SAMPLES: usize = 1024;
 const SMALL: usize = 400;
 /// Where the floor ends in the backdrop, in radii from the middle.
@@ -24,7 +26,8 @@ const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
 
-/// How many samples a picture takes along edges: of a pixel, of the sun's view, and of what a shadow in it is blurred over.
+/// How many samples a picture takes along edges: of a pixel, of the sun's view, and of what a
+/// shadow in it is blurred over.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Samples {
     pub(super) of_pixel: usize,
@@ -98,23 +101,30 @@ impl<'a> Scene<'a> {
         }
         let share = 1.0 / samples.len() as f32;
         let surfaces = samples.iter().map(|&(sample, towards)| {
-            (sample.map_or(Surface::default(), |sample| self.surface(sample, towards)), sample, towards)
+            (
+                sample.map_or(Surface::default(), |sample| self.surface(sample, towards)),
+                sample,
+                towards,
+            )
         });
         if one {
-            let sum = surfaces.fold(Surface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
+            let sum =
+                surfaces.fold(Surface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
             let half = 0.5 * finer as f32;
             let middle = self.at((finer * x) as f32 + half, (finer * y) as f32 + half);
             return self.light_exactly(&sum, middle);
         }
         let lights = surfaces.map(|(surface, sample, towards)| match sample {
-            // Samples are averaged as they will be shown, so that a glint does not eat the edge beside it.
+            // Samples are averaged as they will be shown, so that a glint does not eat the edge
+            // beside it.
             Some(_) => self.light_exactly(&surface, towards).min(Vec3::ONE),
             None => self.behind(self.camera.eye, self.direction(towards)),
         });
         lights.sum::<Vec3>() * share
     }
 
-    /// The direction in which a place of the picture is seen, in the axes right, up and towards of the world.
+    /// The direction in which a place of the picture is seen, in the axes right, up and towards of
+    /// the world.
     fn direction(&self, towards: Vec2) -> Vec3 {
         self.shown(towards).normalize()
     }
@@ -142,7 +152,8 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The light of a pixel of one sample, drawn quickly: of light from behind the fluid, which is not bent in it.
+    /// The light of a pixel of one sample, drawn quickly: of light from behind the fluid, which is
+    /// not bent in it.
     pub(super) fn sketched(&self, x: usize, y: usize, behind: Vec3) -> Vec3 {
         let Some(sample) = self.raster.sample(y * self.raster.width + x) else { return behind };
         let towards = self.at(x as f32 + 0.5, y as f32 + 0.5);
@@ -167,8 +178,8 @@ impl<'a> Scene<'a> {
         self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
     }
 
-    /// The light of a surface, on a line of sight; `exp` is the exponential function, and `behind` the light from behind the fluid, to a
-    /// place from a direction.
+    /// The light of a surface, on a line of sight; `exp` is the exponential function, and `behind`
+    /// the light from behind the fluid, to a place from a direction.
     fn light(
         &self,
         surface: &Surface,
@@ -180,7 +191,8 @@ impl<'a> Scene<'a> {
         let shown = (self.world.transpose() * line).as_vec3();
         let direction = shown.normalize();
         let place = self.camera.eye + line * (self.camera.distance() / f64::from(surface.near));
-        let normal = (self.world.transpose() * surface.normal.as_dvec3()).as_vec3().normalize_or(-direction);
+        let normal =
+            (self.world.transpose() * surface.normal.as_dvec3()).as_vec3().normalize_or(-direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         let through = (surface.through * shown.length() * self.radii).max(0.0);
         let seen = Seen { towards: direction, normal, through, lit: self.sun.within(place, exp) };
@@ -207,7 +219,11 @@ impl<'a> Scene<'a> {
             return backdrop(direction);
         }
         let floor = ground(self.sun.below(place));
-        if share > 0.0 { floor.lerp(backdrop(direction), share * share * (3.0 - 2.0 * share)) } else { floor }
+        if share > 0.0 {
+            floor.lerp(backdrop(direction), share * share * (3.0 - 2.0 * share))
+        } else {
+            floor
+        }
     }
 }
 

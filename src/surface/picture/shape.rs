@@ -1,4 +1,5 @@
-//! A mesh as drawing wants it: in memory as a whole, or in batches of triangles that are read again for each pass.
+//! A mesh as drawing wants it: in memory as a whole, or in batches of triangles that are read again
+//! for each pass.
 
 use std::borrow::Cow;
 use std::io;
@@ -90,7 +91,8 @@ impl<'a> Shape<'a> {
         let outline = mesh.outline();
         let [vertices, triangles] = [outline.vertices, outline.triangles];
         if u32::try_from(vertices.max(triangles)).is_err() {
-            let what = format!("a picture is drawn of no more than {} vertices and triangles", u32::MAX);
+            let what =
+                format!("a picture is drawn of no more than {} vertices and triangles", u32::MAX);
             return Err(io::Error::new(io::ErrorKind::InvalidInput, what).into());
         }
         let keep = matches!(memory, Memory::Whole);
@@ -103,13 +105,21 @@ impl<'a> Shape<'a> {
             let places = Cow::Owned(places);
             let kept = Kept { places, normals: Vec::new(), values: Vec::new(), triangles };
             let scope = Scope { bounds, ..Scope::default() };
-            return Ok(Self { mesh, scope, firsts: vec![0, vertices as u32], kept: Some(kept), batch: 0 });
+            return Ok(Self {
+                mesh,
+                scope,
+                firsts: vec![0, vertices as u32],
+                kept: Some(kept),
+                batch: 0,
+            });
         }
         let borrowed = mesh.whole_positions().filter(|_| keep);
         let room = |wanted: bool, count: u64| if keep && wanted { count as usize } else { 0 };
         let mut kept = Kept {
-            places: borrowed
-                .map_or_else(|| Cow::Owned(zeroed_in_huge_pages(room(true, vertices))), Cow::Borrowed),
+            places: borrowed.map_or_else(
+                || Cow::Owned(zeroed_in_huge_pages(room(true, vertices))),
+                Cow::Borrowed,
+            ),
             normals: zeroed_in_huge_pages(room(outline.normals, vertices)),
             values: zeroed_in_huge_pages(room(kind.any(), vertices)),
             triangles: zeroed_in_huge_pages(room(true, triangles)),
@@ -124,7 +134,8 @@ impl<'a> Shape<'a> {
                     let read = mesh.vertices(piece)?;
                     let values = kind.of(&read);
                     let known = (box_of(&read.positions), Spread::of(&values, kind));
-                    let triangles = if keep { triangles_of(mesh, piece, vertices)? } else { Vec::new() };
+                    let triangles =
+                        if keep { triangles_of(mesh, piece, vertices)? } else { Vec::new() };
                     Ok((read, values, known, triangles))
                 })
                 .collect::<io::Result<_>>()?;
@@ -144,13 +155,16 @@ impl<'a> Shape<'a> {
                 if kind.any() {
                     put(&mut kept.values, first, &pieces, |(_, values, ..)| values);
                 }
-                put_triangles = put(&mut kept.triangles, put_triangles, &pieces, |(.., triangles)| triangles);
+                put_triangles =
+                    put(&mut kept.triangles, put_triangles, &pieces, |(.., triangles)| triangles);
             }
         }
         (scope.range, scope.beyond) = spread.range();
         let batch = match *memory {
             Memory::Whole => 0,
-            Memory::Batches(bytes) => ((bytes / BATCH_BYTES).max(LEAST_BATCH) - LEAST_BATCH / 2) as usize,
+            Memory::Batches(bytes) => {
+                ((bytes / BATCH_BYTES).max(LEAST_BATCH) - LEAST_BATCH / 2) as usize
+            }
         };
         Ok(Self { mesh, scope, firsts, kept: keep.then_some(kept), batch })
     }
@@ -186,7 +200,12 @@ impl<'a> Shape<'a> {
         mut pass: impl FnMut(&Batch<'_>) -> Result<(), PictureError>,
     ) -> Result<(), PictureError> {
         if let Some(kept) = &self.kept {
-            return pass(&Batch { first: 0, triangles: &kept.triangles, places: &kept.places, held: None });
+            return pass(&Batch {
+                first: 0,
+                triangles: &kept.triangles,
+                places: &kept.places,
+                held: None,
+            });
         }
         self.triangles(|first, triangles| {
             let (held, places) = self.places_of(triangles)?;
@@ -241,7 +260,9 @@ impl<'a> Shape<'a> {
                         return Ok(Vec::new());
                     }
                     let read = self.mesh.vertices(*piece)?;
-                    Ok(members.map(|member| read.positions[(member - range.start) as usize]).collect())
+                    Ok(members
+                        .map(|member| read.positions[(member - range.start) as usize])
+                        .collect())
                 })
                 .collect::<io::Result<_>>()?;
             places.extend(read.into_iter().flatten());
@@ -250,7 +271,8 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// Puts what pieces have one after the other, on several threads, into a whole from a place on; returns the place behind.
+/// Puts what pieces have one after the other, on several threads, into a whole from a place on;
+/// returns the place behind.
 fn put<P: Sync, T: Copy + Send + Sync>(
     into: &mut [T],
     first: usize,

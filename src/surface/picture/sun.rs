@@ -1,4 +1,5 @@
-//! The sun's light on and under the fluid, by a view of it from the sun (a shadow map, Williams 1978).
+//! The sun's light on and under the fluid, by a view of it from the sun (a shadow map, Williams
+//! 1978).
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -11,7 +12,8 @@ use super::raster::Raster;
 
 /// Distance of the sun's eye in radii: far enough for its rays to be parallel nearly.
 const SUN_FAR: f64 = 40.0;
-/// How fast sunlight dies in water, over the radius of the scene, and how thin a layer casts no shadow on itself.
+/// How fast sunlight dies in water, over the radius of the scene, and how thin a layer casts no
+/// shadow on itself.
 const SUN_TAKEN: f32 = 5.0;
 const SKIN: f32 = 0.012;
 
@@ -42,7 +44,10 @@ impl Sun {
             None => (f32::INFINITY, 1.0),
             Some(sample) => {
                 let water = sample.through.max(0.0) * radii;
-                (1.0 / sample.near, (-SUN_TAKEN * water).exp() * if water > 0.0 { 0.85 } else { 1.0 })
+                (
+                    1.0 / sample.near,
+                    (-SUN_TAKEN * water).exp() * if water > 0.0 { 0.85 } else { 1.0 },
+                )
             }
         };
         let samples = raster.width;
@@ -60,7 +65,8 @@ pub(super) struct Sunlight {
     /// Samples along an edge that a shadow is blurred over.
     blurred: usize,
     radii: f32,
-    /// For each sample the distance of the surface, in units of the camera's; infinite where there is none.
+    /// For each sample the distance of the surface, in units of the camera's; infinite where there
+    /// is none.
     distances: Vec<f32>,
     /// For each sample the share of the light that gets through all of the fluid.
     below: Vec<f32>,
@@ -72,7 +78,8 @@ impl Sunlight {
         (samples * samples * 2 * size_of::<f32>()) as u64
     }
 
-    /// The share of the sun's light that gets to a place in the fluid; `exp` is the exponential function.
+    /// The share of the sun's light that gets to a place in the fluid; `exp` is the exponential
+    /// function.
     pub(super) fn within(&self, place: DVec3, exp: impl Fn(f32) -> f32) -> f32 {
         self.mean(place, &self.distances, |surface, distance| {
             let water = (distance - surface) * self.radii - SKIN;

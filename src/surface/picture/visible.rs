@@ -1,4 +1,5 @@
-//! The visible part of a mesh: triangles that are seen at any sample, and for their corners where they are seen, normals and values.
+//! The visible part of a mesh: triangles that are seen at any sample, and for their corners where
+//! they are seen, normals and values.
 
 use std::io;
 
@@ -24,7 +25,8 @@ const UNSEEN: u32 = u32::MAX;
 pub(super) struct Visible {
     triangles: Ranked,
     corners: Vec<[u32; 3]>,
-    /// To the right and up from the middle in heights times the distance, and the distance, in units of the eye's.
+    /// To the right and up from the middle in heights times the distance, and the distance, in
+    /// units of the eye's.
     seen: Vec<[f32; 3]>,
     /// Unit vectors, or zeros.
     normals: Vec<Vec3>,
@@ -49,7 +51,8 @@ pub(super) struct Edges {
 
 impl Visible {
     /// Bytes of a triangle that is seen, while normals are added up too, and of a corner.
-    pub(super) const TRIANGLE_BYTES: u64 = (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
+    pub(super) const TRIANGLE_BYTES: u64 =
+        (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
     pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
 
     /// Gathers what is seen of a mesh on a raster, on which it was drawn.
@@ -78,7 +81,8 @@ impl Visible {
         let vertices = Entered::none_of(0..shape.vertices());
         corners.par_iter().flatten_iter().for_each(|&corner| vertices.insert(corner));
         let vertices = vertices.ranked();
-        let [seen_triangles, seen_vertices] = [triangles.len(), vertices.len()].map(|count| count as u64);
+        let [seen_triangles, seen_vertices] =
+            [triangles.len(), vertices.len()].map(|count| count as u64);
         budget.check(seen_triangles * Self::TRIANGLE_BYTES + seen_vertices * Self::VERTEX_BYTES)?;
         corners.par_iter_mut().flatten_iter().for_each(|corner| *corner = rank(&vertices, *corner));
 
@@ -92,11 +96,15 @@ impl Visible {
         let add_up = !shape.mesh.has_normals();
         let numbers = vertices.map(0..shape.vertices(), |vertex| vertex);
         shape.batches(|batch| {
-            visible.seen.par_iter_mut().zip(&numbers).with_min_len(TASK).for_each(|(seen, &vertex)| {
-                if let Some(at) = batch.find(vertex) {
-                    *seen = camera.seen(batch.places[at].into()).map(|x| (x / camera.distance()) as f32);
-                }
-            });
+            visible.seen.par_iter_mut().zip(&numbers).with_min_len(TASK).for_each(
+                |(seen, &vertex)| {
+                    if let Some(at) = batch.find(vertex) {
+                        *seen = camera
+                            .seen(batch.places[at].into())
+                            .map(|x| (x / camera.distance()) as f32);
+                    }
+                },
+            );
             if add_up {
                 add_normals(batch, &vertices, camera.distance(), &mut visible.normals);
             }
@@ -108,13 +116,19 @@ impl Visible {
     }
 
     /// Sets the normals and the values that vertices carry.
-    fn carried(&mut self, shape: &Shape<'_>, vertices: &Ranked, values: &Values<'_>) -> io::Result<()> {
+    fn carried(
+        &mut self,
+        shape: &Shape<'_>,
+        vertices: &Ranked,
+        values: &Values<'_>,
+    ) -> io::Result<()> {
         let all = 0..shape.vertices();
         let (normals, valued) = (shape.mesh.has_normals(), values.any());
         if !normals && !valued {
             return Ok(());
         }
-        if let (Some(kept_normals), Some(kept_values)) = (shape.kept_normals(), shape.kept_values()) {
+        if let (Some(kept_normals), Some(kept_values)) = (shape.kept_normals(), shape.kept_values())
+        {
             if normals {
                 self.normals = vertices.map(all.clone(), |n| Vec3::from(kept_normals[n as usize]));
             }
@@ -142,7 +156,8 @@ impl Visible {
         Ok(())
     }
 
-    /// The place on a triangle that is seen in a direction: to the right and up in heights from the middle.
+    /// The place on a triangle that is seen in a direction: to the right and up in heights from the
+    /// middle.
     pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> Spot {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
@@ -151,7 +166,8 @@ impl Visible {
         let shares = [(a / sum).max(0.0), (b / sum).max(0.0), (c / sum).max(0.0)];
         let sum: f32 = shares.iter().sum();
         let [a, b, c] = shares;
-        let shares = if sum.is_finite() && sum > 0.0 { [a / sum, b / sum, c / sum] } else { [1.0 / 3.0; 3] };
+        let shares =
+            if sum.is_finite() && sum > 0.0 { [a / sum, b / sum, c / sum] } else { [1.0 / 3.0; 3] };
         let weighted = |n: usize| self.normals[corners[n]] * shares[n];
         let value = match &self.values[..] {
             [] => 0.0,
@@ -164,15 +180,17 @@ impl Visible {
     pub(super) fn edges(&self, triangle: u32, towards: Vec2) -> Edges {
         let (_, distances, from_line) = self.around(triangle, towards);
         let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / distances[n]);
-        let sides =
-            [[0, 1], [1, 2], [2, 0]].map(|[n, m]| (at[n].perp_dot(at[m]).abs(), at[n].distance(at[m])));
-        let nearest = sides.map(|(area, length)| area / length).into_iter().fold(f32::INFINITY, f32::min);
+        let sides = [[0, 1], [1, 2], [2, 0]]
+            .map(|[n, m]| (at[n].perp_dot(at[m]).abs(), at[n].distance(at[m])));
+        let nearest =
+            sides.map(|(area, length)| area / length).into_iter().fold(f32::INFINITY, f32::min);
         let area = (at[1] - at[0]).perp_dot(at[2] - at[0]).abs();
         let radius = area / sides.iter().map(|(_, length)| length).sum::<f32>();
         Edges { nearest, radius }
     }
 
-    /// The corners of a triangle, their distances, and how far they are from a line of sight at those.
+    /// The corners of a triangle, their distances, and how far they are from a line of sight at
+    /// those.
     fn around(&self, triangle: u32, towards: Vec2) -> ([usize; 3], [f32; 3], [Vec2; 3]) {
         let [a, b, c] = self.corners[rank(&self.triangles, triangle) as usize];
         let corners = [a as usize, b as usize, c as usize];
@@ -186,11 +204,13 @@ impl Visible {
 /// The normal of a triangle by its area, and the ranks of the corners that it is added to.
 type Addition = ([u32; 3], Vec3);
 
-/// Adds the normals of triangles, by their areas, to those of their corners that are seen: in the order of the triangles.
+/// Adds the normals of triangles, by their areas, to those of their corners that are seen: in the
+/// order of the triangles.
 fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [Vec3]) {
     let share = normals.len().div_ceil(SHARES).max(1);
     let scale = 1.0 / unit;
-    // For each task the triangles that add to each share, by the ranks of their corners; most add to one share only.
+    // For each task the triangles that add to each share, by the ranks of their corners; most add
+    // to one share only.
     let additions: Vec<[Vec<Addition>; SHARES]> = batch
         .triangles
         .par_chunks(TASK)
@@ -206,8 +226,11 @@ fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [V
                 let place = |corner: u32| DVec3::from(batch.places[batch.index(corner)]);
                 let [a, b, c] = [place(a), place(b), place(c)];
                 let normal = ((b - a) * scale).cross((c - a) * scale).as_vec3();
-                let shares =
-                    [ranks[0] as usize / share, ranks[1] as usize / share, ranks[2] as usize / share];
+                let shares = [
+                    ranks[0] as usize / share,
+                    ranks[1] as usize / share,
+                    ranks[2] as usize / share,
+                ];
                 for (n, of) in shares.into_iter().enumerate() {
                     if ranks[n] != UNSEEN && !shares[..n].contains(&of) {
                         additions[of].push((ranks, normal));

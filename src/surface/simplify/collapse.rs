@@ -1,12 +1,14 @@
 //! Collapses edges as long as the surface stays within the distance.
 //!
-//! A vertex goes onto a neighbour, the least quadric error first (Garland and Heckbert, Surface simplification using
-//! quadric error metrics, 1997), if the mesh stays a 2-manifold there (Dey et al., Topology preserving edge contraction,
-//! 1999), no triangle turns over or becomes a sliver, and what changes stays near, both ways.
+//! A vertex goes onto a neighbour, the least quadric error first (Garland and Heckbert, Surface
+//! simplification using quadric error metrics, 1997), if the mesh stays a 2-manifold there (Dey et
+//! al., Topology preserving edge contraction, 1999), no triangle turns over or becomes a sliver,
+//! and what changes stays near, both ways.
 //!
-//! Every vertex of the reference that is gone has a closest triangle, which is near enough. When triangles change, those
-//! that they were closest to must find new ones among them. What lies between two vertices that one triangle is near to, it is
-//! near to as well, for triangles are convex; elsewhere it is halved.
+//! Every vertex of the reference that is gone has a closest triangle, which is near enough. When
+//! triangles change, those that they were closest to must find new ones among them. What lies
+//! between two vertices that one triangle is near to, it is near to as well, for triangles are
+//! convex; elsewhere it is halved.
 
 use glam::{Vec3A, Vec4};
 
@@ -15,16 +17,17 @@ use super::surface::{Outside, Topology};
 
 /// The share of the distance that a sample may take: the rest is for what lies between samples.
 const SAMPLE_SHARE: f32 = 0.93;
-/// Samples along an edge are this far apart at the most, in cells. Around one that takes more than its share of doubt
-/// there are more, so many either way.
+/// Samples along an edge are this far apart at the most, in cells. Around one that takes more than
+/// its share of doubt there are more, so many either way.
 const SAMPLE_STEP: f32 = 0.5;
 const DOUBT_SHARE: f32 = 0.4;
 const FINE: i32 = 4;
-/// Nothing between two vertices is looked at if each takes no more than this share of the distance, and the cosine between
-/// the normals of their closest triangles is not less.
+/// Nothing between two vertices is looked at if each takes no more than this share of the distance,
+/// and the cosine between the normals of their closest triangles is not less.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// Where this was so all around a vertex, nobody looks again until its closest triangle has turned by more, as a cosine.
+/// Where this was so all around a vertex, nobody looks again until its closest triangle has turned
+/// by more, as a cosine.
 const STEADY: f32 = 0.98;
 /// How often what lies between two vertices is halved.
 const HALVINGS: u32 = 4;
@@ -32,12 +35,13 @@ const HALVINGS: u32 = 4;
 const QUADRIC_SHARE: f32 = 0.9;
 /// No triangle turns by more, as a cosine.
 const TURN: f32 = 0.2;
-/// Two triangles fold back on each other when the cosine between their normals is below this: 170 degrees.
+/// Two triangles fold back on each other when the cosine between their normals is below this: 170
+/// degrees.
 const FOLD: f32 = -0.985;
 /// A triangle is a sliver when the squared sine of its least angle is less: 10 degrees.
 const SLIVER: f32 = 0.03;
-/// A closed part of no more triangles keeps so large a share of its volume with every collapse: one that is smaller than the
-/// distance could vanish or turn inside out.
+/// A closed part of no more triangles keeps so large a share of its volume with every collapse: one
+/// that is smaller than the distance could vanish or turn inside out.
 const SMALL: usize = 16;
 const KEPT: f32 = 0.5;
 
@@ -53,28 +57,34 @@ pub struct Measure<'a> {
     pub distance: f32,
 }
 
-/// Finds closest triangles on `surface` for the vertices of `reference` that it does not have, from one that has one to the next.
+/// Finds closest triangles on `surface` for the vertices of `reference` that it does not have, from
+/// one that has one to the next.
 pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A], distance: f32) {
-    let lacks =
-        |surface: &Surface, corners: &[u32; 3]| corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE);
+    let lacks = |surface: &Surface, corners: &[u32; 3]| {
+        corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE)
+    };
     let mut left: Vec<[u32; 3]> =
         reference.triangles.iter().copied().filter(|corners| lacks(surface, corners)).collect();
     let mut found_some = true;
     while std::mem::take(&mut found_some) {
         left.retain(|corners| {
-            let Some(&known) = corners.iter().find(|&&vertex| surface.spot(vertex) != Spot::NOWHERE) else {
+            let Some(&known) =
+                corners.iter().find(|&&vertex| surface.spot(vertex) != Spot::NOWHERE)
+            else {
                 return true;
             };
             for &vertex in corners {
                 if surface.spot(vertex) != Spot::NOWHERE {
                     continue;
                 }
-                let (place, normal) = (reference.positions[vertex as usize], normals[vertex as usize]);
+                let (place, normal) =
+                    (reference.positions[vertex as usize], normals[vertex as usize]);
                 let from = match surface.has(known) {
                     true => surface.towards(known, place),
                     false => surface.at(known),
                 };
-                if let Some((closest, squared)) = surface.holder(from, place, normal, SAMPLE_SHARE * distance)
+                if let Some((closest, squared)) =
+                    surface.holder(from, place, normal, SAMPLE_SHARE * distance)
                 {
                     let is_close = squared <= (CLOSE_SHARE * distance).powi(2);
                     surface.settle(vertex, Spot::gone(closest, is_close));
@@ -104,8 +114,11 @@ impl Quadric {
     fn of_plane(normal: Vec3A) -> Self {
         let weight = normal.length();
         let unit = normal.normalize_or_zero();
-        let planes =
-            [(normal * unit.x).extend(weight), (normal * unit.y).extend(0.0), (normal * unit.z).extend(0.0)];
+        let planes = [
+            (normal * unit.x).extend(weight),
+            (normal * unit.y).extend(0.0),
+            (normal * unit.z).extend(0.0),
+        ];
         Self { planes, linear: Vec4::ZERO }
     }
 
@@ -142,7 +155,8 @@ struct Work<'a, 'b> {
     /// For each triangle one of those whose closest triangle it is, and for each of these the next.
     first: Vec<u32>,
     next: Vec<u32>,
-    /// For each vertex that is gone the normal of its closest triangle when nothing around it needed a look, or zero.
+    /// For each vertex that is gone the normal of its closest triangle when nothing around it
+    /// needed a look, or zero.
     calm: Vec<Vec3A>,
     /// Vertices at the other ends of what was looked at: they are calm no more.
     looked_at: Vec<u32>,
@@ -280,9 +294,14 @@ impl Work<'_, '_> {
 
     /// The least error of a vertex, and where to.
     fn best_of(&self, vertex: u32) -> (f32, u32) {
-        let rim =
-            self.surface.incident(vertex).map(|incident| (self.error(vertex, incident.rim), incident.rim));
-        rim.fold((f32::INFINITY, NONE), |least, other| if other.0 < least.0 { other } else { least })
+        let rim = self
+            .surface
+            .incident(vertex)
+            .map(|incident| (self.error(vertex, incident.rim), incident.rim));
+        rim.fold(
+            (f32::INFINITY, NONE),
+            |least, other| if other.0 < least.0 { other } else { least },
+        )
     }
 
     /// Collapses the best edge of a vertex that can be, if any.
@@ -296,7 +315,9 @@ impl Work<'_, '_> {
         let mut is_done = self.try_edge(vertex, &ring);
         if !is_done {
             let mut order = std::mem::take(&mut self.order);
-            order.extend(ring.iter().map(|incident| (self.error(vertex, incident.rim), incident.rim)));
+            order.extend(
+                ring.iter().map(|incident| (self.error(vertex, incident.rim), incident.rim)),
+            );
             order.retain(|&(error, rim)| error <= limit && rim != best);
             order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             is_done = order.drain(..).any(|(_, rim)| {
@@ -372,7 +393,8 @@ impl Work<'_, '_> {
 
     fn settle(&mut self, vertex: u32, spot: Spot) {
         self.surface.settle(vertex, spot);
-        self.next[vertex as usize] = std::mem::replace(&mut self.first[spot.triangle() as usize], vertex);
+        self.next[vertex as usize] =
+            std::mem::replace(&mut self.first[spot.triangle() as usize], vertex);
     }
 
     /// Whether no triangle turns over, folds back or becomes a worse sliver than there were.
@@ -410,11 +432,14 @@ impl Work<'_, '_> {
         }
         // What is across from the triangles that vanish.
         let last = ring[ring.len() - 1];
-        let sides =
-            [(ring[0].triangle, target, self.parts.first()), (last.triangle, last.rim, self.parts.last())];
+        let sides = [
+            (ring[0].triangle, target, self.parts.first()),
+            (last.triangle, last.rim, self.parts.last()),
+        ];
         sides.into_iter().all(|(triangle, from, part)| {
             let outer = self.surface.across_from(triangle, from);
-            outer == NONE || part.is_some_and(|&(_, normal)| !fold(normal, self.surface.normal(outer)))
+            outer == NONE
+                || part.is_some_and(|&(_, normal)| !fold(normal, self.surface.normal(outer)))
         })
     }
 
@@ -424,13 +449,17 @@ impl Work<'_, '_> {
         let inner = &ring[2..ring.len() - 1];
         if topology.is_pinched(target)
             || topology.border[target as usize]
-                && inner.iter().any(|incident| topology.is_chord(&self.surface, target, incident.rim))
+                && inner
+                    .iter()
+                    .any(|incident| topology.is_chord(&self.surface, target, incident.rim))
         {
             return false;
         }
         // Of a part whose triangles elsewhere may have come to one, too, more than one must stay.
         if ring.len() == 3
-            && ring.iter().all(|incident| self.surface.across_from(incident.triangle, incident.rim) == NONE)
+            && ring
+                .iter()
+                .all(|incident| self.surface.across_from(incident.triangle, incident.rim) == NONE)
         {
             return false;
         }
@@ -447,7 +476,8 @@ impl Work<'_, '_> {
         })
     }
 
-    /// Whether the part that a triangle belongs to keeps its share of volume, if it is small and closed.
+    /// Whether the part that a triangle belongs to keeps its share of volume, if it is small and
+    /// closed.
     fn keeps_volume(&mut self, vertex: u32, target: u32, triangle: u32) -> bool {
         let Self { surface, near, .. } = self;
         near.clear();
@@ -483,7 +513,8 @@ impl Work<'_, '_> {
         after > 0.0 && after >= KEPT * volume(from)
     }
 
-    /// Finds closest triangles among the triangles that are to be for all whose closest triangle changes.
+    /// Finds closest triangles among the triangles that are to be for all whose closest triangle
+    /// changes.
     fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
@@ -491,7 +522,8 @@ impl Work<'_, '_> {
         let close = (CLOSE_SHARE * self.by.distance).powi(2);
         let last = self.parts.len();
         let closest = |gone: u32, before: usize| {
-            let (place, normal) = (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
+            let (place, normal) =
+                (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
             // The triangle that it was before, first, and those beside it.
             let mut nearest = None;
             let mut least = within;
@@ -517,7 +549,12 @@ impl Work<'_, '_> {
             let mut gone = self.first[incident.triangle as usize];
             while gone != NONE {
                 let Some(to) = closest(gone, turn.clamp(1, last) - 1) else { return false };
-                self.moved.push(Moved { vertex: gone, from: self.surface.spot(gone), to, calm: Vec3A::ZERO });
+                self.moved.push(Moved {
+                    vertex: gone,
+                    from: self.surface.spot(gone),
+                    to,
+                    calm: Vec3A::ZERO,
+                });
                 self.marks[gone as usize] = self.mark;
                 gone = self.next[gone as usize];
             }
@@ -540,30 +577,34 @@ impl Work<'_, '_> {
         looked_at.clear();
         let is_near = moved.iter_mut().all(|moved| {
             let (closest, is_close) = (moved.to.triangle(), moved.to.is_close());
-            let (corners, normal) = (self.surface.triangles[closest as usize], self.surface.normal(closest));
+            let (corners, normal) =
+                (self.surface.triangles[closest as usize], self.surface.normal(closest));
             if self.stays_calm(moved.vertex) {
                 moved.calm = self.calm[moved.vertex as usize];
                 return true;
             }
             let mut is_calm = is_close;
-            let is_near = self.by.outgoing.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
-                let spot = self.surface.spot(other);
-                // Without branches, for none could be foreseen.
-                let facing = self.surface.normal_of(spot);
-                let needs_no_look = (spot.triangle() == closest)
-                    | (!spot.is_gone() & corners.contains(&other))
-                    | facing.is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
-                if !needs_no_look {
-                    is_calm = false;
-                    looked_at.push(other);
-                }
-                // Where both ends have moved and look, one is enough.
-                needs_no_look
-                    || self.marks[other as usize] == self.mark
-                        && other < moved.vertex
-                        && !self.stays_calm(other)
-                    || self.is_edge_near(moved.vertex, closest, other)
-            });
+            let is_near =
+                self.by.outgoing.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
+                    let spot = self.surface.spot(other);
+                    // Without branches, for none could be foreseen.
+                    let facing = self.surface.normal_of(spot);
+                    let needs_no_look = (spot.triangle() == closest)
+                        | (!spot.is_gone() & corners.contains(&other))
+                        | facing.is_none_or(|facing| {
+                            is_close & spot.is_close() & (normal.dot(facing) >= FLAT)
+                        });
+                    if !needs_no_look {
+                        is_calm = false;
+                        looked_at.push(other);
+                    }
+                    // Where both ends have moved and look, one is enough.
+                    needs_no_look
+                        || self.marks[other as usize] == self.mark
+                            && other < moved.vertex
+                            && !self.stays_calm(other)
+                        || self.is_edge_near(moved.vertex, closest, other)
+                });
             moved.calm = if is_calm { normal } else { Vec3A::ZERO };
             is_near
         });
@@ -571,11 +612,13 @@ impl Work<'_, '_> {
         is_near
     }
 
-    /// Whether a vertex that is gone needs no look at what is around it, for its closest triangle has hardly turned since nothing did.
+    /// Whether a vertex that is gone needs no look at what is around it, for its closest triangle
+    /// has hardly turned since nothing did.
     fn stays_calm(&self, vertex: u32) -> bool {
         let spot = self.surface.spot(vertex);
         let facing = self.surface.normal_of(spot);
-        spot.is_close() && facing.is_some_and(|facing| facing.dot(self.calm[vertex as usize]) >= STEADY)
+        spot.is_close()
+            && facing.is_some_and(|facing| facing.dot(self.calm[vertex as usize]) >= STEADY)
     }
 
     /// Whether an edge of the reference is near, one end of which is gone.
@@ -584,14 +627,19 @@ impl Work<'_, '_> {
             true => self.surface.towards(other, self.position(gone)),
             false => self.surface.at(other),
         };
-        self.are_near([closest, other_closest], [gone, other].map(|end| self.position(end)), HALVINGS)
+        self.are_near(
+            [closest, other_closest],
+            [gone, other].map(|end| self.position(end)),
+            HALVINGS,
+        )
     }
 
     /// Whether triangles are near all between two points, each of which has one that is near.
     fn are_near(&self, closest: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
         let within = SAMPLE_SHARE * self.by.distance;
-        let [from, to] =
-            closest.map(|closest| move |place: Vec3A| self.surface.is_near(closest, place, within * within));
+        let [from, to] = closest.map(|closest| {
+            move |place: Vec3A| self.surface.is_near(closest, place, within * within)
+        });
         if closest[0] == closest[1] || from(q) || to(p) {
             return true;
         }
@@ -637,8 +685,8 @@ pub struct Patch<'a> {
 }
 
 impl<'a> Patch<'a> {
-    /// Simplifies it: every sample of the result is within `distance` cells of the reference, and every vertex
-    /// of `positions` that was within as much of `triangles` is of the result.
+    /// Simplifies it: every sample of the result is within `distance` cells of the reference, and
+    /// every vertex of `positions` that was within as much of `triangles` is of the result.
     #[inline(never)]
     pub fn simplified(&self, distance: f32) -> Vec<[u32; 3]> {
         let vertices = self.positions.len();
@@ -657,7 +705,8 @@ impl<'a> Patch<'a> {
         let mut locked = topology.border.clone();
         self.pinned.iter().for_each(|&vertex| locked[vertex as usize] = true);
         let (reference, outgoing) = (&reference, &outgoing);
-        let measure = Measure { topology: &topology, reference, outgoing, normals: &normals, distance };
+        let measure =
+            Measure { topology: &topology, reference, outgoing, normals: &normals, distance };
         let triangles = measure.collapse(surface, &locked).triangles;
         triangles.into_iter().filter(|corners| corners[0] != NONE).collect()
     }

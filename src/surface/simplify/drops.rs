@@ -1,9 +1,10 @@
 //! Whole components below a volume, and drops of few particles.
 //!
-//! Each block's triangles fall into parts; parts that share a vertex are one component. A block's triangles name
-//! vertices of its own and of blocks that come later, so one pass in order sees every vertex that two blocks share.
-//! By the divergence theorem a part's share of the volume is a sum over its triangles, seen from a corner of
-//! its block, and moves to another corner by the sum of its areas.
+//! Each block's triangles fall into parts; parts that share a vertex are one component. A block's
+//! triangles name vertices of its own and of blocks that come later, so one pass in order sees
+//! every vertex that two blocks share. By the divergence theorem a part's share of the volume is a
+//! sum over its triangles, seen from a corner of its block, and moves to another corner by the sum
+//! of its areas.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -44,8 +45,8 @@ impl TooSmall {
     }
 }
 
-/// The components of `surface` whose volume is less than so many cells, air enclosed by fluid included, and the drops of less than
-/// `drop`: their vertices, and how many there are.
+/// The components of `surface` whose volume is less than so many cells, air enclosed by fluid
+/// included, and the drops of less than `drop`: their vertices, and how many there are.
 ///
 /// # Errors
 /// Where scratch files cannot be read, and where the caller has asked for an early end.
@@ -151,10 +152,15 @@ impl Parts {
         let first = surface.first_vertex(piece);
         let mut triangles = Vec::new();
         surface.cell_triangles(piece, |_, triangle| triangles.push(triangle))?;
-        let mut places: Vec<DVec3> = surface.places(piece)?.into_iter().map(|(_, place)| place).collect();
+        let mut places: Vec<DVec3> =
+            surface.places(piece)?.into_iter().map(|(_, place)| place).collect();
         let own = places.len();
-        let mut beyond: Vec<u64> =
-            triangles.iter().flatten().copied().filter(|&vertex| vertex >= first + own as u64).collect();
+        let mut beyond: Vec<u64> = triangles
+            .iter()
+            .flatten()
+            .copied()
+            .filter(|&vertex| vertex >= first + own as u64)
+            .collect();
         beyond.sort_unstable();
         beyond.dedup();
         for vertices in beyond.chunk_by(|&a, &b| surface.piece_of(a) == surface.piece_of(b)) {
@@ -280,7 +286,8 @@ impl VertexSet {
     pub fn rank(&self, vertex: u64) -> u64 {
         let word = (vertex / 64) as usize;
         let run = word / RUN;
-        let whole: u64 = self.words[run * RUN..word].iter().map(|word| u64::from(word.count_ones())).sum();
+        let whole: u64 =
+            self.words[run * RUN..word].iter().map(|word| u64::from(word.count_ones())).sum();
         let part = self.words.get(word).map_or(0, |word| word & ((1 << (vertex % 64)) - 1));
         self.before[run] + whole + u64::from(part.count_ones())
     }

@@ -1,13 +1,14 @@
 //! Fewer triangles within a distance that is asked for, chunk by chunk, seams included.
 //!
-//! A chunk is a cube of 2^3 blocks. What lies wholly in one is simplified with its border locked; then the same is
-//! done once more with chunks that are shifted by half, for what was border before and what is next to it. Both passes
-//! measure against the surface as it was before either, so the distance asked for is kept by both together:
-//! no sample of the result lies farther from the surface, and no vertex of the surface farther from the result.
+//! A chunk is a cube of 2^3 blocks. What lies wholly in one is simplified with its border locked;
+//! then the same is done once more with chunks that are shifted by half, for what was border before
+//! and what is next to it. Both passes measure against the surface as it was before either, so the
+//! distance asked for is kept by both together: no sample of the result lies farther from the
+//! surface, and no vertex of the surface farther from the result.
 //!
-//! The vertices that are left are vertices of the surface as it was, and keep their positions, normals and attributes.
-//! Chunks know nothing of threads or memory, and nothing is held but the chunks in work, a bit a vertex, and
-//! what the budget allows of the triangles.
+//! The vertices that are left are vertices of the surface as it was, and keep their positions,
+//! normals and attributes. Chunks know nothing of threads or memory, and nothing is held but the
+//! chunks in work, a bit a vertex, and what the budget allows of the triangles.
 //!
 //! What it gains is said in `guide.md`, a page of the docs.
 
@@ -39,8 +40,8 @@ use surface::Outside;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass a vertex stays in about every square of so many cells: without them triangles on flat ground would
-/// reach from a seam beyond the chunk that is to simplify it in the second.
+/// In the first pass a vertex stays in about every square of so many cells: without them triangles
+/// on flat ground would reach from a seam beyond the chunk that is to simplify it in the second.
 const PIN_SPACING: i32 = 16;
 /// The second pass simplifies triangles that come within so many cells of a seam of the first.
 const BAND: i32 = 4;
@@ -65,7 +66,8 @@ pub struct Simplified {
     too_small: TooSmall,
 }
 
-/// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled surface.
+/// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled
+/// surface.
 pub const BYTES_A_THREAD: u64 = 28 << 20;
 
 /// The triangles, components and drops to leave out of a surface.
@@ -79,12 +81,12 @@ pub struct Reduction {
     pub smallest_drop: Option<u32>,
 }
 
-/// The share of its particles' volume that a small drop holds: of one particle 0.6 to 1.1, of two 0.7 to 1.1, of eight 0.8 to 1.1.
+/// The share of its particles' volume that a small drop holds: of one particle 0.6 to 1.1, of two
+/// 0.7 to 1.1, of eight 0.8 to 1.1.
 const HELD: f64 = 0.85;
 
 impl Reduction {
     /// Whether nothing is to be left out.
-    #[must_use]
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
@@ -99,7 +101,8 @@ pub struct Room<'a> {
     pub folder: &'a Path,
 }
 
-/// Reduces `surface`. One particle fills `particle_cells` cells, triangles take no more than `room`, and `control` hears of every chunk.
+/// Reduces `surface`. One particle fills `particle_cells` cells, triangles take no more than
+/// `room`, and `control` hears of every chunk.
 ///
 /// # Errors
 /// Where scratch files cannot be read or written, and where the caller has asked for an early end.
@@ -115,7 +118,8 @@ pub fn simplify(
     let (left_out, too_small) = if smallest_component.is_some() || smallest_drop.is_some() {
         let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
         let volume = smallest_component.unwrap_or(0.0);
-        let (vertices, too_small) = smaller_than(&surface, volume, particles * particle_cells, control)?;
+        let (vertices, too_small) =
+            smaller_than(&surface, volume, particles * particle_cells, control)?;
         (Some(vertices), too_small)
     } else {
         (None, TooSmall::default())
@@ -194,8 +198,11 @@ fn shifted_chunk(block: IVec3) -> IVec3 {
 
 /// The pieces of each chunk, in Morton order.
 fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, Vec<usize>)> {
-    let mut pieces: Vec<(MortonKey, usize)> =
-        blocks.iter().enumerate().map(|(piece, &block)| (MortonKey::of(chunk(block)), piece)).collect();
+    let mut pieces: Vec<(MortonKey, usize)> = blocks
+        .iter()
+        .enumerate()
+        .map(|(piece, &block)| (MortonKey::of(chunk(block)), piece))
+        .collect();
     pieces.sort_unstable();
     let groups = pieces.chunk_by(|a, b| a.0 == b.0);
     groups.map(|group| (group[0].0, group.iter().map(|&(_, piece)| piece).collect())).collect()
@@ -235,7 +242,8 @@ impl Passes<'_> {
         }
     }
 
-    /// Simplifies what lies wholly in the given pieces, and says where in the second pass everything goes.
+    /// Simplifies what lies wholly in the given pieces, and says where in the second pass
+    /// everything goes.
     fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), Triangles)>> {
         self.meter.go_on()?;
         let chunk = Chunk::load(self.surface, pieces)?;
@@ -268,8 +276,9 @@ impl Passes<'_> {
         self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + 1
     }
 
-    /// The shifted chunk of a triangle whose vertices have these cells, and what is to be done with it there:
-    /// all that is simplified lies so far inside that the surface within the tolerance of it is in the chunk.
+    /// The shifted chunk of a triangle whose vertices have these cells, and what is to be done with
+    /// it there: all that is simplified lies so far inside that the surface within the tolerance of
+    /// it is in the chunk.
     fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
         let block = cells[0] >> BLOCK.ilog2();
         let chunk = shifted_chunk(block);
@@ -300,7 +309,9 @@ impl Passes<'_> {
             match fate {
                 Fate::Keep => result.extend_from_slice(&list),
                 Fate::Simplify => left.extend(list.iter().map(|&triangle| {
-                    chunk.local(triangle).expect("a triangle inside of a chunk has its vertices there")
+                    chunk
+                        .local(triangle)
+                        .expect("a triangle inside of a chunk has its vertices there")
                 })),
             }
         }
@@ -318,7 +329,8 @@ impl Passes<'_> {
         }
         let mut used = Used::of(chunk.positions.len());
         reference.iter_mut().chain(&mut left).for_each(|triangle| used.renumber(triangle));
-        let positions: Vec<Vec3A> = used.vertices.iter().map(|&at| chunk.positions[at as usize]).collect();
+        let positions: Vec<Vec3A> =
+            used.vertices.iter().map(|&at| chunk.positions[at as usize]).collect();
         let patch = Patch {
             positions: &positions,
             reference: &reference,
@@ -327,7 +339,9 @@ impl Passes<'_> {
             outside: Outside::Simplified,
         };
         let simplified = self.simplified(patch).into_iter();
-        result.extend(simplified.map(|triangle| chunk.global(triangle.map(|at| used.vertices[at as usize]))));
+        result.extend(
+            simplified.map(|triangle| chunk.global(triangle.map(|at| used.vertices[at as usize]))),
+        );
         Ok(result)
     }
 }
@@ -359,14 +373,16 @@ impl Boxes {
     fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32) -> Self {
         let bounds = |vertices: &[u32]| {
             let cells = vertices.iter().map(|&vertex| cells[vertex as usize]);
-            let bounds =
-                cells.map(|cell| [cell, cell]).reduce(|[lo, hi], [cell, _]| [lo.min(cell), hi.max(cell)]);
+            let bounds = cells
+                .map(|cell| [cell, cell])
+                .reduce(|[lo, hi], [cell, _]| [lo.min(cell), hi.max(cell)]);
             let [lo, hi] = bounds.unwrap_or_default();
             [lo - reach, hi + reach].map(|cell| cell >> BOX.ilog2())
         };
         let [lo, hi] = bounds(triangles.as_flattened());
         let size = hi - lo + 1;
-        let mut boxes = Self { lo, size, is_near: vec![false; size.as_usizevec3().element_product()] };
+        let mut boxes =
+            Self { lo, size, is_near: vec![false; size.as_usizevec3().element_product()] };
         for triangle in triangles {
             let [lo, hi] = bounds(triangle);
             for z in lo.z..=hi.z {
@@ -388,7 +404,9 @@ impl Boxes {
 
     fn contains(&self, cell: IVec3) -> bool {
         let at = cell >> BOX.ilog2();
-        at.cmpge(self.lo).all() && at.cmplt(self.lo + self.size).all() && self.is_near[self.rank(at)]
+        at.cmpge(self.lo).all()
+            && at.cmplt(self.lo + self.size).all()
+            && self.is_near[self.rank(at)]
     }
 }
 
@@ -418,8 +436,8 @@ impl Used {
 
 /// The vertices of a chunk.
 struct Chunk {
-    /// For pieces that follow one another the number of their first vertex, in the whole mesh and in the chunk, and how
-    /// many there are.
+    /// For pieces that follow one another the number of their first vertex, in the whole mesh and
+    /// in the chunk, and how many there are.
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
@@ -461,7 +479,11 @@ impl Chunk {
     /// Vertices on the lines of a coarse lattice.
     fn pins(&self) -> Vec<u32> {
         let on_line = |cell: &IVec3| {
-            cell.to_array().into_iter().filter(|x| x.rem_euclid(PIN_SPACING) == PIN_SPACING / 2).count() >= 2
+            cell.to_array()
+                .into_iter()
+                .filter(|x| x.rem_euclid(PIN_SPACING) == PIN_SPACING / 2)
+                .count()
+                >= 2
         };
         (0..).zip(&self.cells).filter(|(_, cell)| on_line(cell)).map(|(vertex, _)| vertex).collect()
     }
@@ -469,7 +491,9 @@ impl Chunk {
     fn local(&self, triangle: [u64; 3]) -> Option<[u32; 3]> {
         let mut local = [0; 3];
         for (to, vertex) in local.iter_mut().zip(triangle) {
-            let own = |range: &&[u64; 3]| vertex.checked_sub(range[0]).is_some_and(|rank| rank < range[2]);
+            let own = |range: &&[u64; 3]| {
+                vertex.checked_sub(range[0]).is_some_and(|rank| rank < range[2])
+            };
             let [first, base, _] = self.ranges.iter().find(own)?;
             *to = (vertex - first + base) as u32;
         }
@@ -479,7 +503,10 @@ impl Chunk {
     fn global(&self, triangle: [u32; 3]) -> [u64; 3] {
         triangle.map(|vertex| {
             let vertex = u64::from(vertex);
-            let own = self.ranges.iter().rfind(|range| range[1] <= vertex && vertex < range[1] + range[2]);
+            let own = self
+                .ranges
+                .iter()
+                .rfind(|range| range[1] <= vertex && vertex < range[1] + range[2]);
             let [first, base, _] = own.expect("every vertex is in a range");
             vertex - base + first
         })
@@ -488,13 +515,11 @@ impl Chunk {
 
 impl Simplified {
     /// The surface as it was.
-    #[must_use]
     pub fn whole(&self) -> &Stitched {
         &self.whole
     }
 
     /// Returns how many components and drops were left out.
-    #[must_use]
     pub fn too_small(&self) -> TooSmall {
         self.too_small
     }
@@ -523,11 +548,14 @@ impl MeshSource for Simplified {
         for &part in &self.chunks[piece] {
             let first = self.whole.first_vertex(part);
             let vertices = self.whole.vertices(part)?;
-            let kept = (0..vertices.positions.len()).filter(|&rank| self.kept.contains(first + rank as u64));
+            let kept = (0..vertices.positions.len())
+                .filter(|&rank| self.kept.contains(first + rank as u64));
             for rank in kept {
                 positions.push(vertices.positions[rank]);
                 normals.extend(vertices.normals.get(rank));
-                for ((to, from), info) in values.iter_mut().zip(&vertices.attributes).zip(&attributes) {
+                for ((to, from), info) in
+                    values.iter_mut().zip(&vertices.attributes).zip(&attributes)
+                {
                     to.extend_from_slice(&from[rank * info.components..][..info.components]);
                 }
             }
@@ -541,6 +569,9 @@ impl MeshSource for Simplified {
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
         let triangles = self.triangles.get(piece)?;
-        Ok(triangles.iter().map(|triangle| triangle.map(|vertex| self.renumbered(vertex))).collect())
+        Ok(triangles
+            .iter()
+            .map(|triangle| triangle.map(|vertex| self.renumbered(vertex)))
+            .collect())
     }
 }

@@ -1,6 +1,7 @@
 //! A patch's triangles with their neighbours, to be changed one by one, and to be measured against.
 //!
-//! Nothing is looked up by place. What is asked lies near a triangle that is known, and is searched for from there.
+//! Nothing is looked up by place. What is asked lies near a triangle that is known, and is searched
+//! for from there.
 
 use glam::Vec3A;
 
@@ -11,7 +12,8 @@ const NEXT: [usize; 3] = [1, 2, 0];
 const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// How many triangles a search looks at before it gives up.
 const PATIENCE: usize = 32;
-/// A search goes on from a triangle whose squared distance is at most so many times the least so far.
+/// A search goes on from a triangle whose squared distance is at most so many times the least so
+/// far.
 const DETOUR: f32 = 1.5;
 /// Nor does one walk farther than so many triangles for a cell.
 const STEPS_A_CELL: f32 = 8.0;
@@ -21,7 +23,8 @@ const STEPS_A_CELL: f32 = 8.0;
 pub struct Surface<'a> {
     pub positions: &'a [Vec3A],
     pub triangles: Vec<[u32; 3]>,
-    /// For each triangle its neighbours: along the edge from its first corner to the second, and so on.
+    /// For each triangle its neighbours: along the edge from its first corner to the second, and so
+    /// on.
     across: Vec<[u32; 3]>,
     /// For each vertex; on the border its first triangle, counterclockwise.
     spots: Vec<Spot>,
@@ -29,7 +32,8 @@ pub struct Surface<'a> {
     normals: Vec<Vec3A>,
 }
 
-/// Where a vertex is: a corner of a triangle, or gone, and near one, its closest triangle. Or nowhere.
+/// Where a vertex is: a corner of a triangle, or gone, and near one, its closest triangle. Or
+/// nowhere.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Spot(u32);
 
@@ -122,11 +126,14 @@ impl Outgoing {
 impl<'a> Surface<'a> {
     /// By edges that leave their vertices once each.
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &Outgoing) -> Self {
-        let normals =
-            triangles.iter().map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero()).collect();
+        let normals = triangles
+            .iter()
+            .map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero())
+            .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
         let mut spots = vec![Spot::NOWHERE; positions.len()];
-        // For each vertex the last one that an edge comes to from it, and the triangle of that edge.
+        // For each vertex the last one that an edge comes to from it, and the triangle of that
+        // edge.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
             let edges = outgoing.at(vertex);
@@ -140,7 +147,8 @@ impl<'a> Surface<'a> {
                     first = Some(edge);
                 }
             }
-            spots[vertex as usize] = first.map_or(Spot::NOWHERE, |edge| Spot::corner(edge.side / 3));
+            spots[vertex as usize] =
+                first.map_or(Spot::NOWHERE, |edge| Spot::corner(edge.side / 3));
         }
         Self { positions, triangles, across, spots, normals }
     }
@@ -157,7 +165,8 @@ impl<'a> Surface<'a> {
         self.spots[vertex as usize]
     }
 
-    /// Returns the normal of the triangle with this corner, or of its closest triangle; `None` where it is nowhere.
+    /// Returns the normal of the triangle with this corner, or of its closest triangle; `None`
+    /// where it is nowhere.
     pub fn normal_of(&self, spot: Spot) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
@@ -199,8 +208,10 @@ impl<'a> Surface<'a> {
             let corners = self.triangles[triangle as usize];
             let corner = self.corner(triangle, vertex);
             let [a, b] = [NEXT[corner], PREVIOUS[corner]];
-            let [a, b] =
-                [self.positions[corners[a] as usize] - start, self.positions[corners[b] as usize] - start];
+            let [a, b] = [
+                self.positions[corners[a] as usize] - start,
+                self.positions[corners[b] as usize] - start,
+            ];
             let normal = self.normal(triangle);
             normal.cross(a).dot(point - start) >= 0.0 && normal.cross(b).dot(point - start) <= 0.0
         };
@@ -212,10 +223,17 @@ impl<'a> Surface<'a> {
         squared_near(point, self.corners(triangle), self.normal(triangle), squared).is_some()
     }
 
-    /// A triangle within `distance` of `point`, and that distance squared, that does not face the other way than `normal`, if one is found from
-    /// triangle `from` on: of a thin sheet's two sides each has to be near its own. Looks towards the point, and at all
-    /// that hang together within the distance of it, until patience ends.
-    pub fn holder(&self, from: u32, point: Vec3A, normal: Vec3A, distance: f32) -> Option<(u32, f32)> {
+    /// A triangle within `distance` of `point`, and that distance squared, that does not face the
+    /// other way than `normal`, if one is found from triangle `from` on: of a thin sheet's two
+    /// sides each has to be near its own. Looks towards the point, and at all that hang together
+    /// within the distance of it, until patience ends.
+    pub fn holder(
+        &self,
+        from: u32,
+        point: Vec3A,
+        normal: Vec3A,
+        distance: f32,
+    ) -> Option<(u32, f32)> {
         let mut seen = [(NONE, 0.0); PATIENCE];
         let mut count = 0;
         let mut least = f32::INFINITY;
@@ -248,12 +266,14 @@ impl<'a> Surface<'a> {
     }
 
     fn squared_distance(&self, triangle: u32, point: Vec3A) -> f32 {
-        let near = squared_near(point, self.corners(triangle), self.normal(triangle), f32::INFINITY);
+        let near =
+            squared_near(point, self.corners(triangle), self.normal(triangle), f32::INFINITY);
         near.map_or(f32::INFINITY, |(squared, _)| squared)
     }
 
-    /// Whether one can walk on the surface from one of its vertices to another, not next to it, in the plane of `normal` and the line
-    /// between them, within `distance` of that line and on triangles that do not face the other way.
+    /// Whether one can walk on the surface from one of its vertices to another, not next to it, in
+    /// the plane of `normal` and the line between them, within `distance` of that line and on
+    /// triangles that do not face the other way.
     pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
@@ -263,7 +283,8 @@ impl<'a> Surface<'a> {
             let offset = self.positions[vertex as usize] - start;
             (vertex, offset, leftward.dot(offset))
         };
-        let crossing = |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
+        let crossing =
+            |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
         // The triangle that one is in, the side that one leaves it by, and its ends.
         let mut way = None;
         let mut before = None;
@@ -309,7 +330,10 @@ impl<'a> Surface<'a> {
     /// The edges of a triangle that have no other triangle.
     pub fn open_edges(&self, triangle: u32) -> impl Iterator<Item = [u32; 2]> {
         let edges = edges(self.triangles[triangle as usize]).into_iter();
-        edges.zip(self.across[triangle as usize]).filter(|(_, across)| *across == NONE).map(|(edge, _)| edge)
+        edges
+            .zip(self.across[triangle as usize])
+            .filter(|(_, across)| *across == NONE)
+            .map(|(edge, _)| edge)
     }
 
     /// The triangles around a vertex inside of the patch, counterclockwise.
@@ -353,9 +377,14 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle vanish, the others get
-    /// these normals.
-    pub fn collapse(&mut self, vertex: u32, ring: &[Incident], normals: impl Iterator<Item = Vec3A>) {
+    /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle
+    /// vanish, the others get these normals.
+    pub fn collapse(
+        &mut self,
+        vertex: u32,
+        ring: &[Incident],
+        normals: impl Iterator<Item = Vec3A>,
+    ) {
         let last = ring.len() - 1;
         let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
         let beyond_left = self.across_from(ring[last].triangle, left);
@@ -397,10 +426,19 @@ impl<'a> Surface<'a> {
             self.triangles[incident.triangle as usize][corner] = vertex;
             self.normals[incident.triangle as usize] = incident.normal;
         }
-        self.put(ring[0].triangle, [vertex, target, right], [ring[last].triangle, beyond_right, rightmost]);
-        self.put(ring[last].triangle, [vertex, left, target], [leftmost, beyond_left, ring[0].triangle]);
+        self.put(
+            ring[0].triangle,
+            [vertex, target, right],
+            [ring[last].triangle, beyond_right, rightmost],
+        );
+        self.put(
+            ring[last].triangle,
+            [vertex, left, target],
+            [leftmost, beyond_left, ring[0].triangle],
+        );
         self.spots[vertex as usize] = Spot::corner(ring[0].triangle);
-        for (vertex, at, to) in [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)]
+        for (vertex, at, to) in
+            [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)]
         {
             if self.at(vertex) == at {
                 self.spots[vertex as usize] = Spot::corner(to);
@@ -428,10 +466,15 @@ fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// The squared distance from a point to a triangle with this unit normal, if it is not above the one given; and whether the
-/// point is right above or below.
+/// The squared distance from a point to a triangle with this unit normal, if it is not above the
+/// one given; and whether the point is right above or below.
 #[inline]
-pub fn squared_near(p: Vec3A, corners: [Vec3A; 3], normal: Vec3A, squared: f32) -> Option<(f32, bool)> {
+pub fn squared_near(
+    p: Vec3A,
+    corners: [Vec3A; 3],
+    normal: Vec3A,
+    squared: f32,
+) -> Option<(f32, bool)> {
     let [a, b, c] = [corners[0] - p, corners[1] - p, corners[2] - p];
     let height = a.dot(normal);
     if height * height > squared {

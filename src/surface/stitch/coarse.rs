@@ -1,7 +1,9 @@
-//! A mesh of fewer triangles for a glance: vertices that are near to each other drawn together (Rossignac and Borrel 1993).
+//! A mesh of fewer triangles for a glance: vertices that are near to each other drawn together
+//! (Rossignac and Borrel 1993).
 //!
-//! The vertices of 2 x 2 x 2 cells become one in their middle, and triangles that have two corners in one are left out. What is left of a
-//! closed surface is closed in the sense that matters to pictures: a line of sight leaves it as often as it enters it.
+//! The vertices of 2 x 2 x 2 cells become one in their middle, and triangles that have two corners
+//! in one are left out. What is left of a closed surface is closed in the sense that matters to
+//! pictures: a line of sight leaves it as often as it enters it.
 
 use std::io;
 
@@ -44,7 +46,8 @@ impl<'a> Coarse<'a> {
         let count = |piece: usize| -> io::Result<u64> {
             Ok(fine.tiles(piece)?.iter().map(|tile| u64::from(groups(tile).count_ones())).sum())
         };
-        let counts: Vec<u64> = (0..fine.pieces()).into_par_iter().map(count).collect::<io::Result<_>>()?;
+        let counts: Vec<u64> =
+            (0..fine.pieces()).into_par_iter().map(count).collect::<io::Result<_>>()?;
         let mut firsts = vec![0];
         firsts.extend(counts.iter().scan(0, |sum, count| {
             *sum += count;
@@ -76,7 +79,11 @@ impl<'a> Coarse<'a> {
     }
 
     /// Collects the triangles of a piece that are left.
-    fn triangles_left<T>(&self, piece: usize, of: impl Fn(u64) -> T + Copy) -> io::Result<Vec<[T; 3]>> {
+    fn triangles_left<T>(
+        &self,
+        piece: usize,
+        of: impl Fn(u64) -> T + Copy,
+    ) -> io::Result<Vec<[T; 3]>> {
         let mut triangles = Vec::with_capacity(self.fine.piece_triangles(piece) / 2);
         let mut next = 0;
         self.fine.emit_by(

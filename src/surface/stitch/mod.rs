@@ -1,8 +1,9 @@
 //! One mesh from the surfaces of all blocks, by the identity of dual edges.
 //!
-//! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed edges: it follows
-//! from their order. Nothing is searched for by position and nothing depends on distance. Order is that of tiles along the
-//! Morton curve. Positions and triangles are made when they are asked for, block by block, and never kept.
+//! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed
+//! edges: it follows from their order. Nothing is searched for by position and nothing depends on
+//! distance. Order is that of tiles along the Morton curve. Positions and triangles are made when
+//! they are asked for, block by block, and never kept.
 
 mod coarse;
 mod numbers;
@@ -53,7 +54,6 @@ pub struct Stitched {
 
 impl Stitched {
     /// Joins the surfaces in `spool`, whose vertices carry `attributes`.
-    #[must_use]
     pub fn new(
         spool: Spool,
         grid: Grid,
@@ -65,7 +65,6 @@ impl Stitched {
     }
 
     /// A corner of the mesh's blocks that is farthest from the origin, as its greatest coordinate.
-    #[must_use]
     pub fn farthest_coordinate(&self) -> f64 {
         let corners = |block: IVec3| {
             let CellBox { lo, hi } = CellBox::cube(block, BLOCK);
@@ -75,9 +74,6 @@ impl Stitched {
     }
 
     /// All of it in memory.
-    ///
-    /// # Errors
-    /// [`WholeMeshError`].
     pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
         if u32::try_from(self.vertex_count()).is_err() {
             return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
@@ -85,15 +81,20 @@ impl Stitched {
         let (positions, triangles) = self.positions_and_triangles()?;
         let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
         let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
-            let values =
-                self.of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
+            let values = self
+                .of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
             Ok(VertexAttribute { name: name.clone(), components: *components, values })
         };
         Ok(Mesh {
             positions,
             triangles,
             normals: self.has_normals().then(normals).transpose()?,
-            attributes: self.attributes.iter().enumerate().map(attribute).collect::<io::Result<_>>()?,
+            attributes: self
+                .attributes
+                .iter()
+                .enumerate()
+                .map(attribute)
+                .collect::<io::Result<_>>()?,
         })
     }
 
@@ -123,19 +124,17 @@ impl Stitched {
     }
 
     /// The grid that the surface was made on.
-    #[must_use]
     pub fn grid(&self) -> Grid {
         self.grid
     }
 
     /// Bytes of all block surfaces.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.spool.bytes()
     }
 
-    /// The volume inside, told by where columns of cells along x enter and leave it: the mesh's own, but for what the surface
-    /// bends within a cell.
+    /// The volume inside, told by where columns of cells along x enter and leave it: the mesh's
+    /// own, but for what the surface bends within a cell.
     ///
     /// # Errors
     /// Where the scratch file cannot be read.
@@ -148,7 +147,8 @@ impl Stitched {
     /// # Errors
     /// Where the scratch file cannot be read.
     pub fn volume_within(&self, within: Option<CellBox>) -> io::Result<f64> {
-        let of_piece = |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block, within));
+        let of_piece =
+            |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block, within));
         let columns: Vec<f64> =
             (0..self.pieces()).into_par_iter().map(of_piece).collect::<io::Result<_>>()?;
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
@@ -191,25 +191,21 @@ impl Stitched {
     }
 
     /// The block of a piece.
-    #[must_use]
     pub fn block(&self, piece: usize) -> IVec3 {
         self.spool.block(piece)
     }
 
     /// The number of the first vertex of a piece.
-    #[must_use]
     pub fn first_vertex(&self, piece: usize) -> u64 {
         self.spool.first_vertex(piece)
     }
 
     /// The piece of a vertex.
-    #[must_use]
     pub fn piece_of(&self, vertex: u64) -> usize {
         self.spool.piece_of(vertex)
     }
 
     /// How many vertices a piece has.
-    #[must_use]
     pub fn piece_vertices(&self, piece: usize) -> usize {
         self.spool.counts(piece)[0]
     }
@@ -228,11 +224,16 @@ impl Stitched {
         Ok(places)
     }
 
-    /// Calls `put` with each triangle of a piece, and the lowest corner of the dual cell that it lies in.
+    /// Calls `put` with each triangle of a piece, and the lowest corner of the dual cell that it
+    /// lies in.
     ///
     /// # Errors
     /// Where the scratch file cannot be read.
-    pub fn cell_triangles(&self, piece: usize, mut put: impl FnMut(IVec3, [u64; 3])) -> io::Result<()> {
+    pub fn cell_triangles(
+        &self,
+        piece: usize,
+        mut put: impl FnMut(IVec3, [u64; 3]),
+    ) -> io::Result<()> {
         self.emit(piece, |_, cell, triangle| put(cell, triangle))
     }
 
@@ -271,8 +272,9 @@ impl Stitched {
         self.spool.counts(piece)[1]
     }
 
-    /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number `i`: they refer to
-    /// the block's own vertices and to those of its neighbours further up along the axes.
+    /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number
+    /// `i`: they refer to the block's own vertices and to those of its neighbours further up along
+    /// the axes.
     fn emit(&self, i: usize, put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
         let numbered = |found: usize, tile: &Tile| {
             let mut next = self.spool.first_vertex(found) + u64::from(tile.first_vertex);
@@ -284,7 +286,8 @@ impl Stitched {
         self.emit_by(i, numbered, put)
     }
 
-    /// Does so with vertices by other numbers: of a block's tiles, one after the other, what numbers their vertices by their bits.
+    /// Does so with vertices by other numbers: of a block's tiles, one after the other, what
+    /// numbers their vertices by their bits.
     fn emit_by<N: FnMut(u32) -> u64>(
         &self,
         i: usize,

@@ -20,17 +20,19 @@ const EDGE: usize = BLOCK as usize + 1;
 
 /// Triangles of a closed surface, nearly.
 const TRIANGLES_A_VERTEX: u64 = 2;
-/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
+/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and
+/// four blocks' records.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 
-/// Bytes that threads take while each numbers and writes the triangles of a block, of so many vertices together.
-#[must_use]
+/// Bytes that threads take while each numbers and writes the triangles of a block, of so many
+/// vertices together.
 pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
     threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
 }
 
-/// The numbers of the vertices on the edges that a block's triangles join. Of edges without a vertex nothing is known.
+/// The numbers of the vertices on the edges that a block's triangles join. Of edges without a
+/// vertex nothing is known.
 pub(super) struct Numbers {
     /// Three of each cell, by the axis of the edge whose lower cell it is; x fastest.
     numbers: Vec<u64>,
@@ -41,8 +43,8 @@ impl Numbers {
         Self { numbers: vec![0; 3 * EDGE.pow(3)] }
     }
 
-    /// Enters the vertices of a tile whose lowest cell is at `corner`, counted from the block's; `number` is called with the bit of each in
-    /// their order.
+    /// Enters the vertices of a tile whose lowest cell is at `corner`, counted from the block's;
+    /// `number` is called with the bit of each in their order.
     #[inline]
     pub(super) fn enter(&mut self, tile: &Tile, corner: IVec3, mut number: impl FnMut(u32) -> u64) {
         if corner.max_element() >= EDGE as i32 {
@@ -70,7 +72,12 @@ impl Numbers {
 }
 
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2", "x86_64+sse4.2"))]
-fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(numbers: &[u64], block: IVec3, tiles: &[Tile], put: &mut F) {
+fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(
+    numbers: &[u64],
+    block: IVec3,
+    tiles: &[Tile],
+    put: &mut F,
+) {
     let (fans, mut rank) = (&*FANS, 0);
     for tile in tiles {
         let corner = tile.corner(block);
@@ -91,7 +98,8 @@ fn index(cell: IVec3) -> usize {
     3 * (cell.x + EDGE * (cell.y + EDGE * cell.z))
 }
 
-/// [`TABLE`], with each edge as where its number is among those from the dual cell's lowest corner on.
+/// [`TABLE`], with each edge as where its number is among those from the dual cell's lowest corner
+/// on.
 static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
     let place = |edge: Edge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
@@ -130,7 +138,10 @@ impl MeshSource for Stitched {
     }
 
     fn at_once(&self) -> io::Result<Option<Indexed>> {
-        u32::try_from(self.vertex_count()).is_ok().then(|| self.positions_and_triangles()).transpose()
+        u32::try_from(self.vertex_count())
+            .is_ok()
+            .then(|| self.positions_and_triangles())
+            .transpose()
     }
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {

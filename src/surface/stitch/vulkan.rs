@@ -1,5 +1,5 @@
-//! The whole mesh on a device: positions in f32 and triangles, in the order of [`Stitched`](super::Stitched), and to
-//! the bit what its positions round to.
+//! The whole mesh on a device: positions in f32 and triangles, in the order of
+//! [`Stitched`](super::Stitched), and to the bit what its positions round to.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -69,16 +69,16 @@ pub struct MeshLayout {
 }
 
 impl MeshLayout {
-    /// Lays out blocks, by their coordinates and tallies; `None` where 32 bits cannot number everything.
-    /// Blocks are in Morton order, and their coordinates are counted in blocks.
+    /// Lays out blocks, by their coordinates and tallies; `None` where 32 bits cannot number
+    /// everything. Blocks are in Morton order, and their coordinates are counted in blocks.
     ///
     /// # Panics
     /// If the blocks are in another order.
-    #[must_use]
     pub fn new(blocks: &[(IVec3, Tally)]) -> Option<Self> {
         let keys: Vec<_> = blocks.iter().map(|&(block, _)| MortonKey::of(block)).collect();
         assert!(keys.is_sorted_by(|a, b| a < b), "blocks are in Morton order");
-        let number = |coord| keys.binary_search(&MortonKey::of(coord)).map_or(NO_BLOCK, |i| i as u32);
+        let number =
+            |coord| keys.binary_search(&MortonKey::of(coord)).map_or(NO_BLOCK, |i| i as u32);
         let mut layout =
             Self { blocks: Vec::with_capacity(blocks.len()), tiles: 0, vertices: 0, triangles: 0 };
         for &(block, Tally { tiles, vertices, triangles, .. }) in blocks {
@@ -100,32 +100,30 @@ impl MeshLayout {
     }
 
     /// Returns the blocks as shaders take them.
-    #[must_use]
     pub fn blocks(&self) -> &[MeshBlock] {
         &self.blocks
     }
 
     /// Returns the number of tiles of all blocks.
-    #[must_use]
     pub fn tiles(&self) -> u32 {
         self.tiles
     }
 
     /// Returns the number of vertices of all blocks.
-    #[must_use]
     pub fn vertices(&self) -> u32 {
         self.vertices
     }
 
     /// Returns the number of triangles of all blocks.
-    #[must_use]
     pub fn triangles(&self) -> u32 {
         self.triangles
     }
 
-    /// Cuts the blocks into runs whose rows, which begin at `first` of each block, a shader can see at once.
+    /// Cuts the blocks into runs whose rows, which begin at `first` of each block, a shader can see
+    /// at once.
     fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<Run> {
-        let begin = |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
+        let begin =
+            |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
         let mut runs: Vec<Run> = Vec::new();
         for i in 0..self.blocks.len() {
             let ((tile, row), (next_tile, next_row)) = (begin(i), begin(i + 1));
@@ -163,7 +161,6 @@ impl Run {
 }
 
 /// The table of marching cubes as shaders take it: [`CASE_WORDS`] for each combination of signs.
-#[must_use]
 pub fn table() -> Vec<u32> {
     let bits = |edge: Edge| u32::from(edge.corner) | u32::from(edge.axis) << 3;
     let pack = |[a, b, c]: [Edge; 3]| bits(a) | bits(b) << EDGE_BITS | bits(c) << (2 * EDGE_BITS);
@@ -184,7 +181,8 @@ pub struct StitchBuffers {
     pub blocks: View,
     /// A [`Tile`](crate::surface::mesh::Tile) each: those of all blocks, in order.
     pub tiles: View,
-    /// For every vertex the field at the lower and the upper end of its edge, 16 bits each, in order.
+    /// For every vertex the field at the lower and the upper end of its edge, 16 bits each, in
+    /// order.
     pub ends: View,
     /// [`table`].
     pub table: View,
@@ -196,12 +194,12 @@ pub struct StitchBuffers {
     pub indices: View,
 }
 
-/// Writes the positions and the triangles of the whole mesh, after some tickets, in submissions that are each short enough for any
-/// driver; the last is left for the caller to submit.
+/// Writes the positions and the triangles of the whole mesh, after some tickets, in submissions
+/// that are each short enough for any driver; the last is left for the caller to submit.
 ///
 /// # Errors
-/// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a shader can see
-/// at once.
+/// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a
+/// shader can see at once.
 ///
 /// # Panics
 /// If a buffer is smaller than what it is to hold.

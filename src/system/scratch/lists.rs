@@ -25,13 +25,11 @@ enum Store<T> {
 
 impl<T: Pod> Lists<T> {
     /// Nothing yet.
-    #[must_use]
     pub fn in_memory() -> Self {
         Self { index: Vec::new(), store: Store::Memory(Vec::new()), bytes: 0 }
     }
 
     /// Bytes of all lists, in memory or in the file.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -70,13 +68,11 @@ impl<T: Pod> Lists<T> {
     }
 
     /// The number of lists.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.index.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.index.is_empty()
     }

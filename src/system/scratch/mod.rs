@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::system::reopened::{read_exact_at, write_all_at};
 
-/// An unnamed file. It is written and read by position, by several threads at once; it is never mapped, so a
-/// full disk is an error and nothing else.
+/// An unnamed file. It is written and read by position, by several threads at once; it is never
+/// mapped, so a full disk is an error and nothing else.
 #[derive(Debug)]
 pub struct Scratch {
     file: File,
@@ -20,7 +20,8 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// A new one in `folder`, without a name: nothing is left to be removed, not even after a crash.
+    /// A new one in `folder`, without a name: nothing is left to be removed, not even after a
+    /// crash.
     ///
     /// # Errors
     /// The system's refusal to create a file there.
@@ -60,9 +61,6 @@ impl Scratch {
     }
 
     /// Writes `bytes` at the end and returns where they begin.
-    ///
-    /// # Errors
-    /// As [`write_at`](Self::write_at).
     pub fn append(&self, bytes: &[u8]) -> io::Result<u64> {
         let at = self.reserve(bytes.len() as u64);
         self.write_at(at, bytes)?;

@@ -1,4 +1,5 @@
-//! What every backend must do, written once: the method to the bit, and watertight surfaces of the right shape.
+//! What every backend must do, written once: the method to the bit, and watertight surfaces of the
+//! right shape.
 
 mod oracle;
 mod periodic;

@@ -48,7 +48,8 @@ fn variants(place: &Place, seed: u64) -> Vec<Variant> {
     variants
 }
 
-/// Clouds in cells of one to an eighth of a spacing: wide ones are as wide, and two to eight times as wide.
+/// Clouds in cells of one to an eighth of a spacing: wide ones are as wide, and two to eight times
+/// as wide.
 fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
     let deep = fill(14.0, 1.0, 0.3, seed, |p| p.abs().max_element() < 12.0);
     let water = water(seed);
@@ -79,7 +80,8 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
     cases.into_iter().map(variant).collect()
 }
 
-/// Waves on a pool in disorder, a sheet, and particles alone, in twos and in a chain, a spacing of 1 apart.
+/// Waves on a pool in disorder, a sheet, and particles alone, in twos and in a chain, a spacing of
+/// 1 apart.
 fn water(seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let mut particles = fill(5.0, 1.0, 0.4, seed, |p| p.y < p.x.sin() - 0.6 && p.x + p.z < 4.0);
@@ -153,8 +155,10 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
             let Variant { particles, sampling, surfacing } = &variant;
             let frame = Frame::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
             let dense = dense_field(&frame, &variant);
-            let what =
-                format!("seed {seed}, {:?}, spacing {:?}, {surfacing:?}", sampling.method, sampling.spacing);
+            let what = format!(
+                "seed {seed}, {:?}, spacing {:?}, {surfacing:?}",
+                sampling.method, sampling.spacing
+            );
             let surface = recipe(&frame, surfacing).0.iso.threshold();
             let inside = dense.values.iter().filter(|&&sample| sample > surface).count();
             assert!(inside > 200, "{what}: the scene has an inside");
@@ -181,7 +185,8 @@ pub fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex(place: &Place) {
 
 pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
     let mut random = Random::new(17);
-    let mut spray: Vec<[f64; 3]> = (0..8).map(|_| [(); 3].map(|()| 30.0 * random.unit() - 15.0)).collect();
+    let mut spray: Vec<[f64; 3]> =
+        (0..8).map(|_| [(); 3].map(|()| 30.0 * random.unit() - 15.0)).collect();
     // Two particles near each other, and drops of a few.
     spray.extend([
         [9.0, 1.0, 3.0],
@@ -206,7 +211,8 @@ fn assert_mesh_is_dense(variant: &Variant) {
     let Variant { particles, sampling, surfacing } = variant;
     let (frame, surface) = reconstruct(&particles[..], sampling, surfacing);
     let field = dense_field(&frame, variant);
-    let field = Dense { cells: field.cells, values: field.values.iter().map(|&v| f64::from(v)).collect() };
+    let field =
+        Dense { cells: field.cells, values: field.values.iter().map(|&v| f64::from(v)).collect() };
     let walls = sampling.domain.map(|d| d.cells());
     let c = f64::from(surface.iso.threshold()) + 0.5;
     let (positions, triangles) = dense::mesh(&field, c, walls);
@@ -222,7 +228,9 @@ fn assert_mesh_is_dense(variant: &Variant) {
 pub fn threads_particle_order_and_brick_side_change_no_byte(place: &Place) {
     for Variant { particles, sampling, surfacing } in variants(place, 3) {
         let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
-        for (threads, side) in [(1, BrickSide::Four), (2, BrickSide::Sixteen), (5, BrickSide::Eight)] {
+        for (threads, side) in
+            [(1, BrickSide::Four), (2, BrickSide::Sixteen), (5, BrickSide::Eight)]
+        {
             let mut shuffled = particles.clone();
             shuffle(&mut shuffled, &mut Random::new(threads as u64));
             let sampling = Sampling { side, ..sampling.clone() };
@@ -260,8 +268,8 @@ pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place:
     }
 }
 
-/// How far the integers of distances may be off from the formulas within a spacing of the surface, in spacings: in 99 of 100 cells, and
-/// in any.
+/// How far the integers of distances may be off from the formulas within a spacing of the surface,
+/// in spacings: in 99 of 100 cells, and in any.
 const USUALLY_OFF: f64 = 0.0045;
 const OFF: f64 = 0.017;
 
@@ -304,7 +312,11 @@ fn the_committed_tables_are_what_they_stand_for() {
 /// Symmetry, counting, and clouds whose wide cells are as wide as cells, and four times as wide.
 fn of_each_kind(place: &Place, seed: u64) -> impl Iterator<Item = Variant> {
     let which = [0, 8, 16, 22];
-    variants(place, seed).into_iter().enumerate().filter(move |(i, _)| which.contains(i)).map(|(_, v)| v)
+    variants(place, seed)
+        .into_iter()
+        .enumerate()
+        .filter(move |(i, _)| which.contains(i))
+        .map(|(_, v)| v)
 }
 
 pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place) {
@@ -312,14 +324,18 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
     for Variant { particles, sampling, surfacing } in of_each_kind(place, 13) {
         let moved: Vec<[f64; 3]> =
             particles.iter().map(|&p| (DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
-        let frame =
-            |particles: &[[f64; 3]]| Frame::sample(particles, &sampling, &mut Timings::default()).unwrap();
+        let frame = |particles: &[[f64; 3]]| {
+            Frame::sample(particles, &sampling, &mut Timings::default()).unwrap()
+        };
         let (here, there) = (frame(&particles), frame(&moved));
         let (recipe, measured) = recipe(&here, &surfacing);
         let cells = CellBox { lo: IVec3::splat(-20), hi: IVec3::splat(20) };
         let elsewhere = CellBox { lo: cells.lo + shift, hi: cells.hi + shift };
         let field_here = field(&recipe, dif(&here), cells);
-        assert!(field_here.samples().iter().any(|&sample| sample > 20_000), "the scene has an inside");
+        assert!(
+            field_here.samples().iter().any(|&sample| sample > 20_000),
+            "the scene has an inside"
+        );
         let recipe = surfacing.recipe(dif(&there), &measured.calibration);
         let field_there = field(&recipe, dif(&there), elsewhere);
         assert!(field_here.samples() == field_there.samples(), "{:?}", sampling.method);

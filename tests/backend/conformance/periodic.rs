@@ -18,7 +18,13 @@ use crate::common::{INDICATORS, surfacing};
 /// Clouds and others in cells of an edge, with particles 1 apart.
 fn sampling(place: &Place, kind: IndicatorKind, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
-    Sampling { method: kind.into(), grid, spacing: Some(1.0), side: kind.brick_side(), ..place.sampling() }
+    Sampling {
+        method: kind.into(),
+        grid,
+        spacing: Some(1.0),
+        side: kind.brick_side(),
+        ..place.sampling()
+    }
 }
 
 fn in_box(sampling: &Sampling, surfacing: &Surfacing, faces: Faces) -> Sampling {
@@ -60,11 +66,13 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
             let cell = if kind == IndicatorKind::Cloud { 0.5 } else { 1.0 };
             let mut sampling = sampling(place, kind, cell);
             sampling.domain = walls.map(|walls| {
-                let [lo, hi] = [0, 1].map(|side: usize| DVec3::from(walls.map(|walls| walls[side])));
+                let [lo, hi] =
+                    [0, 1].map(|side: usize| DVec3::from(walls.map(|walls| walls[side])));
                 Domain::new(&sampling.grid, lo, hi).unwrap()
             });
             for mesh in [PeriodicMesh::Cut, PeriodicMesh::Overlap] {
-                let surfacing = Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
+                let surfacing =
+                    Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
                 let in_box = in_box(&sampling, &surfacing, faces);
                 let (found, calibration) = drawn(&particles, &in_box, &surfacing, None);
                 let what = format!("{faces:?}, walls {walls:?}, {kind:?}, {mesh:?}");
@@ -75,11 +83,18 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
                 let alone = Sampling { method, ..sampling.clone() };
                 let (expected, _) =
                     drawn(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
-                // Between the outermost centres and the faces the mesh is cut, and its gradient ends there.
+                // Between the outermost centres and the faces the mesh is cut, and its gradient
+                // ends there.
                 let margin = if mesh == PeriodicMesh::Cut { 1.51 * cell } else { 0.0 };
-                let [found, expected] = [&found, &expected].map(|mesh| triangles_within(mesh, faces, margin));
+                let [found, expected] =
+                    [&found, &expected].map(|mesh| triangles_within(mesh, faces, margin));
                 assert!(expected.len() > 1000, "{what}: {} triangles", expected.len());
-                assert!(found == expected, "{what}: {} and {} triangles", found.len(), expected.len());
+                assert!(
+                    found == expected,
+                    "{what}: {} and {} triangles",
+                    found.len(),
+                    expected.len()
+                );
             }
         }
     }
@@ -92,8 +107,11 @@ pub fn a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is
     let particles: Vec<[f64; 3]> =
         steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).collect();
     for cell in [0.9, 0.5] {
-        let in_box =
-            in_box(&sampling(place, IndicatorKind::Cloud, cell), &surfacing(), [Some([0.0, edge]); 3]);
+        let in_box = in_box(
+            &sampling(place, IndicatorKind::Cloud, cell),
+            &surfacing(),
+            [Some([0.0, edge]); 3],
+        );
         let (mesh, _) = drawn(&particles, &in_box, &surfacing(), None);
         assert_watertight(&mesh, "a full box");
         let found = measure(&mesh);
@@ -113,7 +131,8 @@ pub fn a_periodic_mesh_is_the_same_on_every_backend(place: &Place) {
         [(IndicatorKind::Cloud, 0.3), (IndicatorKind::Cloud, 0.7), (IndicatorKind::Counting, 0.7)]
     {
         for mesh in [PeriodicMesh::Cut, PeriodicMesh::Overlap] {
-            let surfacing = Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
+            let surfacing =
+                Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
             let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
             let in_box = in_box(&sampling(place, kind, cell), &surfacing, faces);
             let (found, _) = drawn(&particles, &in_box, &surfacing, None);

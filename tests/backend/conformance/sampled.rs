@@ -15,11 +15,13 @@ use crate::common::{dif, recipe, surfacing};
 /// Cells of a spacing.
 const CELLS: f64 = 1.6;
 
-/// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold little.
+/// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold
+/// little.
 fn frame(place: &Place, indicator: IndicatorKind) -> (Frame, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
-    let sampling = Sampling { method: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
+    let sampling =
+        Sampling { method: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
     let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
@@ -42,7 +44,9 @@ pub fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool(place: &Place
             let middle = deep.len() / 2;
             deep.select_nth_unstable(middle)
         };
-        let Plateau::Interior { median: told, .. } = plateau else { panic!("{indicator:?}: {plateau:?}") };
+        let Plateau::Interior { median: told, .. } = plateau else {
+            panic!("{indicator:?}: {plateau:?}")
+        };
         let off = f64::from(told) / f64::from(*median) - 1.0;
         assert!(off.abs() < 0.01, "{indicator:?}: {told} is off from {median} by {off}");
     }

@@ -1,4 +1,5 @@
-//! Surfaces of known shape: closed, oriented, manifold, of the right genus and volume, with outward normals.
+//! Surfaces of known shape: closed, oriented, manifold, of the right genus and volume, with outward
+//! normals.
 
 use std::f64::consts::PI;
 
@@ -25,7 +26,9 @@ use meniscus::internals::system::timings::Timings;
 use super::Place;
 use crate::common::attributed::Attributed;
 use crate::common::scene::Random;
-use crate::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank};
+use crate::common::{
+    INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank,
+};
 
 fn assert_watertight(mesh: &Mesh, what: &str) {
     let report = check(mesh);
@@ -43,7 +46,9 @@ const SHAPES: [Shape; 3] = [
     }),
 ];
 
-pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells(place: &Place) {
+pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells(
+    place: &Place,
+) {
     for (name, genus, volume, inside) in SHAPES {
         for indicator in INDICATORS {
             for jitter in [0.0, 0.3, 0.5] {
@@ -58,10 +63,13 @@ pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percen
                 let measures = measure(&surface.mesh);
                 assert_eq!((measures.genus, measures.components), (Some(genus), 1), "{what}");
                 let error = measures.volume.unwrap() / volume - 1.0;
-                // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. The box after the
-                // Gaussian makes v 1.6 cells^2 for counting: 1.9 % of this sphere.
+                // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. The box after
+                // the Gaussian makes v 1.6 cells^2 for counting: 1.9 % of this sphere.
                 let curved = name == "sphere" && indicator != IndicatorKind::Symmetry;
-                assert!(error.abs() < if curved { 0.019 } else { 0.01 }, "{what}: volume off by {error}");
+                assert!(
+                    error.abs() < if curved { 0.019 } else { 0.01 },
+                    "{what}: volume off by {error}"
+                );
             }
         }
     }
@@ -82,7 +90,12 @@ pub fn normals_point_out_of_a_sphere(place: &Place) {
 }
 
 /// The surface of samples that a function gives, over blocks of 32^3 cells, zero all around.
-fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> Mesh {
+fn surface_of(
+    place: &Place,
+    blocks: CellBox,
+    iso: Isovalue,
+    sample: impl Fn(IVec3) -> u16,
+) -> Mesh {
     let cells = CellBox { lo: blocks.lo * BLOCK, hi: blocks.hi * BLOCK };
     let page = |bin: IVec3| {
         let rows = CellBox::cube(bin, BIN);
@@ -93,7 +106,8 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
     // So narrow a filter changes nothing.
-    let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
+    let filters =
+        PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, iso);
     let surfaces = Surfaces {
         sampled: &sampled(dif),
@@ -103,8 +117,9 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
     };
     let stages = place.sampling().resources.backend.executor().start(MemoryBudget(8 << 30));
     let mut spool = Spool::in_memory(false, Vec::new());
-    let mut push =
-        |meshes: Vec<Option<BlockMesh>>| meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh));
+    let mut push = |meshes: Vec<Option<BlockMesh>>| {
+        meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh))
+    };
     let control = Control::default();
     let meter = control.meter(Stage::Meshing, 1);
     stages.contour(&surfaces, &surfaces.regions(), &meter, &mut push).unwrap();
@@ -127,13 +142,17 @@ pub fn white_noise_over_27_blocks_is_a_closed_oriented_manifold(place: &Place) {
 }
 
 pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold(place: &Place) {
-    // Two inside values and one outside: 2^12 patterns on 2 x 2 x 3 samples, far apart from each other.
+    // Two inside values and one outside: 2^12 patterns on 2 x 2 x 3 samples, far apart from each
+    // other.
     let pattern = |cell: IVec3| {
         let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
         let which = group.x + 16 * (group.y + 16 * group.z);
         let bit = local.x - 1 + 2 * (local.y - 1) + 4 * (local.z - 1);
-        let inside =
-            local.min_element() >= 1 && local.x < 3 && local.y < 3 && local.z < 4 && which >> bit & 1 == 1;
+        let inside = local.min_element() >= 1
+            && local.x < 3
+            && local.y < 3
+            && local.z < 4
+            && which >> bit & 1 == 1;
         if inside { 40_000 + 1000 * bit as u16 } else { 100 * bit.unsigned_abs() as u16 }
     };
     let mesh = surface_of(
@@ -161,8 +180,8 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
     let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());
     let drops: Vec<[f64; 3]> = (0..27)
         .map(|i| {
-            let place =
-                IVec3::new(i % 3, i / 3 % 3, i / 9).as_dvec3() * 10.0 + DVec3::new(-10.0, -10.0, 10.0);
+            let place = IVec3::new(i % 3, i / 3 % 3, i / 9).as_dvec3() * 10.0
+                + DVec3::new(-10.0, -10.0, 10.0);
             (place + anywhere()).to_array()
         })
         .collect();
@@ -170,8 +189,9 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
     let sheet = fill(16.0, 1.0, 0.2, 9, layer).into_iter().map(|[x, y, z]| [x, y, z - 30.0]);
     let all: Vec<[f64; 3]> = pool.iter().copied().chain(drops).chain(sheet).collect();
     for cell in CELLS {
-        let mesh =
-            |particles: &[[f64; 3]]| reconstruct(particles, &of_spacings(place, cell), &surfacing()).1.mesh;
+        let mesh = |particles: &[[f64; 3]]| {
+            reconstruct(particles, &of_spacings(place, cell), &surfacing()).1.mesh
+        };
         let (alone, with) = (mesh(&pool), mesh(&all));
         assert_watertight(&with, &format!("cells of {cell}"));
         let found = measure(&with);
@@ -180,7 +200,10 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
             let near = |p: &&[f64; 3]| p[0].abs() < 10.0 && p[1].abs() < 10.0 && p[2].abs() < 3.0;
             mesh.positions.iter().filter(near).copied().collect()
         };
-        assert!(top(&alone).len() > 300 && top(&alone) == top(&with), "cells of {cell}: the pool has moved");
+        assert!(
+            top(&alone).len() > 300 && top(&alone) == top(&with),
+            "cells of {cell}: the pool has moved"
+        );
     }
 }
 
@@ -199,7 +222,8 @@ fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies()
                 16 => [32.0 * cell; 3],
                 _ => [31.5 * cell, -0.5 * cell, 0.0],
             };
-            let (_, surface) = reconstruct(&[particle][..], &of_spacings(&place, cell), &surfacing());
+            let (_, surface) =
+                reconstruct(&[particle][..], &of_spacings(&place, cell), &surfacing());
             let what = format!("cells of {cell}, {particle:?}");
             assert_watertight(&surface.mesh, &what);
             let found = measure(&surface.mesh);
@@ -222,7 +246,8 @@ fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way
     ways.extend((0..4).map(|_| anywhere() - 0.5));
     for way in ways.into_iter().map(DVec3::normalize) {
         let start = anywhere();
-        let chain: Vec<[f64; 3]> = (0..10).map(|i| (start + 1.5 * f64::from(i) * way).to_array()).collect();
+        let chain: Vec<[f64; 3]> =
+            (0..10).map(|i| (start + 1.5 * f64::from(i) * way).to_array()).collect();
         for cell in CELLS {
             let (_, surface) = reconstruct(&chain[..], &of_spacings(&place, cell), &surfacing());
             assert_eq!(measure(&surface.mesh).components, 1, "along {way} in cells of {cell}");
@@ -262,14 +287,16 @@ pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place)
     let places = (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9));
     let middles: Vec<DVec3> = places.map(|at| 17.0 * (at - 1).as_dvec3()).collect();
     let deep = |p: DVec3| p.abs().max_element() < 26.0;
-    let water = fill(26.0, 1.0, 0.2, 4, |p| deep(p) && middles.iter().all(|&m| (p - m).length() > 2.0));
+    let water =
+        fill(26.0, 1.0, 0.2, 4, |p| deep(p) && middles.iter().all(|&m| (p - m).length() > 2.0));
     for cell in [0.5, 0.4, 1.0] {
         let (_, surface) = reconstruct(&water[..], &of_spacings(place, cell), &surfacing());
         assert_eq!(measure(&surface.mesh).components, 1 + middles.len(), "cells of {cell}");
     }
 }
 
-/// How high the middle of a pool 32 spacings wide is on average, and how rough, in spacings: as far as no filter reaches its ghost layer.
+/// How high the middle of a pool 32 spacings wide is on average, and how rough, in spacings: as far
+/// as no filter reaches its ghost layer.
 fn level(place: &Place, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);
     let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };
@@ -307,15 +334,20 @@ pub fn a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_th
             let grid = Grid::new(DVec3::splat(-cell * f64::from(cells)), cell).unwrap();
             let domain = Some(Domain::new(&grid, -walls, walls).unwrap());
             let sampling = Sampling { grid, domain, ..of_spacings(place, cell) };
-            let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
+            let (_, Reconstructed { mesh, .. }) =
+                reconstruct(&particles[..], &sampling, &surfacing());
             let what = format!("jitter {jitter}, cells of {cell}, {cells} of them off");
             assert_watertight(&mesh, &what);
             let found = measure(&mesh);
             let ([low, high], volume) = (found.bounds.unwrap(), found.volume.unwrap());
             assert_eq!((low, high[0], high[2]), ((-walls).to_array(), 8.0, 8.0), "{what}");
-            // In wide cells that lie across a wall the outermost of the fluid stands for all beyond it.
+            // In wide cells that lie across a wall the outermost of the fluid stands for all beyond
+            // it.
             println!("{what}: {}, up to {}", volume / 2048.0, high[1]);
-            assert!((volume / 2048.0 - 1.0).abs() < 0.02 && high[1] < 0.35, "{what}: {volume}, {high:?}");
+            assert!(
+                (volume / 2048.0 - 1.0).abs() < 0.02 && high[1] < 0.35,
+                "{what}: {volume}, {high:?}"
+            );
         }
     }
 }
@@ -350,8 +382,12 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
                     let mut sampling = Sampling { method: indicator.into(), ..place.sampling() };
                     sampling.domain = walls.then(|| tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
-                        let surfacing =
-                            Surfacing { sigma: Some(Sigma::new(sigma).unwrap()), detail, iso, ..surfacing() };
+                        let surfacing = Surfacing {
+                            sigma: Some(Sigma::new(sigma).unwrap()),
+                            detail,
+                            iso,
+                            ..surfacing()
+                        };
                         let (_, Reconstructed { mesh, .. }) =
                             reconstruct(&particles[..], &sampling, &surfacing);
                         assert_watertight(
@@ -366,15 +402,18 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
 }
 
 pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &Place) {
-    // Walls on cell faces, and walls that cut cells in unequal parts, where the lattice fills the tank less well.
+    // Walls on cell faces, and walls that cut cells in unequal parts, where the lattice fills the
+    // tank less well.
     for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
         let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
         for indicator in INDICATORS {
             let sampling = place.sampling();
             let domain = Domain::new(&sampling.grid, lo, hi).unwrap();
-            let particles = fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
+            let particles =
+                fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
             let sampling = Sampling { method: indicator.into(), domain: Some(domain), ..sampling };
-            let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
+            let (_, Reconstructed { mesh, .. }) =
+                reconstruct(&particles[..], &sampling, &surfacing());
             assert_watertight(&mesh, "a tank");
             let measures = measure(&mesh);
             let [low, high] = measures.bounds.unwrap();
@@ -456,7 +495,8 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
 }
 
 pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
-    // A rigid rotation about y, three times as fast as the unit; one particle has no velocity, and a number of one is none.
+    // A rigid rotation about y, three times as fast as the unit; one particle has no velocity, and
+    // a number of one is none.
     let rotation = |i: usize, [x, _, z]: [f64; 3]| {
         [if i == 18 { f32::NAN } else { 3.0 * z as f32 }, f32::from(i != 17) * 0.5, -3.0 * x as f32]
     };

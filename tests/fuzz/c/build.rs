@@ -1,4 +1,5 @@
-//! Builds the calls of the C interface that its own test makes at random, to be made by what bytes say.
+//! Builds the calls of the C interface that its own test makes at random, to be made by what bytes
+//! say.
 
 fn main() {
     let c = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../src/bindings/c");

@@ -9,7 +9,8 @@ thread_local! {
     static FOLDER: TempDir = in_memory().unwrap_or_else(|| tempfile::tempdir().unwrap());
 }
 
-/// Where files need no disk, if there is such a place: one that is truncated and written again is slow on most.
+/// Where files need no disk, if there is such a place: one that is truncated and written again is
+/// slow on most.
 fn in_memory() -> Option<TempDir> {
     tempfile::tempdir_in("/dev/shm").ok()
 }

@@ -23,7 +23,13 @@ pub fn targets() -> Vec<Target> {
         reader!("mesh-vtp", Vtp, 3000, || written(MeshFormat::Vtp), VTU),
         reader!("mesh-stl", Stl, 5000, stls, STL),
         reader!("mesh-vtkhdf", VtkHdf, 1000, || written(MeshFormat::VtkHdf), VTKHDF),
-        Target { name: "mesh-names", runs: 10000, run: written_and_read, seeds: names, words: NAMES },
+        Target {
+            name: "mesh-names",
+            runs: 10000,
+            run: written_and_read,
+            seeds: names,
+            words: NAMES,
+        },
     ]
 }
 
@@ -72,9 +78,11 @@ pub const VTK: &[&str] = &[
 const STL: &[&str] = &["solid", "facet normal", "outer loop", "vertex", "endfacet"];
 const VTKHDF: &[&str] = &["VTKHDF", "Polygons", "Connectivity"];
 const NAMES: &[&str] = &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "%20", "\n"];
-const OBJ: &[&str] = &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
+const OBJ: &[&str] =
+    &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
 
-/// Reads a mesh, which is what it has to be whatever is in the file, and comes back when it is written.
+/// Reads a mesh, which is what it has to be whatever is in the file, and comes back when it is
+/// written.
 fn read(format: MeshFormat, data: &[u8]) {
     let mesh = match format.read(data) {
         Ok(mesh) => mesh,
@@ -102,9 +110,11 @@ fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
 }
 
 /// Formats that name attributes.
-const NAMING: [MeshFormat; 4] = [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf];
+const NAMING: [MeshFormat; 4] =
+    [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf];
 
-/// Attributes of any names, as particles may have them, leave the rest of the mesh as it is, in the format that the first byte says.
+/// Attributes of any names, as particles may have them, leave the rest of the mesh as it is, in the
+/// format that the first byte says.
 fn written_and_read(data: &[u8]) {
     let Some((&format, names)) = data.split_first() else { return };
     let format = NAMING[usize::from(format) % NAMING.len()];
@@ -116,7 +126,11 @@ fn written_and_read(data: &[u8]) {
     let mut mesh = mesh();
     mesh.attributes = names.split('\t').zip([1, 3, 2, 4, 9]).map(attribute).collect();
     let again = round(format, &mesh);
-    assert_eq!((&again.positions, &again.triangles), (&mesh.positions, &mesh.triangles), "{format}");
+    assert_eq!(
+        (&again.positions, &again.triangles),
+        (&mesh.positions, &mesh.triangles),
+        "{format}"
+    );
     assert_eq!(again.normals, mesh.normals, "{format}");
 }
 
@@ -182,6 +196,7 @@ pub fn vtks() -> Vec<Vec<u8>> {
 
 fn names() -> Vec<Vec<u8>> {
     let of = |format: u8, names: &str| [&[format], names.as_bytes()].concat();
-    let both = |format| ["velocity\tdensity", "mass density\t\u{e9}\t\tx"].map(|names| of(format, names));
+    let both =
+        |format| ["velocity\tdensity", "mass density\t\u{e9}\t\tx"].map(|names| of(format, names));
     (0..NAMING.len() as u8).flat_map(both).collect()
 }

@@ -1,7 +1,9 @@
-//! What is fuzzed: a function for each target, and the small files that mutations begin with, all of them made here.
+//! What is fuzzed: a function for each target, and the small files that mutations begin with, all
+//! of them made here.
 //!
-//! A target takes any bytes, and fails by a panic: where the library panics, and where something does not hold that it promises. What
-//! formats compress or sum up a target compresses and sums up itself, so that mutations get past that.
+//! A target takes any bytes, and fails by a panic: where the library panics, and where something
+//! does not hold that it promises. What formats compress or sum up a target compresses and sums up
+//! itself, so that mutations get past that.
 
 mod arguments;
 pub mod folder;
@@ -44,8 +46,8 @@ pub fn all() -> Vec<Target> {
     all
 }
 
-/// Lets the calling thread do what the library would share among all: handing work over takes longer than doing it, and what is fuzzed
-/// is to be the same every time.
+/// Lets the calling thread do what the library would share among all: handing work over takes
+/// longer than doing it, and what is fuzzed is to be the same every time.
 pub fn on_one_thread() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
     // There is one already where this is called twice.

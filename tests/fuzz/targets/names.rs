@@ -67,7 +67,8 @@ fn patterns(data: &[u8]) {
     let _ = Naming::of(Path::new(text));
 }
 
-/// The first line is a request, the others are files that are there: frames are each of one number and one output, in order.
+/// The first line is a request, the others are files that are there: frames are each of one number
+/// and one output, in order.
 fn frames(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     let mut lines = text.split('\n');
@@ -98,10 +99,14 @@ fn frames(data: &[u8]) {
     for inputs in inputs.simulations(None).unwrap_or_default() {
         let Ok(found) = inputs.list() else { continue };
         assert!(found.is_sorted_by(|a, b| a.number < b.number), "frames are out of order");
-        assert!(found.iter().all(|frame| fs::metadata(&frame.path).is_ok()), "a frame is not there");
+        assert!(
+            found.iter().all(|frame| fs::metadata(&frame.path).is_ok()),
+            "a frame is not there"
+        );
         for naming in ["m_{}.ply", "m_{:03}.vtp", "made/"] {
             let outputs = Naming::of(&folder.join(naming)).unwrap().unwrap().outputs(&inputs);
-            let made: Vec<_> = found.iter().map(|frame| outputs.path(frame.number, &frame.digits)).collect();
+            let made: Vec<_> =
+                found.iter().map(|frame| outputs.path(frame.number, &frame.digits)).collect();
             assert!((1..made.len()).all(|i| made[i - 1] != made[i]), "two frames have one output");
             assert!(!made.contains(&simulation(&outputs)), "a simulation is named as a frame");
         }

@@ -1,4 +1,5 @@
-//! Packed frames: as they are with checksums made right again, built around pages that are mutated unpacked, and drawn.
+//! Packed frames: as they are with checksums made right again, built around pages that are mutated
+//! unpacked, and drawn.
 
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::io::mnf::open_frame;
@@ -9,9 +10,27 @@ use super::{Target, folder};
 
 pub fn targets() -> Vec<Target> {
     vec![
-        Target { name: "mnf", runs: 2000, run: |data| open(&sealed(data)), seeds: frames, words: &[] },
-        Target { name: "mnf-pages", runs: 2000, run: |data| open(&built(data)), seeds: plain, words: &[] },
-        Target { name: "mnf-surface", runs: 100, run: |data| draw(&built(data)), seeds: plain, words: &[] },
+        Target {
+            name: "mnf",
+            runs: 2000,
+            run: |data| open(&sealed(data)),
+            seeds: frames,
+            words: &[],
+        },
+        Target {
+            name: "mnf-pages",
+            runs: 2000,
+            run: |data| open(&built(data)),
+            seeds: plain,
+            words: &[],
+        },
+        Target {
+            name: "mnf-surface",
+            runs: 100,
+            run: |data| draw(&built(data)),
+            seeds: plain,
+            words: &[],
+        },
     ]
 }
 
@@ -35,8 +54,9 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
 /// Where the footer of a frame begins, and its index.
 fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     let tail = bytes.len().checked_sub(TAIL)?;
-    let footer =
-        usize::try_from(u64_at(bytes, tail)?).ok().filter(|footer| (HEADER..tail).contains(footer))?;
+    let footer = usize::try_from(u64_at(bytes, tail)?)
+        .ok()
+        .filter(|footer| (HEADER..tail).contains(footer))?;
     let periodic = if u32_at(bytes, footer + 32)? & 2 == 2 { PERIODIC } else { 0 };
     let index = footer + FACTS + periodic + 8;
     (index <= tail).then_some((footer, index))
@@ -67,8 +87,8 @@ fn seal_footer(bytes: &mut [u8], footer: usize) {
     bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
 }
 
-/// A frame whose pages are given unpacked: version, side, footer, and of each page its key, bricks, full cells, box, and the length and
-/// bytes of its planes.
+/// A frame whose pages are given unpacked: version, side, footer, and of each page its key, bricks,
+/// full cells, box, and the length and bytes of its planes.
 fn built(plain: &[u8]) -> Vec<u8> {
     let mut rest = plain;
     let mut take = |count: usize| {
@@ -123,7 +143,8 @@ fn unbuilt(frame: &[u8]) -> Vec<u8> {
     let mut plain = vec![frame[8], frame[12]];
     plain.extend(&frame[footer..index - 8]);
     for entry in frame[index..frame.len() - TAIL].chunks(ENTRY) {
-        let (at, length) = (u64_at(entry, 8).unwrap() as usize, u32_at(entry, 24).unwrap() as usize);
+        let (at, length) =
+            (u64_at(entry, 8).unwrap() as usize, u32_at(entry, 24).unwrap() as usize);
         let planes = zstd::bulk::decompress(&frame[at..at + length], 1 << 16).unwrap();
         plain.extend([&entry[..8], &entry[16..24], &entry[32..42]].concat());
         plain.extend((planes.len() as u16).to_le_bytes());
@@ -145,7 +166,8 @@ fn open(bytes: &[u8]) {
     }
 }
 
-/// Draws a frame: whatever passes for one has a surface that is closed, oriented and manifold, or says why it has none.
+/// Draws a frame: whatever passes for one has a surface that is closed, oriented and manifold, or
+/// says why it has none.
 fn draw(bytes: &[u8]) {
     let path = folder::file("b.mnf", bytes);
     let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
@@ -153,7 +175,10 @@ fn draw(bytes: &[u8]) {
     match surface {
         Ok(surface) => {
             let report = check(&surface.to_mesh().unwrap());
-            assert!(report.is_closed_oriented_manifold() || surface.mesh().triangle_count() == 0, "{report}");
+            assert!(
+                report.is_closed_oriented_manifold() || surface.mesh().triangle_count() == 0,
+                "{report}"
+            );
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }
@@ -167,7 +192,11 @@ fn frames() -> Vec<Vec<u8>> {
     let pack = |request: Reconstruction| {
         let frame = request.spacing(1.0).threads(1).sample(&particles).unwrap();
         frame
-            .pack(Reconstruction::new().packed_output(&path, meniscus::files::Replace::Allow).unwrap())
+            .pack(
+                Reconstruction::new()
+                    .packed_output(&path, meniscus::files::Replace::Allow)
+                    .unwrap(),
+            )
             .unwrap();
         std::fs::read(&path).unwrap()
     };

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::wanted::Wanted;
-use meniscus::internals::io::{ParticleFile, ReadFault, bgeo, bi4, h5, npy, npz, ply, vtk, vtp, xyz};
+use meniscus::internals::io::{
+    ParticleFile, ReadFault, bgeo, bi4, h5, npy, npz, ply, vtk, vtp, xyz,
+};
 use meniscus::internals::particles::Particles;
 use zip::CompressionMethod;
 
@@ -200,8 +202,10 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     };
     assert_eq!(bits(&all[half..]), bits(&rest), "other positions from the middle on");
     for (index, info) in particles.attributes().iter().enumerate().take(MOST_ATTRIBUTES) {
-        let (mut all, mut rest) =
-            (vec![0.0_f32; count * info.components], vec![0.0_f32; (count - half) * info.components]);
+        let (mut all, mut rest) = (
+            vec![0.0_f32; count * info.components],
+            vec![0.0_f32; (count - half) * info.components],
+        );
         particles.attribute(index, 0, &mut all);
         particles.attribute(index, half, &mut rest);
         let bits = |values: &[f32]| -> Vec<u32> { values.iter().map(|x| x.to_bits()).collect() };
@@ -234,7 +238,8 @@ fn run_vtu(data: &[u8]) {
 fn run_hdf5(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let step = u64::from(choice & 3).checked_sub(1);
-    let particle_type = [None, Some("0"), Some("fluid"), Some("PartType1")][usize::from(choice >> 2 & 3)];
+    let particle_type =
+        [None, Some("0"), Some("fluid"), Some("PartType1")][usize::from(choice >> 2 & 3)];
     let wanted = Wanted { particle_type, ..Wanted::default() };
     let read = h5::open_particles(Path::new("nowhere/a_0.hdf5"), own(data), step, wanted, memory());
     read_through(read.map_err(|error| error.fault));

@@ -56,8 +56,9 @@ fn whole() -> &'static Whole {
 
 /// A plan and its parts, made in this thread's folder.
 fn fresh() -> (Parts, PathBuf) {
-    let particles: Vec<[f64; 3]> =
-        (0..30_u32).map(|i| [i % 3, i / 3 % 3, 20 * (i / 15)].map(|c| f64::from(c) * 0.8)).collect();
+    let particles: Vec<[f64; 3]> = (0..30_u32)
+        .map(|i| [i % 3, i / 3 % 3, 20 * (i / 15)].map(|c| f64::from(c) * 0.8))
+        .collect();
     folder::file("in.xyz", &build::raw(&particles));
     let (parts, files) = parts();
     let parts = parts.overwrite();
@@ -66,8 +67,8 @@ fn fresh() -> (Parts, PathBuf) {
     (parts, files)
 }
 
-/// The first byte says which of the files the others replace, and whether a part's checksum is made right: what such a part holds is
-/// taken on trust, but for what its lists say.
+/// The first byte says which of the files the others replace, and whether a part's checksum is made
+/// right: what such a part holds is taken on trust, but for what its lists say.
 fn damaged(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     thread_local! {
@@ -108,10 +109,16 @@ fn seeds() -> Vec<Vec<u8>> {
 fn merged(data: &[u8]) {
     let Some(([count, scale], data)) = data.split_first_chunk::<2>() else { return };
     let scale = [0.02, 0.1, 1.0, 40.0][usize::from(scale & 3)];
-    let particles: Vec<[f64; 3]> =
-        data.as_chunks::<3>().0.iter().take(60).map(|p| p.map(|c| (f64::from(c) - 128.0) * scale)).collect();
+    let particles: Vec<[f64; 3]> = data
+        .as_chunks::<3>()
+        .0
+        .iter()
+        .take(60)
+        .map(|p| p.map(|c| (f64::from(c) - 128.0) * scale))
+        .collect();
     let input = folder::file("random.xyz", &build::raw(&particles));
-    let parts = asked().parts(&input, folder::path("random.ply"), u32::from(count % 6) + 1).overwrite();
+    let parts =
+        asked().parts(&input, folder::path("random.ply"), u32::from(count % 6) + 1).overwrite();
     let single = asked().run_file(&input);
     let merged = parts.plan().and_then(|planned| {
         (0..planned.parts.len() as u32).rev().try_for_each(|part| parts.part(part).map(drop))?;
@@ -121,8 +128,12 @@ fn merged(data: &[u8]) {
         (Ok(single), Ok(merged)) => {
             assert!(single.to_mesh().unwrap() == merged.to_mesh().unwrap(), "another mesh in parts")
         }
-        (Err(single), Err(merged)) => assert_eq!(single.cause(), merged.cause(), "{single} and {merged}"),
-        (single, merged) => panic!("{:?} and {:?}", single.map(|_| "a mesh"), merged.map(|_| "a mesh")),
+        (Err(single), Err(merged)) => {
+            assert_eq!(single.cause(), merged.cause(), "{single} and {merged}")
+        }
+        (single, merged) => {
+            panic!("{:?} and {:?}", single.map(|_| "a mesh"), merged.map(|_| "a mesh"))
+        }
     }
     let _ = fs::remove_dir_all(parts.folder());
 }

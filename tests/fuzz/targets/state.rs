@@ -1,4 +1,5 @@
-//! What a conversion keeps beside its meshes: its state and its records, as damaged as one likes; and scenes beside particles.
+//! What a conversion keeps beside its meshes: its state and its records, as damaged as one likes;
+//! and scenes beside particles.
 
 use std::fs;
 
@@ -25,7 +26,16 @@ pub fn targets() -> Vec<Target> {
             runs: 3000,
             run: |data| scene("case.xml", data),
             seeds: xml_seeds,
-            words: &["<case", "<dp ", "<definition ", "value=\"", "dp=\"", "<!--", "<!DOCTYPE", "&#0;"],
+            words: &[
+                "<case",
+                "<dp ",
+                "<definition ",
+                "value=\"",
+                "dp=\"",
+                "<!--",
+                "<!DOCTYPE",
+                "&#0;",
+            ],
         },
     ]
 }
@@ -48,7 +58,8 @@ const RECORD: &[&str] = &[
     "null",
 ];
 
-/// Logs of several processes, divided by a byte that no text has. However they are damaged, merging them loses none of what they tell.
+/// Logs of several processes, divided by a byte that no text has. However they are damaged, merging
+/// them loses none of what they tell.
 fn records(data: &[u8]) {
     let folder = folder::empty("out.ply.meniscus");
     let log = |number: usize| {
@@ -107,7 +118,8 @@ fn record_seeds() -> Vec<Vec<u8>> {
              \"attributes\":[{{\"name\":\"v\",\"components\":3}}]}},\"crc\":77}}\n"
         )
     };
-    let logs = [[record(1, 5), record(2, 5)].concat(), record(1, 6), String::new()].map(String::into_bytes);
+    let logs = [[record(1, 5), record(2, 5)].concat(), record(1, 6), String::new()]
+        .map(String::into_bytes);
     let seed = logs.join(&0xff);
     let folder = folder::empty("seed");
     fs::write(folder.join("frames.jsonl"), record(1, 5)).unwrap();

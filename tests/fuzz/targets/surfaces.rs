@@ -20,7 +20,9 @@ use super::Target;
 pub fn targets() -> Vec<Target> {
     let seeds = || {
         let noise = |seed: u32| {
-            (0..400_u32).map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(seed) >> 13) as u8).collect()
+            (0..400_u32)
+                .map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(seed) >> 13) as u8)
+                .collect()
         };
         vec![noise(1), noise(77), (0..=255).collect()]
     };
@@ -32,7 +34,9 @@ const EDGE: i32 = 9;
 
 /// Isovalue, tolerance, the place of the samples among bins and blocks, and the samples.
 fn run(data: &[u8]) {
-    let Some(([iso, tolerance, place, drops], samples)) = data.split_first_chunk::<4>() else { return };
+    let Some(([iso, tolerance, place, drops], samples)) = data.split_first_chunk::<4>() else {
+        return;
+    };
     let Ok(iso) = Isovalue::new((f64::from(*iso) + 0.5) / 256.0) else { return };
     // Within a block, and over the corner where eight meet, and bins do.
     let lowest = IVec3::splat([0, -EDGE / 2, BIN - 3, 32 - EDGE / 2][usize::from(place & 3)]);
@@ -85,10 +89,12 @@ fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> St
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
     // So narrow a filter changes nothing.
-    let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
+    let filters =
+        PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, iso);
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
-    let facts = FrameFacts { grid, domain: None, periodic: None, census: Census::default(), spacing: None };
+    let facts =
+        FrameFacts { grid, domain: None, periodic: None, census: Census::default(), spacing: None };
     let sampled = SampledDif::new(facts, Indicator::Symmetry, dif);
     let surfaces = Surfaces {
         sampled: &sampled,
@@ -98,10 +104,13 @@ fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> St
     };
     let stages = Cpu.start(MemoryBudget(8 << 30));
     let mut spool = Spool::in_memory(false, Vec::new());
-    let mut push =
-        |meshes: Vec<Option<BlockMesh>>| meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh));
+    let mut push = |meshes: Vec<Option<BlockMesh>>| {
+        meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh))
+    };
     let control = Control::default();
-    stages.contour(&surfaces, &surfaces.regions(), &control.meter(Stage::Meshing, 1), &mut push).unwrap();
+    stages
+        .contour(&surfaces, &surfaces.regions(), &control.meter(Stage::Meshing, 1), &mut push)
+        .unwrap();
     Stitched::new(spool, grid, None, iso, Vec::new())
 }
 

@@ -1,4 +1,5 @@
-//! Files that are compressed or summed up, around bytes that are not: what is mutated is what is inside.
+//! Files that are compressed or summed up, around bytes that are not: what is mutated is what is
+//! inside.
 
 use meniscus::files;
 use meniscus::internals::io::input::open_particles;
@@ -27,7 +28,8 @@ pub fn targets() -> Vec<Target> {
 /// The first byte says what is inside, and whether all of it or the packed bytes are damaged.
 fn run_gzip(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
-    let name = ["a.bgeo", "a.xyz", "a.npy.gz", "a.ply", "a.csv.gz", "a.bi4"][usize::from(choice & 7) % 6];
+    let name =
+        ["a.bgeo", "a.xyz", "a.npy.gz", "a.ply", "a.csv.gz", "a.bi4"][usize::from(choice & 7) % 6];
     let packed = match choice >> 3 & 3 {
         0 => [gzip(data), gzip(data)].concat(),
         // A stream that ends as it likes.
@@ -40,7 +42,9 @@ fn run_gzip(data: &[u8]) {
         2 => [b"\x1f\x8b", data].concat(),
         _ => gzip(data),
     };
-    read_through(open_particles(&folder::file(name, &packed), memory()).map_err(|error| error.fault));
+    read_through(
+        open_particles(&folder::file(name, &packed), memory()).map_err(|error| error.fault),
+    );
 }
 
 fn gzips() -> Vec<Vec<u8>> {
@@ -64,7 +68,8 @@ fn run_npz(data: &[u8]) {
         arrays.push((name, array.to_vec()));
         data = rest;
     }
-    let compression = if choice & 1 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
+    let compression =
+        if choice & 1 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
     read_through(npz::read_particles(own(&build::npz(&arrays, compression)), memory()));
 }
 
@@ -79,7 +84,8 @@ fn arrays() -> Vec<Vec<u8>> {
 fn run_blocks(data: &[u8]) {
     let Some((head, data)) = data.split_first_chunk::<8>() else { return };
     let [kind, points, block, last, count, ..] = *head;
-    let (kinds, sizes) = (["Float32", "Float64", "Int8", "UInt16", "Int64", "Float32"], [4, 8, 1, 2, 8, 4]);
+    let (kinds, sizes) =
+        (["Float32", "Float64", "Int8", "UInt16", "Int64", "Float32"], [4, 8, 1, 2, 8, 4]);
     let kind = usize::from(kind) % kinds.len();
     let (block, points) = (usize::from(block).max(1), usize::from(points));
     let whole: Vec<Vec<u8>> = data.chunks(block).map(zlib).collect();
@@ -123,12 +129,13 @@ fn blocks() -> Vec<Vec<u8>> {
         .to_vec()
 }
 
-/// What `info` says of files, which are mapped here as they are in the program; the first byte says the extension.
+/// What `info` says of files, which are mapped here as they are in the program; the first byte says
+/// the extension.
 fn run_info(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let names = [
-        "a.ply", "a.vtk", "a.vtp", "a.pvtp", "a.pvtu", "a.vtkhdf", "a.npy", "a.bi4", "a.mnf", "a.obj",
-        "a.stl", "a.csv",
+        "a.ply", "a.vtk", "a.vtp", "a.pvtp", "a.pvtu", "a.vtkhdf", "a.npy", "a.bi4", "a.mnf",
+        "a.obj", "a.stl", "a.csv",
     ];
     let path = folder::file(names[usize::from(*choice) % names.len()], data);
     if let Err(error) = files::info(&path) {
@@ -139,9 +146,15 @@ fn run_info(data: &[u8]) {
 fn infos() -> Vec<Vec<u8>> {
     let list = "<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData><Piece Source=\"a.vtp\"/><Piece Source=\"../a.vtp\"/></PPolyData></VTKFile>";
     let first = |mut files: Vec<Vec<u8>>| files.swap_remove(0);
-    let files =
-        [first(meshes::plys()), first(meshes::vtks()), first(particles::vtus()), list.into(), list.into()];
-    let mut all: Vec<_> = (0_u8..).zip(files).map(|(kind, file)| [&[kind][..], &file].concat()).collect();
+    let files = [
+        first(meshes::plys()),
+        first(meshes::vtks()),
+        first(particles::vtus()),
+        list.into(),
+        list.into(),
+    ];
+    let mut all: Vec<_> =
+        (0_u8..).zip(files).map(|(kind, file)| [&[kind][..], &file].concat()).collect();
     all.push([&[6][..], &first(particles::npys())].concat());
     all
 }

@@ -8,7 +8,8 @@ use tempfile::NamedTempFile;
 
 use super::vtk_particles::{field, flagged};
 use super::{
-    ENCODINGS, Format, PLY, VTK, VtkBuilder, attributes, dual, ply_with_face, positions, splish, toolkit,
+    ENCODINGS, Format, PLY, VTK, VtkBuilder, attributes, dual, ply_with_face, positions, splish,
+    toolkit,
 };
 
 /// All three readers, and every number of what they accept.
@@ -24,7 +25,11 @@ fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
             assert_eq!(format!("{by_position:?}"), format!("{in_memory:?}"));
         }
         let by_position = (format.read_particles)(opened).map(numbers);
-        assert_eq!(format!("{by_position:?}"), format!("{particles:?}"), "read by position, and in memory");
+        assert_eq!(
+            format!("{by_position:?}"),
+            format!("{particles:?}"),
+            "read by position, and in memory"
+        );
     }
     let particles = particles.map(|_| ());
     [particles, (format.read_mesh)(bytes).map(|_| ()), (format.has_faces)(bytes.into()).map(|_| ())]
@@ -47,7 +52,8 @@ fn a_truncated_ply_is_refused_at_every_prefix() {
     }
 }
 
-/// Six points of which some have vertices that are flagged, of either kind of data set and of cells.
+/// Six points of which some have vertices that are flagged, of either kind of data set and of
+/// cells.
 fn with_ghosts(ascii: bool) -> Vec<VtkBuilder> {
     let file = |version: &str, types: Option<&[f64]>| {
         let corners = [5., 4., 3., 2., 1., 0.];
@@ -81,12 +87,19 @@ fn a_vtk_with_flags_of_cells_and_a_flipped_byte_is_an_error_or_other_values() {
 #[test]
 fn a_truncated_vtk_is_refused_at_every_prefix_that_is_no_shorter_file() {
     for ascii in [true, false] {
-        for file in [splish(ascii), dual(ascii), toolkit(ascii)].into_iter().chain(with_ghosts(ascii)) {
+        for file in
+            [splish(ascii), dual(ascii), toolkit(ascii)].into_iter().chain(with_ghosts(ascii))
+        {
             for cut in 0..file.bytes.len() {
                 let may_end = file.ends.contains(&cut);
                 let [particles, mesh, _] = read_all(VTK, &file.bytes[..cut]);
-                let end = String::from_utf8_lossy(&file.bytes[cut.saturating_sub(40)..cut]).into_owned();
-                assert_eq!(particles.is_ok(), may_end, "ascii {ascii}, {cut} bytes, ending in {end:?}");
+                let end =
+                    String::from_utf8_lossy(&file.bytes[cut.saturating_sub(40)..cut]).into_owned();
+                assert_eq!(
+                    particles.is_ok(),
+                    may_end,
+                    "ascii {ascii}, {cut} bytes, ending in {end:?}"
+                );
                 assert_eq!(mesh.is_ok(), may_end, "ascii {ascii}, {cut} bytes, ending in {end:?}");
             }
         }
@@ -95,8 +108,13 @@ fn a_truncated_vtk_is_refused_at_every_prefix_that_is_no_shorter_file() {
 
 #[test]
 fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
-    let huge =
-        ["2147483647", "4294967295", "9223372036854775808", "18446744073709551615", "99999999999999999999"];
+    let huge = [
+        "2147483647",
+        "4294967295",
+        "9223372036854775808",
+        "18446744073709551615",
+        "99999999999999999999",
+    ];
     let mut refused = 0;
     let mut refuse = |format: Format, file: &[u8], from: &str, to: &str| {
         let at = file.windows(from.len()).position(|w| w == from.as_bytes()).expect(from);
@@ -117,8 +135,14 @@ fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
         }
         for ascii in [true, false] {
             let file = splish(ascii).bytes;
-            for line in ["POINTS 2 ", "CELLS 2 ", "CELLS 2 4", "CELL_TYPES 2", "POINT_DATA 2", "FieldData 2"]
-            {
+            for line in [
+                "POINTS 2 ",
+                "CELLS 2 ",
+                "CELLS 2 4",
+                "CELL_TYPES 2",
+                "POINT_DATA 2",
+                "FieldData 2",
+            ] {
                 let (head, _) = line.trim_end().rsplit_once(' ').unwrap();
                 let end = if line.ends_with(' ') { " " } else { "" };
                 refuse(VTK, &file, line, &format!("{head} {count}{end}"));
@@ -139,10 +163,12 @@ fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
 
 #[test]
 fn components_of_an_array_without_tuples_cost_neither_memory_nor_time() {
-    let head = "# vtk DataFile Version 5.1\nt\nBINARY\nDATASET POLYDATA\nPOINTS 0 float\n\nPOINT_DATA 0\n";
+    let head =
+        "# vtk DataFile Version 5.1\nt\nBINARY\nDATASET POLYDATA\nPOINTS 0 float\n\nPOINT_DATA 0\n";
     let field = "FIELD FieldData 2\na 18446744073709551615 0 float\n\nb 9 0 float\n";
     let file = VTK.particles(format!("{head}{field}").as_bytes()).unwrap();
     assert_eq!(attributes(&file), [("b".to_owned(), 9, Vec::new())]);
-    let names = "FIELD FieldData 1\na 18446744073709551615 0 float\n\nMETADATA\nCOMPONENT_NAMES\nx\n\n";
+    let names =
+        "FIELD FieldData 1\na 18446744073709551615 0 float\n\nMETADATA\nCOMPONENT_NAMES\nx\n\n";
     assert!(VTK.particles(format!("{head}{names}").as_bytes()).is_err());
 }

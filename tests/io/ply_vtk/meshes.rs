@@ -12,7 +12,8 @@ fn a_real_mesh_reads_closed() {
     assert!(ply::has_faces(bytes[..].into()).unwrap());
     let mesh = ply::read_mesh(&bytes).unwrap();
     assert_eq!((mesh.positions.len(), mesh.triangles.len()), (2930, 5856));
-    let mut edges: Vec<_> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
+    let mut edges: Vec<_> =
+        mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
     edges.sort_unstable();
     assert!(edges.windows(2).all(|pair| pair[0] != pair[1]));
     assert!(edges.iter().all(|&[a, b]| edges.binary_search(&[b, a]).is_ok()));
@@ -39,7 +40,9 @@ fn polygons_are_fanned_and_cells_without_area_ignored() {
     }
     for ascii in [true, false] {
         let points = |version, dataset| {
-            VtkBuilder::new(version, ascii, dataset).line("POINTS 4 float").data("float", &[1.0; 12])
+            VtkBuilder::new(version, ascii, dataset)
+                .line("POINTS 4 float")
+                .data("float", &[1.0; 12])
         };
         let cells = [
             points("3.0", "POLYDATA")
@@ -68,12 +71,17 @@ fn polygons_are_fanned_and_cells_without_area_ignored() {
             assert!(vtk::has_faces(file.bytes[..].into()).unwrap());
         }
         let typed = |types: [f64; 5]| {
-            let cells = [1., 3., 2., 0., 1., 4., 0., 1., 2., 3., 3., 3., 2., 1., 4., 0., 1., 2., 3.];
+            let cells =
+                [1., 3., 2., 0., 1., 4., 0., 1., 2., 3., 3., 3., 2., 1., 4., 0., 1., 2., 3.];
             let file = points("4.2", "UNSTRUCTURED_GRID").line("CELLS 5 19").data("int", &cells);
             file.line("CELL_TYPES 5").data("int", &types).bytes
         };
         let mesh = vtk::read_mesh(&typed([1.0, 3.0, 9.0, 5.0, 6.0])).unwrap();
-        assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [3, 2, 1], [0, 1, 2], [2, 1, 3]], "ascii {ascii}");
+        assert_eq!(
+            mesh.triangles,
+            [[0, 1, 2], [0, 2, 3], [3, 2, 1], [0, 1, 2], [2, 1, 3]],
+            "ascii {ascii}"
+        );
         let mesh = vtk::read_mesh(&typed([1.0, 3.0, 8.0, 7.0, 4.0])).unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 3], [0, 3, 2], [3, 2, 1]], "ascii {ascii}");
         assert!(!vtk::has_faces(typed([1.0, 3.0, 4.0, 2.0, 0.0])[..].into()).unwrap());
@@ -98,8 +106,9 @@ fn a_face_beyond_the_vertices_is_named() {
     }
     for ascii in [true, false] {
         let file = |cells: [f64; 8]| {
-            let file =
-                VtkBuilder::new("3.0", ascii, "POLYDATA").line("POINTS 3 float").data("float", &[1.0; 9]);
+            let file = VtkBuilder::new("3.0", ascii, "POLYDATA")
+                .line("POINTS 3 float")
+                .data("float", &[1.0; 9]);
             vtk::read_mesh(&file.line("POLYGONS 2 8").data("int", &cells).bytes)
         };
         file([3., 0., 1., 2., 3., 0., 1., 2.]).unwrap();
@@ -113,7 +122,10 @@ fn a_face_beyond_the_vertices_is_named() {
 }
 
 fn hollow(attributes: &[VertexAttribute]) -> Vec<VertexAttribute> {
-    attributes.iter().map(|attribute| VertexAttribute { values: Vec::new(), ..attribute.clone() }).collect()
+    attributes
+        .iter()
+        .map(|attribute| VertexAttribute { values: Vec::new(), ..attribute.clone() })
+        .collect()
 }
 
 fn rounded(mut mesh: Mesh) -> Mesh {
@@ -128,7 +140,11 @@ fn a_written_mesh_reads_back_the_same() {
     let scalar = Mesh { attributes: vec![whole.attributes[1].clone()], ..bare.clone() };
     let empty = Mesh::default();
     let loose = Mesh { triangles: Vec::new(), ..whole.clone() };
-    let hollow = Mesh { normals: Some(Vec::new()), attributes: hollow(&whole.attributes), ..Mesh::default() };
+    let hollow = Mesh {
+        normals: Some(Vec::new()),
+        attributes: hollow(&whole.attributes),
+        ..Mesh::default()
+    };
     for mesh in [whole, bare, scalar, empty, loose, hollow] {
         for format in [PLY, VTK] {
             let double = format.written(&mesh, CoordinateWidth::F64);
@@ -143,7 +159,18 @@ fn a_written_mesh_reads_back_the_same() {
 
 #[test]
 fn names_of_attributes_cannot_break_a_header() {
-    let names = ["a b", "x", "x", "nx", "end_header\n", "", "%20", "\u{e9}t\u{e9}", "METADATA", "NULL_ARRAY"];
+    let names = [
+        "a b",
+        "x",
+        "x",
+        "nx",
+        "end_header\n",
+        "",
+        "%20",
+        "\u{e9}t\u{e9}",
+        "METADATA",
+        "NULL_ARRAY",
+    ];
     let attributes = names.map(|name| VertexAttribute {
         name: name.into(),
         components: 1,
@@ -152,15 +179,35 @@ fn names_of_attributes_cannot_break_a_header() {
     let mesh = Mesh { attributes: attributes.to_vec(), ..some_mesh() };
     let read = ply::read_mesh(&PLY.written(&mesh, CoordinateWidth::F64)).unwrap();
     let found: Vec<_> = read.attributes.iter().map(|a| a.name.as_str()).collect();
-    let altered =
-        ["a_b", "x_", "x__", "nx_", "end_header_", "_", "%20", "\u{e9}t\u{e9}", "METADATA", "NULL_ARRAY"];
+    let altered = [
+        "a_b",
+        "x_",
+        "x__",
+        "nx_",
+        "end_header_",
+        "_",
+        "%20",
+        "\u{e9}t\u{e9}",
+        "METADATA",
+        "NULL_ARRAY",
+    ];
     assert_eq!(found, altered);
     let read = vtk::read_mesh(&VTK.written(&mesh, CoordinateWidth::F64)).unwrap();
     let found: Vec<_> = read.attributes.iter().map(|a| a.name.as_str()).collect();
-    // Of two attributes with one name a reader keeps the first.
     assert_eq!(
         found,
-        ["a b", "x", "nx", "end_header\n", "_", "%20", "\u{e9}t\u{e9}", "METADATA", "NULL_ARRAY"]
+        [
+            "a b",
+            "x",
+            "x_",
+            "nx",
+            "end_header\n",
+            "_",
+            "%20",
+            "\u{e9}t\u{e9}",
+            "METADATA",
+            "NULL_ARRAY"
+        ]
     );
     assert_eq!((read.positions, read.normals), (mesh.positions, mesh.normals));
 }
@@ -198,8 +245,9 @@ fn normals_are_found_whatever_has_their_name_or_stands_twice_before_them() {
         let scalars = |file: VtkBuilder| {
             file.line("SCALARS a float 1").line("LOOKUP_TABLE default").data("float", &[7.0, 8.0])
         };
-        let normals =
-            |file: VtkBuilder, name: &str| file.line(&format!("NORMALS {name} float")).data("float", &values);
+        let normals = |file: VtkBuilder, name: &str| {
+            file.line(&format!("NORMALS {name} float")).data("float", &values)
+        };
         let read = |file: VtkBuilder| vtk::read_mesh(&file.bytes).unwrap();
         let expected = Some(vec![[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]);
         let twice = read(normals(scalars(scalars(points())), "n"));

@@ -1,4 +1,5 @@
-//! What .ply and legacy .vtk files promise, in both directions: the formats, and builders of their files.
+//! What .ply and legacy .vtk files promise, in both directions: the formats, and builders of their
+//! files.
 
 mod damage;
 mod meshes;
@@ -95,7 +96,10 @@ struct PlyBuilder {
 
 impl PlyBuilder {
     fn new(encoding: &'static str, header: &str) -> Self {
-        Self { encoding, bytes: format!("ply\nformat {encoding} 1.0\n{header}end_header\n").into_bytes() }
+        Self {
+            encoding,
+            bytes: format!("ply\nformat {encoding} 1.0\n{header}end_header\n").into_bytes(),
+        }
     }
 
     /// A row of numbers, each with its type.
@@ -138,7 +142,9 @@ struct VtkBuilder {
 impl VtkBuilder {
     fn new(version: &str, ascii: bool, dataset: &str) -> Self {
         let encoding = if ascii { "ASCII" } else { "BINARY" };
-        let text = format!("# vtk DataFile Version {version}\ntitle \u{e9}\n{encoding}\nDATASET {dataset}\n");
+        let text = format!(
+            "# vtk DataFile Version {version}\ntitle \u{e9}\n{encoding}\nDATASET {dataset}\n"
+        );
         Self { ascii, bytes: text.into_bytes(), ends: Vec::new() }
     }
 
@@ -160,11 +166,15 @@ impl VtkBuilder {
         self
     }
 
-    /// Says that what stands so far is a whole file, with or without the last line's end, unless that is
-    /// the empty line that something needs.
+    /// Says that what stands so far is a whole file, with or without the last line's end, unless
+    /// that is the empty line that something needs.
     fn end(mut self) -> Self {
         let length = self.bytes.len();
-        self.ends.extend(if self.bytes.ends_with(b"\n\n") { length..=length } else { length - 1..=length });
+        self.ends.extend(if self.bytes.ends_with(b"\n\n") {
+            length..=length
+        } else {
+            length - 1..=length
+        });
         self
     }
 }
@@ -266,7 +276,11 @@ fn toolkit(ascii: bool) -> VtkBuilder {
         .line("POINT_DATA 2")
         .end()
         .line("COLOR_SCALARS rgb 2");
-    let file = if ascii { file.data("float", &[0.0, 0.5, 1.0, 1.0]) } else { file.data("uchar", &[1.0; 4]) };
+    let file = if ascii {
+        file.data("float", &[0.0, 0.5, 1.0, 1.0])
+    } else {
+        file.data("uchar", &[1.0; 4])
+    };
     let file = file
         .end()
         .line("LOOKUP_TABLE table 1")
@@ -301,8 +315,10 @@ fn toolkit(ascii: bool) -> VtkBuilder {
 
 fn some_mesh() -> Mesh {
     let awkward = [0.1, -0.0, 1e-30, -7.25, 1e9 + 0.125, f64::from(f32::MIN_POSITIVE)];
-    let positions: Vec<[f64; 3]> = (0..6).map(|i| [0, 1, 2].map(|axis| awkward[(i + axis) % 6])).collect();
-    let values = |components: usize| (0..6 * components).map(|i| i as f32 * 0.1 - 1.0).collect::<Vec<_>>();
+    let positions: Vec<[f64; 3]> =
+        (0..6).map(|i| [0, 1, 2].map(|axis| awkward[(i + axis) % 6])).collect();
+    let values =
+        |components: usize| (0..6 * components).map(|i| i as f32 * 0.1 - 1.0).collect::<Vec<_>>();
     Mesh {
         positions,
         triangles: vec![[0, 1, 2], [5, 4, 3], [2, 1, 5], [0, 5, 0]],

@@ -3,7 +3,9 @@
 use meniscus::internals::io::{ReadFault, ply};
 use meniscus::internals::particles::{Particles, velocity_attribute};
 
-use super::{ENCODINGS, PLY, PlyBuilder, TRIANGLE, attribute, attributes, ply_with_face, positions};
+use super::{
+    ENCODINGS, PLY, PlyBuilder, TRIANGLE, attribute, attributes, ply_with_face, positions,
+};
 
 #[test]
 fn ply_scalars_of_every_type_and_encoding_are_read_to_the_bit() {
@@ -29,13 +31,15 @@ fn ply_scalars_of_every_type_and_encoding_are_read_to_the_bit() {
         properties.iter().map(|(kind, name, _)| format!("property {kind} {name}\n")).collect();
     for encoding in ENCODINGS {
         let rows = [1.0, 0.5].map(|scale| {
-            properties
-                .map(|(kind, _, value)| (kind, if kind.contains("loat") { value * scale } else { value }))
+            properties.map(|(kind, _, value)| {
+                (kind, if kind.contains("loat") { value * scale } else { value })
+            })
         });
         let header = format!("element vertex 2\n{lines}");
         let file = PlyBuilder::new(encoding, &header).row(&rows[0]).row(&rows[1]).bytes;
         let file = PLY.particles(&file).unwrap();
-        let at = |row: usize, name| rows[row][properties.iter().position(|p| p.1 == name).unwrap()].1;
+        let at =
+            |row: usize, name| rows[row][properties.iter().position(|p| p.1 == name).unwrap()].1;
         let wanted = [0, 1].map(|row| ["x", "y", "z"].map(|axis| at(row, axis)));
         assert_eq!(positions(&file), wanted, "{encoding}");
         for name in "a b c d e f g h i j k l m".split(' ') {
@@ -47,14 +51,18 @@ fn ply_scalars_of_every_type_and_encoding_are_read_to_the_bit() {
 
 #[test]
 fn ply_properties_of_a_vector_are_one_attribute() {
-    let spelled =
-        [["vx", "vy", "vz"], ["velocity_x", "velocity_y", "velocity_z"], ["vel_x", "vel_y", "vel_z"]];
+    let spelled = [
+        ["vx", "vy", "vz"],
+        ["velocity_x", "velocity_y", "velocity_z"],
+        ["vel_x", "vel_y", "vel_z"],
+    ];
     for [a, b, c] in spelled {
         let names = ["x", "y", "z", c, "id", a, "nx", "ny", "b_0", "b_1", b, "nz", "c_0", "d_1"];
         let lines: String = names.iter().map(|name| format!("property float {name}\n")).collect();
         let row: Vec<_> = (0..names.len()).map(|i| ("float", i as f64)).collect();
-        let file =
-            PlyBuilder::new("binary_big_endian", &format!("element vertex 1\n{lines}")).row(&row).bytes;
+        let file = PlyBuilder::new("binary_big_endian", &format!("element vertex 1\n{lines}"))
+            .row(&row)
+            .bytes;
         let wanted = [
             ("velocity", vec![5.0, 10.0, 3.0]),
             ("id", vec![4.0]),
@@ -107,7 +115,11 @@ fn ply_elements_around_the_vertices_are_passed() {
             ])
             .bytes;
         assert_eq!(positions(&PLY.particles(&file).unwrap()), [[10.0, 20.0, 30.0]], "{encoding}");
-        assert_eq!(ply::read_mesh(&file).unwrap().triangles, [[0, 0, 0]], "{encoding}: a line has no area");
+        assert_eq!(
+            ply::read_mesh(&file).unwrap().triangles,
+            [[0, 0, 0]],
+            "{encoding}: a line has no area"
+        );
     }
 }
 
@@ -136,12 +148,24 @@ fn ply_files_that_we_do_not_read_are_refused_with_the_reason() {
         (header(&format!("element vertex 0\n{xyz}property list uchar int n\n")), "a list (n)"),
         (header("element vertex 0\nproperty float x\nproperty float y\n"), "no property `z`"),
         (header("element point 0\n"), "no element `vertex`"),
-        (header(&format!("element vertex 1\n{xyz}")) + "1.25 2\n", "line 8: the line ends where a number"),
-        (header(&format!("element vertex 1\n{xyz}")) + "1 2 3 4\n", "line 8: there are more values"),
-        (header(&format!("element vertex 1\n{xyz}")) + "\n1 two 3\n", "line 9: \"two\" stands where"),
+        (
+            header(&format!("element vertex 1\n{xyz}")) + "1.25 2\n",
+            "line 8: the line ends where a number",
+        ),
+        (
+            header(&format!("element vertex 1\n{xyz}")) + "1 2 3 4\n",
+            "line 8: there are more values",
+        ),
+        (
+            header(&format!("element vertex 1\n{xyz}")) + "\n1 two 3\n",
+            "line 9: \"two\" stands where",
+        ),
         (header("element vertex -1\n"), "line 3: \"-1\" is no count"),
         (header("property float x\n"), "line 3: a property of no element"),
-        (header("element vertex 1\nproperty quad x\n"), "line 4: \"property quad x\" is no property"),
+        (
+            header("element vertex 1\nproperty quad x\n"),
+            "line 4: \"property quad x\" is no property",
+        ),
         ("ply\nformat ascii 2.0\n".into(), "line 2"),
         ("ply\nformat text 1.0\n".into(), "line 2: format \"text\""),
         ("ply\nend_header\n".into(), "line 2: the header names no format"),

@@ -6,7 +6,9 @@ use meniscus::internals::io::bytes::{Unpacking, open_bytes};
 use meniscus::internals::io::vtk;
 use meniscus::internals::particles::Particles;
 
-use super::{TWO, TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish, toolkit};
+use super::{
+    TWO, TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish, toolkit,
+};
 
 #[test]
 fn vtk_layouts_of_every_program_are_read_to_the_bit() {
@@ -16,7 +18,11 @@ fn vtk_layouts_of_every_program_are_read_to_the_bit() {
         let cases: [(VtkBuilder, Wanted); 3] = [
             (
                 splish(ascii),
-                vec![("id", vec![7., 8.]), ("velocity", v.clone()), ("mass density", vec![1000., 9.])],
+                vec![
+                    ("id", vec![7., 8.]),
+                    ("velocity", v.clone()),
+                    ("mass density", vec![1000., 9.]),
+                ],
             ),
             (dual(ascii), vec![("Idp", vec![7., 8.]), ("Vel", v.clone()), ("Type", vec![3., 3.])]),
             (
@@ -31,7 +37,8 @@ fn vtk_layouts_of_every_program_are_read_to_the_bit() {
                 .map(|(name, values)| (name.to_owned(), values.len() / 2, values))
                 .collect();
             let single = number == 2 && !ascii;
-            let exact = TWO_POSITIONS.map(|p| p.map(|c| if single { f64::from(c as f32) } else { c }));
+            let exact =
+                TWO_POSITIONS.map(|p| p.map(|c| if single { f64::from(c as f32) } else { c }));
             assert_eq!(positions(&read), exact, "layout {number}, ascii {ascii}");
             assert_eq!(attributes(&read), wanted, "layout {number}, ascii {ascii}");
             assert!(!vtk::has_faces(file.bytes[..].into()).unwrap());
@@ -59,15 +66,20 @@ fn vtk_arrays_of_every_type_are_read_to_the_bit() {
         ("double", -1e30),
     ];
     for ascii in [true, false] {
-        let mut file =
-            VtkBuilder::new("4.2", ascii, "POLYDATA").line("POINTS 1 float").data("float", &[1.0; 3]);
+        let mut file = VtkBuilder::new("4.2", ascii, "POLYDATA")
+            .line("POINTS 1 float")
+            .data("float", &[1.0; 3]);
         file = file.line("POINT_DATA 1").line(&format!("FIELD FieldData {}", kinds.len()));
         for (kind, value) in kinds {
             file = file.line(&format!("a_{kind} 1 1 {kind}")).data(kind, &[value]);
         }
         let file = VTK.particles(&file.bytes).unwrap();
         for (kind, value) in kinds {
-            assert_eq!(attribute(&file, &format!("a_{kind}")), [value as f32], "{kind}, ascii {ascii}");
+            assert_eq!(
+                attribute(&file, &format!("a_{kind}")),
+                [value as f32],
+                "{kind}, ascii {ascii}"
+            );
         }
     }
 }
@@ -83,7 +95,10 @@ fn vtk_files_that_disagree_with_themselves_are_refused_with_the_reason() {
         (format!("{points}POINTS 1 float\n1 2 3\n"), "POINTS already"),
         (format!("{points}VECTORS v float\n1 2 3\n"), "line 7: an attribute before POINT_DATA"),
         (format!("{points}POINT_DATA 1\nSCALARS a float\n1\n"), "need a LOOKUP_TABLE"),
-        (format!("{points}POINT_DATA 1\nFIELD f 1\na 1 2 float\n1 2\n"), "a has 2 tuples for 1 points"),
+        (
+            format!("{points}POINT_DATA 1\nFIELD f 1\na 1 2 float\n1 2\n"),
+            "a has 2 tuples for 1 points",
+        ),
         (format!("{points}POINT_DATA 1\nFIELD f 1\na 1 1 variant\n1\n"), "\"variant\""),
         (format!("{points}CELLS 1 2\n1 0\n"), "1 CELLS, but 0 CELL_TYPES"),
         (format!("{points}NONSENSE\n"), "line 7: \"NONSENSE\" is no section"),
@@ -96,7 +111,9 @@ fn vtk_files_that_disagree_with_themselves_are_refused_with_the_reason() {
         assert!(fault.contains(reason), "{text}: {fault}");
     }
     let bad = points.replace("1 2 3", "1 2x 3");
-    assert!(VTK.particles(bad.as_bytes()).unwrap_err().to_string().contains("line 6: \"2x\" stands"));
+    assert!(
+        VTK.particles(bad.as_bytes()).unwrap_err().to_string().contains("line 6: \"2x\" stands")
+    );
 }
 
 #[test]
@@ -106,7 +123,11 @@ fn the_simulators_own_frame_reads_as_its_record_says() {
     let positions = positions(&file);
     assert_eq!(positions.len(), 8664);
     let fold = |pick: fn(f64, f64) -> f64| {
-        positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis]))).unwrap()
+        positions
+            .iter()
+            .copied()
+            .reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis])))
+            .unwrap()
     };
     assert_eq!(fold(f64::min), [-1.9498687982559204, 0.0397249311208725, -0.7047143578529358]);
     assert_eq!(fold(f64::max), [-0.18260399997234344, 1.037776231765747, 0.704704761505127]);
@@ -121,7 +142,8 @@ fn the_simulators_own_frame_reads_as_its_record_says() {
     assert_eq!(file.particles.attributes().len(), 4);
 }
 
-/// Points along x, with a vertex for each of `corners`, types of these in an unstructured grid, and what stands under `CELL_DATA`.
+/// Points along x, with a vertex for each of `corners`, types of these in an unstructured grid, and
+/// what stands under `CELL_DATA`.
 pub(super) fn flagged(
     ascii: bool,
     version: &str,
@@ -158,7 +180,8 @@ pub(super) fn flagged(
 
 /// Flags as the toolkit writes them.
 pub(super) fn field(file: VtkBuilder, name: &str, flags: &[f64]) -> VtkBuilder {
-    let file = file.line("FIELD FieldData 1").line(&format!("{name} 1 {} unsigned_char", flags.len()));
+    let file =
+        file.line("FIELD FieldData 1").line(&format!("{name} 1 {} unsigned_char", flags.len()));
     file.data("unsigned_char", flags)
 }
 
@@ -176,7 +199,10 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
         for types in [None, Some(&[1.0; 6][..])] {
             let read = |corners: &[f64], name: &str, flags: &[f64]| {
                 let types = types.map(|types| &types[..corners.len()]);
-                left(&flagged(ascii, version, 6, corners, types, |file| field(file, name, flags)).bytes)
+                left(
+                    &flagged(ascii, version, 6, corners, types, |file| field(file, name, flags))
+                        .bytes,
+                )
             };
             for (name, flags, expected) in [
                 ("vtkGhostType", [1., 0., 0., 8., 0., 32.], &[1, 3, 4][..]),
@@ -192,14 +218,19 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
                 );
             }
             // A point with another vertex that is its own stays, and so does one without any.
-            assert_eq!(read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]), [0, 3, 4, 5]);
+            assert_eq!(
+                read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]),
+                [0, 3, 4, 5]
+            );
             // One attribute alone, as scalars; and no flags of one whole number each.
             for (kind, components, expected) in
                 [("int", 1, &[1, 3, 4][..]), ("float", 1, &all), ("int", 2, &all)]
             {
                 let scalars = flagged(ascii, version, 6, &order, types, |file| {
-                    let flags: Vec<f64> =
-                        [1., 0., 0., 8., 0., 32.].into_iter().flat_map(|f| vec![f; components]).collect();
+                    let flags: Vec<f64> = [1., 0., 0., 8., 0., 32.]
+                        .into_iter()
+                        .flat_map(|f| vec![f; components])
+                        .collect();
                     file.line(&format!("SCALARS vtkGhostType {kind} {components}"))
                         .line("LOOKUP_TABLE default")
                         .data(kind, &flags)
@@ -213,21 +244,27 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
 #[test]
 fn other_cells_than_vertices_leave_no_point_out() {
     let flags = |file: VtkBuilder, count: usize| field(file, "vtkGhostType", &vec![1.0; count]);
-    let start =
-        |ascii| VtkBuilder::new("3.0", ascii, "POLYDATA").line("POINTS 2 double").data("double", &TWO);
+    let start = |ascii| {
+        VtkBuilder::new("3.0", ascii, "POLYDATA").line("POINTS 2 double").data("double", &TWO)
+    };
     for ascii in [true, false] {
         let vertices = |ascii| start(ascii).line("VERTICES 2 4").data("int", &[1., 0., 1., 1.]);
-        let several = start(ascii).line("VERTICES 1 3").data("int", &[2., 0., 1.]).line("CELL_DATA 1");
-        let lines = vertices(ascii).line("LINES 1 3").data("int", &[2., 0., 1.]).line("CELL_DATA 3");
+        let several =
+            start(ascii).line("VERTICES 1 3").data("int", &[2., 0., 1.]).line("CELL_DATA 1");
+        let lines =
+            vertices(ascii).line("LINES 1 3").data("int", &[2., 0., 1.]).line("CELL_DATA 3");
         let twice = vertices(ascii).line("VERTICES 1 2").data("int", &[1., 0.]).line("CELL_DATA 3");
-        let faces = vertices(ascii).line("POLYGONS 1 4").data("int", &[3., 0., 1., 0.]).line("CELL_DATA 3");
+        let faces =
+            vertices(ascii).line("POLYGONS 1 4").data("int", &[3., 0., 1., 0.]).line("CELL_DATA 3");
         let none = start(ascii).line("CELL_DATA 2");
         for (file, cells) in [(several, 1), (lines, 3), (twice, 3), (faces, 3), (none, 2)] {
             let file = VTK.particles(&flags(file, cells).bytes).unwrap();
             assert_eq!((positions(&file).len(), file.ghosts), (2, 0));
         }
         let types = [1., 1., 3., 1., 1., 1.];
-        let file = flagged(ascii, "5.1", 6, &[0., 1., 2., 3., 4., 5.], Some(&types), |file| flags(file, 6));
+        let file = flagged(ascii, "5.1", 6, &[0., 1., 2., 3., 4., 5.], Some(&types), |file| {
+            flags(file, 6)
+        });
         assert_eq!(left(&file.bytes).len(), 6);
     }
 }
@@ -253,11 +290,13 @@ fn cells_that_are_not_as_announced_are_refused() {
     for types in [None, Some(&[1.0; 6][..])] {
         for version in ["3.0", "5.1"] {
             let says = |corners: &[f64], flags: &[f64], from: &str, to: &str, says: &str| {
-                let file =
-                    flagged(true, version, 6, corners, types, |file| field(file, "vtkGhostType", flags));
+                let file = flagged(true, version, 6, corners, types, |file| {
+                    field(file, "vtkGhostType", flags)
+                });
                 let text = String::from_utf8(file.bytes).unwrap();
                 assert!(text.contains(from), "{text}");
-                let fault = VTK.particles(text.replace(from, to).as_bytes()).expect_err(says).to_string();
+                let fault =
+                    VTK.particles(text.replace(from, to).as_bytes()).expect_err(says).to_string();
                 assert!(fault.contains(says), "{fault} instead of {says}");
             };
             let flags = [1.; 6];
@@ -270,10 +309,12 @@ fn cells_that_are_not_as_announced_are_refused() {
                     let [from, to] = [6, 5].map(|corners| format!("{keyword} 7 {corners}\n"));
                     let [long, short] = ["5 4 3 2 1 0\n", "5 4 3 2 1\n"];
                     let text = [(from, to), (long.to_owned(), short.to_owned())];
-                    let file =
-                        flagged(true, version, 6, &order, types, |file| field(file, "vtkGhostType", &flags));
-                    let file =
-                        text.iter().fold(String::from_utf8(file.bytes).unwrap(), |file, (from, to)| {
+                    let file = flagged(true, version, 6, &order, types, |file| {
+                        field(file, "vtkGhostType", &flags)
+                    });
+                    let file = text
+                        .iter()
+                        .fold(String::from_utf8(file.bytes).unwrap(), |file, (from, to)| {
                             file.replacen(from.as_str(), to, 1)
                         });
                     let fault = VTK.particles(file.as_bytes()).unwrap_err().to_string();

@@ -41,8 +41,10 @@ fn distances(truth: &Mesh, mesh: &Mesh) -> Outcome<[f64; 2]> {
 /// Every program as documented, and at its best isovalue where that is another.
 pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> {
     let particles = options.choose(8_000, 2_000);
-    let solids =
-        [Solid::new("sphere", sphere(1.0, 5), particles)?, Solid::new("torus", torus(96, 48), particles)?];
+    let solids = [
+        Solid::new("sphere", sphere(1.0, 5), particles)?,
+        Solid::new("torus", torus(96, 48), particles)?,
+    ];
     let board = Board::new(Vec::new())?;
     let scenes: Vec<_> = solids
         .iter()
@@ -61,7 +63,9 @@ pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> 
         Ok(mean(scenes.iter().map(of).collect::<Outcome<Vec<f64>>>()?))
     };
     let mut methods = Vec::new();
-    println!("isovalues: mean distance of a sphere and a torus that are reported nowhere, in spacings:\n");
+    println!(
+        "isovalues: mean distance of a sphere and a torus that are reported nowhere, in spacings:\n"
+    );
     for program in programs {
         methods.push(program.documented());
         if program.isos.len() < 2 {
@@ -100,24 +104,33 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     for (number, solid) in solids.iter().enumerate() {
         for (sampling, jitter) in SAMPLINGS {
             // Comparing takes longer than all else.
-            let cells =
-                if jitter > 0.0 && solid.volume == few as f64 { &[None, Some(0.5)][..] } else { &[None] };
+            let cells = if jitter > 0.0 && solid.volume == few as f64 {
+                &[None, Some(0.5)][..]
+            } else {
+                &[None]
+            };
             for &cell in cells {
                 let truth = solid.mesh.clone();
-                let row = |what: &str| format!("{}, {sampling}, {}: {what}", solid.name, cell_name(cell));
+                let row =
+                    |what: &str| format!("{}, {sampling}, {}: {what}", solid.name, cell_name(cell));
                 lines.push(Line {
                     rows: vec![row("mean"), row("Hausdorff")],
                     cell,
                     scenes: vec![fill(solid, &lattice(number, jitter))],
-                    read: Box::new(move |meshes| Ok(distances(&truth, &meshes[0])?.map(figure).into())),
+                    read: Box::new(move |meshes| {
+                        Ok(distances(&truth, &meshes[0])?.map(figure).into())
+                    }),
                 });
             }
         }
     }
     board.table("distances to bodies filled with particles of a turned lattice", lines)?;
 
-    let ball =
-        Solid::new("ball", sphere(1.0, 5), (4.0 / 3.0 * std::f64::consts::PI * RADIUS.powi(3)) as usize)?;
+    let ball = Solid::new(
+        "ball",
+        sphere(1.0, 5),
+        (4.0 / 3.0 * std::f64::consts::PI * RADIUS.powi(3)) as usize,
+    )?;
     let lines = SAMPLINGS.map(|(sampling, jitter)| Line {
         rows: vec![format!("volume, {sampling}")],
         cell: None,
@@ -128,7 +141,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             Ok(vec![figure(volume / truth)])
         }),
     });
-    board.table("balls of radius 5: the mesh's volume over theirs, mean of 8 lattices", lines.into())
+    board
+        .table("balls of radius 5: the mesh's volume over theirs, mean of 8 lattices", lines.into())
 }
 
 /// Side by side, each on a lattice of its own.

@@ -42,34 +42,48 @@ const BALLS: usize = 4;
 const EDGE: i32 = 24;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {
-    let sheet_rows =
-        |(what, ..): (&str, i32, f64)| [format!("{what}: components, holes"), format!("{what}: volume")];
+    let sheet_rows = |(what, ..): (&str, i32, f64)| {
+        [format!("{what}: components, holes"), format!("{what}: volume")]
+    };
     let sheets = Line {
         rows: SHEETS.into_iter().flat_map(sheet_rows).collect(),
         cell: None,
         scenes: vec![sheets()],
         read: Box::new(|meshes| {
-            Ok(SHEETS.iter().enumerate().flat_map(|(n, sheet)| sheet_texts(&meshes[0], n, sheet)).collect())
+            Ok(SHEETS
+                .iter()
+                .enumerate()
+                .flat_map(|(n, sheet)| sheet_texts(&meshes[0], n, sheet))
+                .collect())
         }),
     };
-    board.table("sheets above a bulk, jittered by 0.3: volume is over the particles'", vec![sheets])?;
+    board.table(
+        "sheets above a bulk, jittered by 0.3: volume is over the particles'",
+        vec![sheets],
+    )?;
 
-    let chain_rows =
-        |gap: f64| [format!("{gap} apart: components of a chain"), format!("{gap} apart: share covered")];
+    let chain_rows = |gap: f64| {
+        [format!("{gap} apart: components of a chain"), format!("{gap} apart: share covered")]
+    };
     let chains = Line {
         rows: GAPS.into_iter().flat_map(chain_rows).collect(),
         cell: None,
         scenes: vec![chains()],
-        read: Box::new(|meshes| Ok((0..GAPS.len()).flat_map(|gap| chain_texts(&meshes[0], gap)).collect())),
+        read: Box::new(|meshes| {
+            Ok((0..GAPS.len()).flat_map(|gap| chain_texts(&meshes[0], gap)).collect())
+        }),
     };
-    board
-        .table("chains of 8 single particles out of a bulk: 1 component is whole, mean of 6", vec![chains])?;
+    board.table(
+        "chains of 8 single particles out of a bulk: 1 component is whole, mean of 6",
+        vec![chains],
+    )?;
 
     let cells: Vec<Option<f64>> =
         options.choose(&CELLS[..], &CELLS[2..3]).iter().copied().map(Some).collect();
     let of_drops = |bulk: bool, cell: Option<f64>| {
         let beside = if bulk { "beside a bulk" } else { "alone" };
-        let row = |size: IVec3| format!("of {}, {beside}, {}", size.element_product(), cell_name(cell));
+        let row =
+            |size: IVec3| format!("of {}, {beside}, {}", size.element_product(), cell_name(cell));
         Line {
             rows: SIZES.map(row).into(),
             cell,
@@ -105,14 +119,17 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             let half = 1.5 * f64::from(EDGE);
             let [left, right] = [0, 1].map(|side| {
                 Count::of(
-                    found.iter().filter(move |component| usize::from(component.centre().x > half) == side),
+                    found
+                        .iter()
+                        .filter(move |component| usize::from(component.centre().x > half) == side),
                 )
                 .text()
             });
             Ok(vec![left, right])
         }),
     };
-    board.table("balls of air in a bulk jittered by 0.3, and bulks without any", vec![air, disorder])
+    board
+        .table("balls of air in a bulk jittered by 0.3, and bulks without any", vec![air, disorder])
 }
 
 fn moved(particles: Points, by: DVec3) -> impl Iterator<Item = [f64; 3]> {
@@ -121,7 +138,8 @@ fn moved(particles: Points, by: DVec3) -> impl Iterator<Item = [f64; 3]> {
 
 fn sheets() -> Points {
     let mut random = Random::new(11);
-    let mut particles = cuboid(IVec3::new(0, -28, 0), IVec3::new(WIDTH, -16, WIDTH), JITTER, &mut random);
+    let mut particles =
+        cuboid(IVec3::new(0, -28, 0), IVec3::new(WIDTH, -16, WIDTH), JITTER, &mut random);
     for (n, (_, layers, stretch)) in SHEETS.into_iter().enumerate() {
         let sheet = cuboid(IVec3::ZERO, IVec3::new(WIDTH, layers, WIDTH), JITTER, &mut random);
         let sheet = sheet.into_iter().map(|[x, y, z]| [stretch * x, y, stretch * z]).collect();
@@ -133,7 +151,9 @@ fn sheets() -> Points {
 fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -> [String; 2] {
     let middle = STOREY * number as f64 + 1.0;
     let near = |triangle: &&[u32; 3]| {
-        triangle.iter().all(|&vertex| (mesh.positions[vertex as usize][1] - middle).abs() < STOREY / 2.0)
+        triangle
+            .iter()
+            .all(|&vertex| (mesh.positions[vertex as usize][1] - middle).abs() < STOREY / 2.0)
     };
     let triangles = mesh.triangles.iter().filter(near).copied().collect();
     let sheet = Mesh { positions: mesh.positions.clone(), triangles, ..Mesh::default() };
@@ -168,12 +188,14 @@ fn chains() -> Points {
     particles
 }
 
-/// How many components reach higher than the bulk near a chain, and how many of its particles are inside.
+/// How many components reach higher than the bulk near a chain, and how many of its particles are
+/// inside.
 fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     let (found, of_vertices) = components(mesh);
     let of = |chain: usize| {
         let foot = foot(gap, chain);
-        let near = |p: &[f64; 3]| p[1] > 1.0 && DVec2::new(p[0] - foot.x, p[2] - foot.z).length() < 3.0;
+        let near =
+            |p: &[f64; 3]| p[1] > 1.0 && DVec2::new(p[0] - foot.x, p[2] - foot.z).length() < 3.0;
         let mut reaching: Vec<usize> = mesh
             .positions
             .iter()
@@ -232,13 +254,15 @@ fn drop_text(found: &[Component], size: usize) -> String {
         .collect();
     let kept: usize = of.iter().map(|drop| drop.components).sum();
     let volumes = || of.iter().map(|drop| drop.volume / count);
-    let (least, greatest) = (volumes().fold(f64::INFINITY, f64::min), volumes().fold(0.0, f64::max));
+    let (least, greatest) =
+        (volumes().fold(f64::INFINITY, f64::min), volumes().fold(0.0, f64::max));
     format!("{kept}; {least:.2}, {:.2}, {greatest:.2}", mean(volumes()))
 }
 
 /// The middle of a ball of air.
 fn air_place(radius: usize, ball: usize) -> DVec3 {
-    DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64) + place(BALLS * radius + ball)
+    DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64)
+        + place(BALLS * radius + ball)
 }
 
 fn air() -> Points {
@@ -255,7 +279,8 @@ fn air() -> Points {
 fn air_text(found: &[Component], radius: usize) -> String {
     let of = (0..BALLS).map(|ball| {
         let near = |component: &&Component| {
-            component.volume < 0.0 && component.centre().distance(air_place(radius, ball)) < AIR[radius]
+            component.volume < 0.0
+                && component.centre().distance(air_place(radius, ball)) < AIR[radius]
         };
         -Count::of(found.iter().filter(near)).volume
     });

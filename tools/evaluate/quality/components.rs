@@ -31,7 +31,11 @@ pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
     let mut components = Vec::new();
     for triangle in &mesh.triangles {
         let number = *numbers[roots[triangle[0] as usize] as usize].get_or_insert_with(|| {
-            components.push(Component { volume: 0.0, lo: DVec3::INFINITY, hi: DVec3::NEG_INFINITY });
+            components.push(Component {
+                volume: 0.0,
+                lo: DVec3::INFINITY,
+                hi: DVec3::NEG_INFINITY,
+            });
             components.len() - 1
         });
         let component: &mut Component = &mut components[number];

@@ -1,4 +1,5 @@
-//! Frames of simulations: how rough calm water is, in how many components all is, and what volume it holds.
+//! Frames of simulations: how rough calm water is, in how many components all is, and what volume
+//! it holds.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -44,8 +45,10 @@ impl Frame {
     pub fn read(path: &Path, name: String) -> Outcome<Self> {
         let file = open_particles(path, Unpacking::in_memory())?;
         let particles = &file.particles;
-        let known = file.spacing.or_else(|| Some(spacing_beside(path)?.0)).or_else(|| estimate(particles));
-        let spacing = known.ok_or_else(|| format!("{}: the spacing is not to be found", path.display()))?;
+        let known =
+            file.spacing.or_else(|| Some(spacing_beside(path)?.0)).or_else(|| estimate(particles));
+        let spacing =
+            known.ok_or_else(|| format!("{}: the spacing is not to be found", path.display()))?;
         let mut points = vec![[0.0; 3]; particles.len()];
         particles.positions(0, &mut points);
         points.iter_mut().flatten().for_each(|x| *x /= spacing);
@@ -53,8 +56,10 @@ impl Frame {
         if let Some(velocity) = velocity_attribute(particles.attributes()) {
             let mut velocities = vec![[0.0_f32; 3]; points.len()];
             particles.attribute(velocity, 0, velocities.as_flattened_mut());
-            directions =
-                velocities.iter().map(|v| DVec3::from(v.map(f64::from)).normalize_or_zero()).collect();
+            directions = velocities
+                .iter()
+                .map(|v| DVec3::from(v.map(f64::from)).normalize_or_zero())
+                .collect();
         }
         Ok(Self { name, points, directions })
     }
@@ -65,7 +70,8 @@ impl Frame {
         let mut files: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
         files.retain(|path| path.is_file() && is_known(path));
         files.sort();
-        let path = files.get(files.len() / 2).ok_or_else(|| format!("{}: no frames", folder.display()))?;
+        let path =
+            files.get(files.len() / 2).ok_or_else(|| format!("{}: no frames", folder.display()))?;
         let [folder, file] = [folder.file_name(), path.file_stem()]
             .map(|name| name.unwrap_or_default().to_string_lossy().into_owned());
         Self::read(path, format!("{folder} {file}"))
@@ -93,7 +99,8 @@ impl Frame {
                 (below > FULL * DEPTH * EDGE * EDGE).then_some((cell, top))
             })
             .collect();
-        let calm: HashMap<IVec2, bool> = tops.keys().map(|&cell| (cell, is_calm(&tops, cell))).collect();
+        let calm: HashMap<IVec2, bool> =
+            tops.keys().map(|&cell| (cell, is_calm(&tops, cell))).collect();
         let of = |point: usize| calm.get(&cell(columns.point(point))).copied().unwrap_or(false);
         let mask = (0..columns.count()).map(of).collect();
         (columns, mask)
@@ -118,7 +125,10 @@ fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
 pub fn dam_break() -> Outcome<Vec<Frame>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
     let read = |number: &str| {
-        Frame::read(&folder.join(format!("ParticleData_Fluid_{number}.bgeo")), format!("dam break {number}"))
+        Frame::read(
+            &folder.join(format!("ParticleData_Fluid_{number}.bgeo")),
+            format!("dam break {number}"),
+        )
     };
     DAM_BREAK.into_iter().map(read).collect()
 }
@@ -146,13 +156,20 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
             }),
         });
     }
-    board.table("water of simulations: what a Gaussian of 3 spacings leaves of calm regions", lines)?;
+    board.table(
+        "water of simulations: what a Gaussian of 3 spacings leaves of calm regions",
+        lines,
+    )?;
 
     let mut lines = Vec::new();
     if let Some(last) = dam.last() {
         for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
             lines.push(Line {
-                rows: vec![format!("{}, {}: components, bubbles", last.name, cell_name(Some(cell)))],
+                rows: vec![format!(
+                    "{}, {}: components, bubbles",
+                    last.name,
+                    cell_name(Some(cell))
+                )],
                 cell: Some(cell),
                 scenes: vec![last.points.clone()],
                 read: Box::new(|meshes| Ok(vec![Count::of(&components(&meshes[0]).0).text()])),
@@ -161,14 +178,20 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     }
     let counts: Vec<f64> = dam.iter().map(|frame| frame.points.len() as f64).collect();
     lines.push(Line {
-        rows: vec![format!("volume over the particles', frames {}: least, greatest", DAM_BREAK.join(", "))],
+        rows: vec![format!(
+            "volume over the particles', frames {}: least, greatest",
+            DAM_BREAK.join(", ")
+        )],
         cell: None,
         scenes: dam.iter().map(|frame| frame.points.clone()).collect(),
         read: Box::new(move |meshes| {
-            let volumes =
-                meshes.iter().zip(&counts).map(|(mesh, count)| Count::of(&components(mesh).0).volume / count);
-            let (least, greatest) =
-                volumes.fold((f64::INFINITY, 0.0_f64), |(lo, hi), volume| (lo.min(volume), hi.max(volume)));
+            let volumes = meshes
+                .iter()
+                .zip(&counts)
+                .map(|(mesh, count)| Count::of(&components(mesh).0).volume / count);
+            let (least, greatest) = volumes.fold((f64::INFINITY, 0.0_f64), |(lo, hi), volume| {
+                (lo.min(volume), hi.max(volume))
+            });
             Ok(vec![format!("{least:.3}, {greatest:.3}")])
         }),
     });

@@ -34,7 +34,8 @@ impl Columns {
 
     /// x and z.
     pub fn point(&self, number: usize) -> DVec2 {
-        self.lo + self.step * DVec2::new((number % self.size[0]) as f64, (number / self.size[0]) as f64)
+        self.lo
+            + self.step * DVec2::new((number % self.size[0]) as f64, (number / self.size[0]) as f64)
     }
 
     /// The slope from one height to that of the next point.
@@ -51,7 +52,8 @@ impl Columns {
             .then(|| place.x as usize + place.y as usize * self.size[0])
     }
 
-    /// Tells of every point below or above a triangle: its number, the triangle's height there and its normal.
+    /// Tells of every point below or above a triangle: its number, the triangle's height there and
+    /// its normal.
     pub fn cross(&self, mesh: &Mesh, mut tell: impl FnMut(usize, f64, DVec3)) {
         for triangle in &mesh.triangles {
             let corners = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
@@ -91,8 +93,8 @@ impl Columns {
         tops
     }
 
-    /// What is left of heights that a Gaussian takes away, where there are any: of planes nothing, up to the ends of what
-    /// is there.
+    /// What is left of heights that a Gaussian takes away, where there are any: of planes nothing,
+    /// up to the ends of what is there.
     pub fn without_gaussian(&self, heights: &[Option<f64>], sigma: f64) -> Vec<Option<f64>> {
         let reach = (3.0 * sigma / self.step).ceil() as i32;
         let offs: Vec<(IVec2, f64)> = (-reach..=reach)
@@ -136,7 +138,9 @@ mod tests {
             assert_eq!(top.is_some(), from_axis < 1.5, "{from_axis}");
             let Some(top) = top else { continue };
             let slope = (from_axis / 1.5).asin();
-            assert!((top.height - 1.5 * slope.cos()).abs() < 0.02 && (top.slope - slope).abs() < 0.05);
+            assert!(
+                (top.height - 1.5 * slope.cos()).abs() < 0.02 && (top.slope - slope).abs() < 0.05
+            );
         }
     }
 
@@ -145,7 +149,8 @@ mod tests {
         let columns = Columns::over(DVec2::ZERO, DVec2::splat(40.0));
         let middle = columns.nearest(DVec2::splat(20.25)).unwrap();
         let left = |height: &dyn Fn(DVec2) -> f64| {
-            let heights: Vec<_> = (0..columns.count()).map(|n| Some(height(columns.point(n)))).collect();
+            let heights: Vec<_> =
+                (0..columns.count()).map(|n| Some(height(columns.point(n)))).collect();
             columns.without_gaussian(&heights, 3.0)[middle].unwrap()
         };
         assert!(left(&|at| 0.2 * at.x + 7.0).abs() < 1e-9);

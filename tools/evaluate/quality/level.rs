@@ -53,7 +53,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
                         deviation(&tops, height(seed))
                     });
                     let of: Vec<[f64; 3]> = of.collect();
-                    let [bias, rms, slope] = [0, 1, 2].map(|n| mean(of.iter().map(|figures| figures[n])));
+                    let [bias, rms, slope] =
+                        [0, 1, 2].map(|n| mean(of.iter().map(|figures| figures[n])));
                     let bubbles: usize =
                         meshes.iter().map(|mesh| Count::of(&components(mesh).0).bubbles).sum();
                     Ok(vec![signed(bias), figure(rms), format!("{slope:.2}"), bubbles.to_string()])
@@ -71,14 +72,20 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             let columns = middle((2.0 * MARGIN / length).floor() * length);
             let kept = meshes.iter().map(|mesh| {
                 let tops = columns.tops(mesh);
-                let heights =
-                    tops.iter().enumerate().filter_map(|(n, top)| Some((columns.point(n), (*top)?.height)));
-                2.0 * mean(heights.map(|(at, height)| height * (TAU * at.x / length).sin())) / amplitude
+                let heights = tops
+                    .iter()
+                    .enumerate()
+                    .filter_map(|(n, top)| Some((columns.point(n), (*top)?.height)));
+                2.0 * mean(heights.map(|(at, height)| height * (TAU * at.x / length).sin()))
+                    / amplitude
             });
             Ok(vec![figure(mean(kept))])
         }),
     });
-    board.table("waves jittered by 0.3: share of the amplitude that is kept, mean of 3", lines.into())
+    board.table(
+        "waves jittered by 0.3: share of the amplitude that is kept, mean of 3",
+        lines.into(),
+    )
 }
 
 /// Mean height above the truth, RMS about that mean, and RMS of the slope in degrees.

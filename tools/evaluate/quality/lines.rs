@@ -1,4 +1,5 @@
-//! Tables with a column for each method: lines of particles, from which each method makes meshes, and how those are read.
+//! Tables with a column for each method: lines of particles, from which each method makes meshes,
+//! and how those are read.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -49,7 +50,12 @@ impl Board {
     }
 
     /// None where the method finds no surface.
-    pub fn mesh(&self, method: &Method, particles: &Path, cell: Option<f64>) -> Outcome<Option<Mesh>> {
+    pub fn mesh(
+        &self,
+        method: &Method,
+        particles: &Path,
+        cell: Option<f64>,
+    ) -> Outcome<Option<Mesh>> {
         let output = self.file("ply");
         let Some(_) = method.run([particles, &output], cell, 1)? else { return Ok(None) };
         let mesh = read_mesh(&output)?;
@@ -60,7 +66,8 @@ impl Board {
     /// Prints a table of what all methods make of `lines`.
     pub fn table(&self, heading: &str, lines: Vec<Line>) -> Outcome<()> {
         let start = Instant::now();
-        let inputs: Vec<Vec<PathBuf>> = lines.iter().map(|line| self.inputs(line)).collect::<Outcome<_>>()?;
+        let inputs: Vec<Vec<PathBuf>> =
+            lines.iter().map(|line| self.inputs(line)).collect::<Outcome<_>>()?;
         let jobs: Vec<(usize, usize)> = (0..lines.len())
             .flat_map(|line| (0..self.methods.len()).map(move |method| (line, method)))
             .collect();
@@ -75,7 +82,9 @@ impl Board {
         let mut table = Table::new(&head);
         for (line, texts) in lines.iter().zip(texts.chunks(self.methods.len())) {
             for (row, name) in line.rows.iter().enumerate() {
-                table.row([name.clone()].into_iter().chain(texts.iter().map(|texts| texts[row].clone())));
+                table.row(
+                    [name.clone()].into_iter().chain(texts.iter().map(|texts| texts[row].clone())),
+                );
             }
         }
         table.show(heading);

@@ -1,7 +1,9 @@
-//! How good surfaces are, side by side with other programs': every program runs from file to file, by a table of command lines.
+//! How good surfaces are, side by side with other programs': every program runs from file to file,
+//! by a table of command lines.
 //!
-//! `tools/compare/quality` finds the programs, writes the table and runs this. Lengths are in spacings of the particles,
-//! which is 1 in all files. What isovalue suits a program best is chosen on bodies and lattices that are reported nowhere.
+//! `tools/compare/quality` finds the programs, writes the table and runs this. Lengths are in
+//! spacings of the particles, which is 1 in all files. What isovalue suits a program best is chosen
+//! on bodies and lattices that are reported nowhere.
 
 mod bodies;
 mod clumps;
@@ -20,8 +22,10 @@ use frames::Frame;
 use lines::Board;
 
 pub fn run(options: &Options) -> Outcome<()> {
-    let table =
-        options.methods.as_ref().ok_or("quality needs --methods: tools/compare/quality writes them")?;
+    let table = options
+        .methods
+        .as_ref()
+        .ok_or("quality needs --methods: tools/compare/quality writes them")?;
     let programs = programs::read(table)?;
     std::fs::create_dir_all(&options.out)?;
     let board = Board::new(bodies::methods(options, &programs)?)?;

@@ -20,7 +20,8 @@ pub struct Program {
     pub isos: Vec<String>,
     /// Whether it is made for many particles.
     pub takes_many: bool,
-    /// Words with `{in}`, `{out}`, `{cell}` and `{cubes}` (a cell in spacings and in radii), `{iso}` and `{threads}`.
+    /// Words with `{in}`, `{out}`, `{cell}` and `{cubes}` (a cell in spacings and in radii),
+    /// `{iso}` and `{threads}`.
     command: String,
 }
 
@@ -34,7 +35,8 @@ pub struct Method {
     pub documented: bool,
 }
 
-/// The programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles, and command, between tabs.
+/// The programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles, and
+/// command, between tabs.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }
@@ -97,7 +99,12 @@ impl Method {
     }
 
     /// The seconds that it took; none where it found no surface, or failed.
-    pub fn run(&self, files: [&Path; 2], cell: Option<f64>, threads: usize) -> Outcome<Option<f64>> {
+    pub fn run(
+        &self,
+        files: [&Path; 2],
+        cell: Option<f64>,
+        threads: usize,
+    ) -> Outcome<Option<f64>> {
         let words = self.words(files, cell, threads);
         let start = Instant::now();
         let mut command = Command::new(&words[0]);
@@ -113,7 +120,8 @@ mod tests {
 
     #[test]
     fn a_word_that_speaks_of_an_unknown_cell_is_left_out() {
-        let program = Program::parse("one\t-\t0.6 0.5\tfew\tone {in} -c={cubes} -t={iso} -o {out}").unwrap();
+        let program =
+            Program::parse("one\t-\t0.6 0.5\tfew\tone {in} -c={cubes} -t={iso} -o {out}").unwrap();
         let files = ["a", "b"].map(Path::new);
         let words = |method: &Method, cell| method.words(files, cell, 1).join(" ");
         assert_eq!(words(&program.documented(), None), "one a -t=0.6 -o b");

@@ -1,4 +1,5 @@
-//! How still surfaces stand from one frame to the next: of a pool that is carried through a cell, and of water that moves.
+//! How still surfaces stand from one frame to the next: of a pool that is carried through a cell,
+//! and of water that moves.
 
 use std::collections::HashMap;
 
@@ -39,7 +40,8 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
             cell: Some(CELL),
             scenes: (0..=STEPS).map(raised).collect(),
             read: Box::new(|meshes| {
-                let columns = Columns::over(DVec2::splat(MARGIN), DVec2::splat(f64::from(WIDTH) - MARGIN));
+                let columns =
+                    Columns::over(DVec2::splat(MARGIN), DVec2::splat(f64::from(WIDTH) - MARGIN));
                 let height = |(step, mesh): (usize, &Mesh)| {
                     mean(columns.tops(mesh).iter().flatten().map(|top| top.height)) - rise(step)
                 };
@@ -51,10 +53,14 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
     });
     let moving = dam.iter().skip(1).filter(|frame| !frame.directions.is_empty());
     let moving = moving.map(|frame| {
-        let steps: Vec<Points> = (0..options.choose(MOVES, 1) + 1).map(|step| frame.after(step)).collect();
+        let steps: Vec<Points> =
+            (0..options.choose(MOVES, 1) + 1).map(|step| frame.after(step)).collect();
         let (scenes, directions) = (steps.clone(), frame.directions.clone());
         Line {
-            rows: vec![format!("{}: RMS distance from the carried to the next surface", frame.name)],
+            rows: vec![format!(
+                "{}: RMS distance from the carried to the next surface",
+                frame.name
+            )],
             cell: Some(CELL),
             scenes,
             read: Box::new(move |meshes| {
@@ -107,7 +113,11 @@ fn carried(mesh: &Mesh, points: &[[f64; 3]], directions: &[DVec3]) -> Mesh {
         });
         (if weight > 0.0 { position + MOVE / weight * way } else { position }).into()
     };
-    Mesh { positions: mesh.positions.par_iter().map(carry).collect(), normals: None, ..mesh.clone() }
+    Mesh {
+        positions: mesh.positions.par_iter().map(carry).collect(),
+        normals: None,
+        ..mesh.clone()
+    }
 }
 
 #[cfg(test)]

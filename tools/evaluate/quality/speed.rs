@@ -21,7 +21,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let input = board.input(&particles)?;
     let timed = |method: &&Method| method.documented && method.program.takes_many;
     let methods: Vec<&Method> = board.methods.iter().filter(timed).collect();
-    let head: Vec<&str> = [""].into_iter().chain(methods.iter().map(|method| &*method.name)).collect();
+    let head: Vec<&str> =
+        [""].into_iter().chain(methods.iter().map(|method| &*method.name)).collect();
     let mut table = Table::new(&head);
     for &cell in options.choose(&CELLS[..], &CELLS[..1]) {
         let seconds = methods.iter().map(|method| {
@@ -35,7 +36,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         let seconds: Vec<Option<f64>> = seconds.collect::<Outcome<_>>()?;
         let first = seconds[0].unwrap_or(f64::NAN);
         let text = |seconds: &Option<f64>| {
-            seconds.map_or("none".into(), |seconds| format!("{seconds:.2} ({:.1})", seconds / first))
+            seconds
+                .map_or("none".into(), |seconds| format!("{seconds:.2} ({:.1})", seconds / first))
         };
         table.row([format!("cells {cell}")].into_iter().chain(seconds.iter().map(text)));
     }

@@ -21,7 +21,8 @@ const FAR: f64 = 0.8;
 /// Radius of what is looked at from near, and of the particles that are meshed for it.
 const NEAR: f64 = 14.0;
 const AROUND: f64 = 30.0;
-/// Edges of cells in which particles are counted to tell where there is most to see, and how many it takes of them.
+/// Edges of cells in which particles are counted to tell where there is most to see, and how many
+/// it takes of them.
 const COUNTED: f64 = 3.0;
 const REGION: i32 = 6;
 
@@ -32,8 +33,12 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         let far = Camera { radius: FAR * (hi - lo).length() / 2.0, ..Camera::of([lo, hi]) };
         views(options, board, &frame.name, "far", &frame.points, &far, None)?;
         let focus = busiest(&frame.points);
-        let around: Points =
-            frame.points.iter().copied().filter(|&p| DVec3::from(p).distance(focus) < AROUND).collect();
+        let around: Points = frame
+            .points
+            .iter()
+            .copied()
+            .filter(|&p| DVec3::from(p).distance(focus) < AROUND)
+            .collect();
         let near = Camera { centre: focus, radius: NEAR };
         for &cell in options.choose(&[0.5, 0.25][..], &[0.5]) {
             views(options, board, &frame.name, "near", &around, &near, Some(cell))?;

@@ -60,16 +60,17 @@ pub struct MeniscusProgress {
     pub stage: i32,
 }
 
-/// A function that is told of progress. It returns 0 for the work to go on, and anything else to end it early: the call then returns
-/// MENISCUS_STATUS_CANCELLED.
+/// A function that is told of progress. It returns 0 for the work to go on, and anything else to
+/// end it early: the call then returns MENISCUS_STATUS_CANCELLED.
 ///
-/// It is called from threads of the library, but never from two at once in the same call, and never after the call has returned. It
-/// must not throw, nor leave by longjmp.
+/// It is called from threads of the library, but never from two at once in the same call, and never
+/// after the call has returned. It must not throw, nor leave by longjmp.
 pub type MeniscusProgressCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, progress: *const MeniscusProgress) -> i32>;
 
-/// A handle to end work early from any thread. Work that was begun with it, or is begun later, ends with MENISCUS_STATUS_CANCELLED: a
-/// handle is not used again once it was cancelled. It may be freed while such work runs.
+/// A handle to end work early from any thread. Work that was begun with it, or is begun later, ends
+/// with MENISCUS_STATUS_CANCELLED: a handle is not used again once it was cancelled. It may be
+/// freed while such work runs.
 #[derive(Debug, Default)]
 pub struct MeniscusCancel {
     pub cancel: Cancel,
@@ -81,7 +82,8 @@ pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
-/// Asks all work with this handle to end soon. May be called from any thread, at any time; NULL is ignored.
+/// Asks all work with this handle to end soon. May be called from any thread, at any time; NULL is
+/// ignored.
 ///
 /// `cancel` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -119,8 +121,9 @@ pub struct Listener {
     pub user: *mut c_void,
 }
 
-/// A callback that hears only while a call lasts: surfaces hold whoever was told of their progress, and may outlive what the callback
-/// needs. A callback may call the library, which may call it again: hence a lock that its own thread can take twice.
+/// A callback that hears only while a call lasts: surfaces hold whoever was told of their progress,
+/// and may outlive what the callback needs. A callback may call the library, which may call it
+/// again: hence a lock that its own thread can take twice.
 struct Ear(ReentrantMutex<Cell<Option<Listener>>>);
 
 // SAFETY: what `user` points to is used by one thread at a time, and its owner has agreed to any.
@@ -196,8 +199,12 @@ impl Ear {
         let Some(Listener { callback, user }) = listener.get() else { return };
         let name: CString = c_text(stage.name());
         let size = size_of::<MeniscusProgress>();
-        let progress =
-            MeniscusProgress { size, name: name.as_ptr(), done, stage: MeniscusStage::from(stage) as i32 };
+        let progress = MeniscusProgress {
+            size,
+            name: name.as_ptr(),
+            done,
+            stage: MeniscusStage::from(stage) as i32,
+        };
         // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
         if unsafe { callback(user, &raw const progress) } != 0 {
             cancel.cancel();

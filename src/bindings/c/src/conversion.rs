@@ -50,7 +50,8 @@ pub struct MeniscusEvent {
     pub size: usize,
     /// The event as a line for people; valid during the callback.
     pub text: *const c_char,
-    /// The doubts about a frame that is done, a line each; NULL where there are none. Valid during the callback.
+    /// The doubts about a frame that is done, a line each; NULL where there are none. Valid during
+    /// the callback.
     pub warnings: *const c_char,
     /// The number of the frame, for stages, and for frames that are done or failed.
     pub frame: u64,
@@ -66,10 +67,11 @@ pub struct MeniscusEvent {
     pub share: f64,
 }
 
-/// A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
-/// stay.
+/// A function that is told of events. It returns 0 for the conversion to go on, and anything else
+/// to end it early: frames that are done stay.
 ///
-/// It is called on the thread that called meniscus_convert. It must not throw, nor leave by longjmp.
+/// It is called on the thread that called meniscus_convert. It must not throw, nor leave by
+/// longjmp.
 pub type MeniscusEventCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
 
@@ -189,14 +191,16 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
     names.iter().map(|&name| unsafe { path(name, "inputs") }).collect()
 }
 
-/// Converts the frames of a simulation from files to files, as the program does: all alike, side by side, whole or not at all.
+/// Converts the frames of a simulation from files to files, as the program does: all alike, side by
+/// side, whole or not at all.
 ///
 /// `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
 /// files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
 /// `options`: which frames, and how; NULL for all defaults. Their progress function is not called.
 /// `summary`: NULL, or where to put what was done.
 ///
-/// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are done: the message says of the first.
+/// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are
+/// done: the message says of the first.
 ///
 /// Pointers are NULL or point to what they say.
 #[unsafe(no_mangle)]
@@ -246,10 +250,12 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
 
 /// Says what is not there, if anything is not.
 fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
-    let failed = summaries.iter().flat_map(|one| &one.failed).map(|failed| failed.error.to_string());
+    let failed =
+        summaries.iter().flat_map(|one| &one.failed).map(|failed| failed.error.to_string());
     let ended = summaries.iter().filter_map(|one| one.error.as_ref()).map(ToString::to_string);
     let missing = summaries.iter().flat_map(|one| &one.missing).map(ToString::to_string);
     let Some(first) = failed.chain(ended).chain(missing).next() else { return Ok(()) };
-    let message = format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing);
+    let message =
+        format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing);
     Err(Failure { status: MeniscusStatus::Incomplete, message })
 }

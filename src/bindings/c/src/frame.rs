@@ -13,8 +13,8 @@ use crate::particles::{Borrowed, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{path, tell};
 
-/// A frame that was sampled: particles as a field, from which surfaces are drawn by other filters without the particles. Freed by
-/// meniscus_frame_free.
+/// A frame that was sampled: particles as a field, from which surfaces are drawn by other filters
+/// without the particles. Freed by meniscus_frame_free.
 ///
 /// Several threads may use it at once, as long as none frees it.
 pub struct MeniscusFrame {
@@ -33,7 +33,11 @@ impl MeniscusFrame {
 ///
 /// # Safety
 /// `out` is NULL, or points to a pointer.
-pub unsafe fn making<T>(out: *mut *mut T, what: &str, work: impl FnOnce() -> Outcome<T>) -> MeniscusStatus {
+pub unsafe fn making<T>(
+    out: *mut *mut T,
+    what: &str,
+    work: impl FnOnce() -> Outcome<T>,
+) -> MeniscusStatus {
     call(|| {
         if out.is_null() {
             return Err(Failure::request(format!("{what} is NULL")));
@@ -83,10 +87,12 @@ unsafe fn of_file<T>(
 
 /// Reconstructs the surface of particles in memory.
 ///
-/// `options` may be NULL for all defaults. `mesh`: where to put the mesh, to be freed by meniscus_mesh_free; NULL where it fails.
+/// `options` may be NULL for all defaults. `mesh`: where to put the mesh, to be freed by
+/// meniscus_mesh_free; NULL where it fails.
 ///
-/// MENISCUS_STATUS_REQUEST for arguments and options that are wrong, and for memory that does not do; MENISCUS_STATUS_INPUT for
-/// particles that are not finite or too far away, have no surface, or are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
+/// MENISCUS_STATUS_REQUEST for arguments and options that are wrong, and for memory that does not
+/// do; MENISCUS_STATUS_INPUT for particles that are not finite or too far away, have no surface, or
+/// are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
 ///
 /// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
@@ -105,7 +111,8 @@ pub unsafe extern "C" fn meniscus_reconstruct(
 
 /// Reconstructs the surface of the particles in a file, or of a packed frame.
 ///
-/// `path`: any file that the program reads; one of several steps has a number behind a colon. Otherwise as meniscus_reconstruct.
+/// `path`: any file that the program reads; one of several steps has a number behind a colon.
+/// Otherwise as meniscus_reconstruct.
 ///
 /// Pointers are NULL or point to what they say.
 #[unsafe(no_mangle)]
@@ -122,8 +129,8 @@ pub unsafe extern "C" fn meniscus_reconstruct_file(
 
 /// Samples particles in memory once, for surfaces that may be drawn otherwise again and again.
 ///
-/// `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails. Otherwise as meniscus_reconstruct. The
-/// particles are not needed any more afterwards.
+/// `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails.
+/// Otherwise as meniscus_reconstruct. The particles are not needed any more afterwards.
 ///
 /// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
@@ -150,7 +157,8 @@ pub unsafe extern "C" fn meniscus_sample_file(
     frame: *mut *mut MeniscusFrame,
 ) -> MeniscusStatus {
     // SAFETY: as for this function.
-    let sampled = || unsafe { of_file(path, options, |request, file| request.open(file)?.sample()) };
+    let sampled =
+        || unsafe { of_file(path, options, |request, file| request.open(file)?.sample()) };
     // SAFETY: as for this function.
     unsafe { making(frame, "frame", || sampled().map(MeniscusFrame::new)) }
 }
@@ -166,9 +174,10 @@ unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
 
 /// Draws a surface of a frame.
 ///
-/// `options`: NULL for the surface that was asked for when it was sampled. Else whatever does not need the particles again, from the
-/// width of smoothing to simplifying; what says how particles are sampled may be as it was, and is refused otherwise
-/// (MENISCUS_STATUS_REQUEST). Memory, threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
+/// `options`: NULL for the surface that was asked for when it was sampled. Else whatever does not
+/// need the particles again, from the width of smoothing to simplifying; what says how particles
+/// are sampled may be as it was, and is refused otherwise (MENISCUS_STATUS_REQUEST). Memory,
+/// threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
 ///
 /// Pointers are NULL or point to what they say.
 #[unsafe(no_mangle)]
@@ -192,9 +201,11 @@ pub unsafe extern "C" fn meniscus_frame_surface(
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
-/// Writes a frame to a .mnf file, whole or not at all, to be surfaced later by meniscus_reconstruct_file or meniscus_sample_file.
+/// Writes a frame to a .mnf file, whole or not at all, to be surfaced later by
+/// meniscus_reconstruct_file or meniscus_sample_file.
 ///
-/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's size.
+/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
+/// size.
 ///
 /// Pointers are NULL or as is said.
 #[unsafe(no_mangle)]
@@ -224,14 +235,20 @@ pub unsafe extern "C" fn meniscus_frame_warning_count(frame: *const MeniscusFram
     unsafe { frame.as_ref() }.map_or(0, |frame| frame.warnings.len())
 }
 
-/// Returns a doubt by its number from 0, for people; valid until the frame is freed. NULL where there is no such doubt.
+/// Returns a doubt by its number from 0, for people; valid until the frame is freed. NULL where
+/// there is no such doubt.
 ///
 /// `frame` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn meniscus_frame_warning(frame: *const MeniscusFrame, index: usize) -> *const c_char {
+pub unsafe extern "C" fn meniscus_frame_warning(
+    frame: *const MeniscusFrame,
+    index: usize,
+) -> *const c_char {
     // SAFETY: as for this function.
     let frame = unsafe { frame.as_ref() };
-    ask(null(), || frame.and_then(|frame| frame.warnings.get(index)).map_or(null(), |text| text.as_ptr()))
+    ask(null(), || {
+        frame.and_then(|frame| frame.warnings.get(index)).map_or(null(), |text| text.as_ptr())
+    })
 }
 
 /// Frees a frame; NULL is ignored.

@@ -1,7 +1,7 @@
 //! The C interface of meniscus: `include/meniscus.h` is made of what is public here, by cbindgen.
 //!
-//! Nothing is decided here: what callers say is checked as far as C cannot, and handed to the library. No panic goes beyond a function,
-//! and what fails is a code and a message.
+//! Nothing is decided here: what callers say is checked as far as C cannot, and handed to the
+//! library. No panic goes beyond a function, and what fails is a code and a message.
 // The safety of functions is said in the header's words.
 #![allow(clippy::missing_safety_doc)]
 

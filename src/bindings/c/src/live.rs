@@ -10,10 +10,11 @@ use crate::options::{Asked, MeniscusOptions};
 use crate::particles::{Borrowed, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, ask};
 
-/// A simulation whose frames come from memory, one after the other. Freed by meniscus_simulation_free.
+/// A simulation whose frames come from memory, one after the other. Freed by
+/// meniscus_simulation_free.
 ///
-/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters reach, and frozen: the frames from
-/// then on are alike. It makes one frame at a time.
+/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters
+/// reach, and frozen: the frames from then on are alike. It makes one frame at a time.
 pub struct MeniscusSimulation {
     live: Mutex<LiveSimulation>,
     control: Control,
@@ -21,9 +22,10 @@ pub struct MeniscusSimulation {
 
 /// Starts threads for a simulation, of which nothing is known yet.
 ///
-/// `options` may be NULL for all defaults; its callback and what that is given have to be there until the simulation is freed. A callback
-/// ends one frame early, a handle also all that come later. `simulation`: where to put the handle, to be freed by
-/// meniscus_simulation_free; NULL where it fails.
+/// `options` may be NULL for all defaults; its callback and what that is given have to be there
+/// until the simulation is freed. A callback ends one frame early, a handle also all that come
+/// later. `simulation`: where to put the handle, to be freed by meniscus_simulation_free; NULL
+/// where it fails.
 ///
 /// Pointers are NULL or point to what they say.
 #[unsafe(no_mangle)]
@@ -45,8 +47,9 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 
 /// Reconstructs the surface of the next frame.
 ///
-/// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what meniscus_reconstruct does; the next frame may
-/// do better than one that fails. MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
+/// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what
+/// meniscus_reconstruct does; the next frame may do better than one that fails.
+/// MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
 ///
 /// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
@@ -75,11 +78,14 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
     unsafe { making(mesh, "mesh", made) }
 }
 
-/// Returns 1 once cells, grid and calibration are frozen, else 0; 0 of NULL, and while a frame is made.
+/// Returns 1 once cells, grid and calibration are frozen, else 0; 0 of NULL, and while a frame is
+/// made.
 ///
 /// `simulation` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn meniscus_simulation_is_settled(simulation: *const MeniscusSimulation) -> i32 {
+pub unsafe extern "C" fn meniscus_simulation_is_settled(
+    simulation: *const MeniscusSimulation,
+) -> i32 {
     // SAFETY: as for this function.
     let simulation = unsafe { simulation.as_ref() };
     let live = simulation.and_then(|simulation| simulation.live.try_lock());

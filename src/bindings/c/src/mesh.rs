@@ -1,4 +1,5 @@
-//! Surfaces: what they hold, copied to the caller's memory or lent from the library's, and written to files.
+//! Surfaces: what they hold, copied to the caller's memory or lent from the library's, and written
+//! to files.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -50,8 +51,8 @@ pub struct MeniscusMeshAttribute {
     pub components: u64,
 }
 
-/// A mesh in memory of the library's. The caller sets `size`, and the library fills the rest; all pointers are valid until the mesh is
-/// freed, and NULL where there is nothing.
+/// A mesh in memory of the library's. The caller sets `size`, and the library fills the rest; all
+/// pointers are valid until the mesh is freed, and NULL where there is nothing.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusArrays {
@@ -103,11 +104,12 @@ impl MeniscusMesh {
             return Ok(lent);
         }
         let mesh = self.surface.to_mesh()?;
-        let attribute = |(attribute, name): (&mesh::VertexAttribute, &CString)| MeniscusMeshAttribute {
-            name: name.as_ptr(),
-            values: address(&attribute.values),
-            components: attribute.components as u64,
-        };
+        let attribute =
+            |(attribute, name): (&mesh::VertexAttribute, &CString)| MeniscusMeshAttribute {
+                name: name.as_ptr(),
+                values: address(&attribute.values),
+                components: attribute.components as u64,
+            };
         let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
         // Another thread may have been faster.
         Ok(self.lent.get_or_init(|| Lent { mesh, attributes }))
@@ -172,7 +174,11 @@ unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
 ///
 /// # Safety
 /// As for [`of`].
-unsafe fn asked<T: Copy>(mesh: *const MeniscusMesh, none: T, what: impl FnOnce(&MeniscusMesh) -> T) -> T {
+unsafe fn asked<T: Copy>(
+    mesh: *const MeniscusMesh,
+    none: T,
+    what: impl FnOnce(&MeniscusMesh) -> T,
+) -> T {
     // SAFETY: as for this function.
     unsafe { mesh.as_ref() }.map_or(none, |mesh| ask(none, || what(mesh)))
 }
@@ -222,7 +228,8 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh
     unsafe { asked(mesh, 0, |mesh| mesh.names.len()) }
 }
 
-/// Returns the name of an attribute by its number from 0, valid until the mesh is freed; NULL where there is no such attribute.
+/// Returns the name of an attribute by its number from 0, valid until the mesh is freed; NULL where
+/// there is no such attribute.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -231,24 +238,32 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_name(
     index: usize,
 ) -> *const c_char {
     // SAFETY: as for this function.
-    unsafe { asked(mesh, null(), |mesh| mesh.names.get(index).map_or(null(), |name| name.as_ptr())) }
+    unsafe {
+        asked(mesh, null(), |mesh| mesh.names.get(index).map_or(null(), |name| name.as_ptr()))
+    }
 }
 
-/// Returns the numbers per vertex of an attribute by its number from 0; 0 where there is no such attribute.
+/// Returns the numbers per vertex of an attribute by its number from 0; 0 where there is no such
+/// attribute.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn meniscus_mesh_attribute_components(mesh: *const MeniscusMesh, index: usize) -> u64 {
+pub unsafe extern "C" fn meniscus_mesh_attribute_components(
+    mesh: *const MeniscusMesh,
+    index: usize,
+) -> u64 {
     // SAFETY: as for this function.
     unsafe {
-        asked(mesh, 0, |mesh| mesh.outline.attributes.get(index).map_or(0, |info| info.components as u64))
+        asked(mesh, 0, |mesh| {
+            mesh.outline.attributes.get(index).map_or(0, |info| info.components as u64)
+        })
     }
 }
 
 /// Copies the vertices' positions as float: 3 numbers a vertex.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to float moves vertices that are far from
-/// the origin.
+/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to
+/// float moves vertices that are far from the origin.
 ///
 /// Pointers are NULL or as is said.
 #[unsafe(no_mangle)]
@@ -276,10 +291,11 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x) })
 }
 
-/// Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from outside.
+/// Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from
+/// outside.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the triangles. MENISCUS_STATUS_REQUEST for a mesh of more than
-/// 2^32 vertices.
+/// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
+/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
 /// Pointers are NULL or as is said.
 #[unsafe(no_mangle)]
@@ -293,14 +309,17 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
         let mesh = unsafe { of(mesh) }?;
         let vertices = mesh.outline.vertices;
         if vertices > 1 << 32 {
-            return Err(Failure::request(format!("{vertices} vertices are more than 32 bits number")));
+            return Err(Failure::request(format!(
+                "{vertices} vertices are more than 32 bits number"
+            )));
         }
         // SAFETY: as for this function.
         unsafe { mesh.copy_triangles((out, capacity), |vertex| vertex as u32) }
     })
 }
 
-/// Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from outside.
+/// Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from
+/// outside.
 ///
 /// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
 ///
@@ -315,7 +334,8 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     call(|| unsafe { of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
 }
 
-/// Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST where none were asked for.
+/// Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST
+/// where none were asked for.
 ///
 /// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
 ///
@@ -342,7 +362,8 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
     })
 }
 
-/// Copies an attribute of the vertices by its number from 0: all components of one vertex after the other.
+/// Copies an attribute of the vertices by its number from 0: all components of one vertex after the
+/// other.
 ///
 /// `capacity`: the numbers that `out` has room for, at least the vertices times the components.
 ///
@@ -359,7 +380,9 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
         let mesh = unsafe { of(mesh) }?;
         let Some(info) = mesh.outline.attributes.get(index) else {
             let (wanted, there) = (index, mesh.names.len());
-            return Err(Failure::request(format!("attribute number {wanted} of a mesh that has {there}")));
+            return Err(Failure::request(format!(
+                "attribute number {wanted} of a mesh that has {there}"
+            )));
         };
         let each = |piece, put: &mut dyn FnMut(f32)| {
             let vertices = mesh.surface.mesh().vertices(piece)?;
@@ -372,10 +395,11 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
     })
 }
 
-/// Lends the whole mesh, in memory that the library allocates with the first such call, and frees with the mesh.
-/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+/// Lends the whole mesh, in memory that the library allocates with the first such call, and frees
+/// with the mesh. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure of the size that it says.
+/// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure of
+/// the size that it says.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_arrays(
     mesh: *const MeniscusMesh,
@@ -411,18 +435,25 @@ pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) 
     unsafe { asked(mesh, 0, |mesh| mesh.warnings.len()) }
 }
 
-/// Returns a doubt by its number from 0, for people; valid until the mesh is freed. NULL where there is no such doubt.
+/// Returns a doubt by its number from 0, for people; valid until the mesh is freed. NULL where
+/// there is no such doubt.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn meniscus_mesh_warning(mesh: *const MeniscusMesh, index: usize) -> *const c_char {
+pub unsafe extern "C" fn meniscus_mesh_warning(
+    mesh: *const MeniscusMesh,
+    index: usize,
+) -> *const c_char {
     // SAFETY: as for this function.
-    unsafe { asked(mesh, null(), |mesh| mesh.warnings.get(index).map_or(null(), |text| text.as_ptr())) }
+    unsafe {
+        asked(mesh, null(), |mesh| mesh.warnings.get(index).map_or(null(), |text| text.as_ptr()))
+    }
 }
 
 /// Tells how the mesh was made.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure of the size that it says.
+/// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure of
+/// the size that it says.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_report(
     mesh: *const MeniscusMesh,
@@ -432,10 +463,11 @@ pub unsafe extern "C" fn meniscus_mesh_report(
     call(|| unsafe { fill(report, of(mesh)?.surface.report().into(), "report") })
 }
 
-/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Takes memory for a copy of the mesh, as
-/// meniscus_mesh_arrays does.
+/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Takes memory for a
+/// copy of the mesh, as meniscus_mesh_arrays does.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure of the size that it says.
+/// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure of
+/// the size that it says.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_check(
     mesh: *const MeniscusMesh,
@@ -447,17 +479,20 @@ pub unsafe extern "C" fn meniscus_mesh_check(
         // SAFETY: as for this function.
         unsafe { self::check(check, "check") }?;
         let whole = &mesh.lent()?.mesh;
-        let (found, measures) =
-            on_threads(mesh.surface.report().threads, || (mesh::check(whole), mesh::measure(whole)))?;
+        let (found, measures) = on_threads(mesh.surface.report().threads, || {
+            (mesh::check(whole), mesh::measure(whole))
+        })?;
         // SAFETY: as for this function.
         unsafe { fill(check, MeniscusCheck::new(&found, &measures), "check") }
     })
 }
 
-/// Writes the mesh to a file whose extension says the format: whole or not at all, and the same bytes as the program writes.
+/// Writes the mesh to a file whose extension says the format: whole or not at all, and the same
+/// bytes as the program writes.
 ///
-/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's size. The axis that points up and the
-/// compression are those of the options that the mesh was made by.
+/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
+/// size. The axis that points up and the compression are those of the options that the mesh was
+/// made by.
 ///
 /// Pointers are NULL or as is said.
 #[unsafe(no_mangle)]
@@ -480,11 +515,12 @@ pub unsafe extern "C" fn meniscus_mesh_write(
     })
 }
 
-/// Tells what the format of a file would make of the mesh that is worth a warning, in lines of text, and puts it into the caller's
-/// buffer, cut short where that is too small, and ended by a NUL.
+/// Tells what the format of a file would make of the mesh that is worth a warning, in lines of
+/// text, and puts it into the caller's buffer, cut short where that is too small, and ended by a
+/// NUL.
 ///
-/// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the whole text takes, without the NUL: 0
-/// where there is no warning.
+/// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the
+/// whole text takes, without the NUL: 0 where there is no warning.
 ///
 /// Pointers are NULL or as is said.
 #[unsafe(no_mangle)]

@@ -11,7 +11,8 @@ use bytesize::ByteSize;
 use meniscus::devices::{DeviceChoice, bytes_of, device, fastest};
 use meniscus::files::Replace;
 use meniscus::{
-    Cancel, Error, MemoryBudget, Reconstruction, Setting, Settings, Simulation, Source, default_memory,
+    Cancel, Error, MemoryBudget, Reconstruction, Setting, Settings, Simulation, Source,
+    default_memory,
 };
 
 use crate::control::{Control, Listener, MeniscusCancel, MeniscusProgressCallback, free};
@@ -135,7 +136,9 @@ fn bytes<S: Source<Error = String>>(size: &S) -> Result<u64, String> {
 }
 
 fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
-    Some(value.count()?).filter(|&step| step > 0).ok_or_else(|| "expected a whole number from 1".into())
+    Some(value.count()?)
+        .filter(|&step| step > 0)
+        .ok_or_else(|| "expected a whole number from 1".into())
 }
 
 fn range<S: Source<Error = String>>(value: &S) -> Result<(u64, u64), String> {
@@ -176,7 +179,11 @@ impl Frames {
 
 impl MeniscusOptions {
     /// Sets the option of a key, to its default without a value; `false` if no option has the key.
-    fn set<S: Source<Error = String>>(&mut self, key: &str, value: Option<&S>) -> Result<bool, String> {
+    fn set<S: Source<Error = String>>(
+        &mut self,
+        key: &str,
+        value: Option<&S>,
+    ) -> Result<bool, String> {
         let Some(setting) = Setting::by_key(key) else {
             return Ok(self.machine.set(key, value)? || self.frames.set(key, value)?);
         };
@@ -187,7 +194,11 @@ impl MeniscusOptions {
     }
 
     /// Sets the option of a key, or says what is wrong with the key or the value.
-    fn set_or_refuse<S: Source<Error = String> + Debug>(&mut self, key: &str, value: Option<&S>) -> Outcome {
+    fn set_or_refuse<S: Source<Error = String> + Debug>(
+        &mut self,
+        key: &str,
+        value: Option<&S>,
+    ) -> Outcome {
         match self.set(key, value) {
             Ok(true) => Ok(()),
             Ok(false) => Err(Failure::request(format!(
@@ -226,7 +237,9 @@ impl Asked {
         // SAFETY: as for this function.
         let asked = unsafe { Self::for_frames(options) };
         match asked.frames.first() {
-            Some(key) => Err(Failure::request(format!("{key} is an option of meniscus_convert only"))),
+            Some(key) => {
+                Err(Failure::request(format!("{key} is an option of meniscus_convert only")))
+            }
             None => Ok(asked),
         }
     }
@@ -259,7 +272,10 @@ impl Asked {
 
     /// Chooses where it runs, for an input of as many bytes as is told where it matters, if that is
     /// known.
-    pub fn on_machine(mut self, input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>) -> Outcome<Self> {
+    pub fn on_machine(
+        mut self,
+        input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>,
+    ) -> Outcome<Self> {
         use Backend::{Auto, Cpu, Vulkan};
         let open = |choice| device(&choice, None).map_err(Error::from);
         let backend = match (self.backend, self.device.take()) {
@@ -317,7 +333,9 @@ pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
 ///
 /// `options` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn meniscus_options_copy(options: *const MeniscusOptions) -> *mut MeniscusOptions {
+pub unsafe extern "C" fn meniscus_options_copy(
+    options: *const MeniscusOptions,
+) -> *mut MeniscusOptions {
     // SAFETY: as for this function.
     let options = unsafe { options.as_ref() };
     ask(std::ptr::null_mut(), || Box::into_raw(Box::new(options.cloned().unwrap_or_default())))

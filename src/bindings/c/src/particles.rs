@@ -31,31 +31,37 @@ impl MeniscusType {
     }
 }
 
-/// A value that every particle carries: one number, or several. To be filled with zeros but for what is said.
+/// A value that every particle carries: one number, or several. To be filled with zeros but for
+/// what is said.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusAttribute {
     /// sizeof(MeniscusAttribute).
     pub size: usize,
-    /// The name, by which it is asked for and the vertices have it. "velocity" of three components, or another usual name of it such as
-    /// "v" or "vel", is carried to the vertices where nothing else is asked for.
+    /// The name, by which it is asked for and the vertices have it. "velocity" of three components,
+    /// or another usual name of it such as "v" or "vel", is carried to the vertices where nothing
+    /// else is asked for.
     pub name: *const c_char,
     /// The first number of the first particle; need not be aligned.
     pub values: *const std::ffi::c_void,
-    /// Bytes from a particle's first number to the next particle's; 0 where values lie side by side. May be negative.
+    /// Bytes from a particle's first number to the next particle's; 0 where values lie side by
+    /// side. May be negative.
     pub stride: isize,
-    /// Bytes from one number of a particle to its next; 0 where they lie side by side. May be negative.
+    /// Bytes from one number of a particle to its next; 0 where they lie side by side. May be
+    /// negative.
     pub component_stride: isize,
     /// Numbers per particle, from 1 to 65536.
     pub components: u32,
-    /// The type of the numbers, one of MeniscusType. They are carried as float: a double that is not finite as such counts as none.
+    /// The type of the numbers, one of MeniscusType. They are carried as float: a double that is
+    /// not finite as such counts as none.
     pub number: i32,
 }
 
 /// Particles in memory. To be filled with zeros but for what is said.
 ///
-/// They are read where they are, several times and by several threads, while the call lasts that is given them, and must stay as they
-/// are meanwhile. Positions are in any unit, the same for all lengths.
+/// They are read where they are, several times and by several threads, while the call lasts that is
+/// given them, and must stay as they are meanwhile. Positions are in any unit, the same for all
+/// lengths.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusParticles {
@@ -65,7 +71,8 @@ pub struct MeniscusParticles {
     pub count: u64,
     /// The first particle's x; need not be aligned.
     pub positions: *const std::ffi::c_void,
-    /// Bytes from a particle's x to the next particle's; 0 where positions lie side by side. May be negative.
+    /// Bytes from a particle's x to the next particle's; 0 where positions lie side by side. May be
+    /// negative.
     pub stride: isize,
     /// Bytes from x to y, and from y to z; 0 where they lie side by side. May be negative.
     pub component_stride: isize,
@@ -116,12 +123,16 @@ impl Numbers {
                 "{what} is NULL, and {count} particles are said to be there"
             )));
         }
-        let far = |steps: usize, stride: isize| isize::try_from(steps - 1).ok()?.checked_mul(stride);
+        let far =
+            |steps: usize, stride: isize| isize::try_from(steps - 1).ok()?.checked_mul(stride);
         let reach = || -> Option<()> {
             let ends = [far(count, self.stride)?, far(self.components, self.component_stride)?];
-            let lowest: isize = ends.iter().map(|end| (*end).min(0)).try_fold(0_isize, isize::checked_add)?;
-            let highest: isize =
-                ends.iter().map(|end| (*end).max(0)).try_fold(self.number.bytes(), isize::checked_add)?;
+            let lowest: isize =
+                ends.iter().map(|end| (*end).min(0)).try_fold(0_isize, isize::checked_add)?;
+            let highest: isize = ends
+                .iter()
+                .map(|end| (*end).max(0))
+                .try_fold(self.number.bytes(), isize::checked_add)?;
             self.at.addr().checked_add_signed(lowest)?;
             self.at.addr().checked_add_signed(highest)?;
             highest.checked_sub(lowest)?;
@@ -187,14 +198,17 @@ impl Borrowed {
     /// Takes what a caller says of its particles.
     ///
     /// # Safety
-    /// `at` is NULL or points to a structure of the size that it says, and so do its attributes; what these point to is there and stays
-    /// as it is as long as this lives.
+    /// `at` is NULL or points to a structure of the size that it says, and so do its attributes;
+    /// what these point to is there and stays as it is as long as this lives.
     pub unsafe fn new(at: *const MeniscusParticles) -> Outcome<Self> {
         // SAFETY: as for this function.
         let said = unsafe { read(at, "particles") }?;
         let number = MeniscusType::of(said.number, "particles.number")?;
         if said.reserved != 0 {
-            return Err(Failure::request(format!("particles.reserved is {}, and must be 0", said.reserved)));
+            return Err(Failure::request(format!(
+                "particles.reserved is {}, and must be 0",
+                said.reserved
+            )));
         }
         let Ok(count) = usize::try_from(said.count) else {
             return Err(Failure::request(format!(
@@ -217,7 +231,8 @@ impl Borrowed {
         Ok(particles)
     }
 
-    /// Takes attributes; an older caller's structures are smaller, and lie as far apart as they say.
+    /// Takes attributes; an older caller's structures are smaller, and lie as far apart as they
+    /// say.
     ///
     /// # Safety
     /// As for [`new`](Self::new).
@@ -248,9 +263,12 @@ impl Borrowed {
             // SAFETY: as for this function.
             let name = unsafe { optional(said.name, &format!("{what}.name")) }?;
             let name = name.filter(|name| !name.is_empty());
-            let name = name.ok_or_else(|| Failure::request(format!("{what}.name is NULL, or empty")))?;
+            let name =
+                name.ok_or_else(|| Failure::request(format!("{what}.name is NULL, or empty")))?;
             if self.attributes.iter().any(|info| info.name == name) {
-                return Err(Failure::request(format!("{what}.name: another attribute is called {name:?}")));
+                return Err(Failure::request(format!(
+                    "{what}.name: another attribute is called {name:?}"
+                )));
             }
             if !(1..=MOST_COMPONENTS).contains(&said.components) {
                 let range = format!("is {}, and must be 1 to {MOST_COMPONENTS}", said.components);
@@ -265,7 +283,8 @@ impl Borrowed {
             }
             .with_strides();
             numbers.refuse_unaddressable(self.count, &format!("{what}.values"))?;
-            self.attributes.push(AttributeInfo { name: name.to_owned(), components: numbers.components });
+            self.attributes
+                .push(AttributeInfo { name: name.to_owned(), components: numbers.components });
             self.values.push(numbers);
         }
         Ok(())
@@ -381,7 +400,12 @@ mod tests {
                 component_stride: -8,
                 ..said()
             },
-            MeniscusParticles { positions: narrow[1..].as_ptr().cast(), stride: 16, number: 0, ..said() },
+            MeniscusParticles {
+                positions: narrow[1..].as_ptr().cast(),
+                stride: 16,
+                number: 0,
+                ..said()
+            },
         ];
         for said in all {
             // SAFETY: the arrays are there.

@@ -21,7 +21,8 @@ pub enum MeniscusSpacingSource {
     Estimated = 4,
 }
 
-/// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the unit of the positions.
+/// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the
+/// unit of the positions.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusReport {
@@ -91,14 +92,17 @@ impl From<&Report> for MeniscusReport {
             small_drops: too_small.drops,
             whole_triangles: report.whole_triangles,
             threads: u32::try_from(report.threads).unwrap_or(u32::MAX),
-            spacing_source: source.map_or(MeniscusSpacingSource::Unknown, |(_, source)| match source {
-                SpacingSource::Given => MeniscusSpacingSource::Given,
-                SpacingSource::File | SpacingSource::State | SpacingSource::Packed => {
-                    MeniscusSpacingSource::File
-                }
-                SpacingSource::Scene(_) => MeniscusSpacingSource::Scene,
-                SpacingSource::Estimated => MeniscusSpacingSource::Estimated,
-            }) as i32,
+            spacing_source: source.map_or(
+                MeniscusSpacingSource::Unknown,
+                |(_, source)| match source {
+                    SpacingSource::Given => MeniscusSpacingSource::Given,
+                    SpacingSource::File | SpacingSource::State | SpacingSource::Packed => {
+                        MeniscusSpacingSource::File
+                    }
+                    SpacingSource::Scene(_) => MeniscusSpacingSource::Scene,
+                    SpacingSource::Estimated => MeniscusSpacingSource::Estimated,
+                },
+            ) as i32,
         }
     }
 }

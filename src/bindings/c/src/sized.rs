@@ -1,5 +1,5 @@
-//! Structures that say their own size first, so that they can grow: a caller that was compiled with an older header gives a smaller
-//! one, and one with a newer header a larger one.
+//! Structures that say their own size first, so that they can grow: a caller that was compiled with
+//! an older header gives a smaller one, and one with a newer header a larger one.
 
 use crate::status::{Failure, Outcome};
 
@@ -9,7 +9,8 @@ const LARGEST: usize = 4096;
 /// A structure of C whose first field is its size in bytes, of type `usize`.
 ///
 /// # Safety
-/// All fields are numbers, nullable pointers or nullable callbacks: zeros are valid, and so is whatever a caller may write.
+/// All fields are numbers, nullable pointers or nullable callbacks: zeros are valid, and so is
+/// whatever a caller may write.
 pub unsafe trait Growing: Copy {
     /// The name in C.
     const NAME: &str;
@@ -27,7 +28,9 @@ unsafe fn said<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     let size = unsafe { at.cast::<usize>().read_unaligned() };
     if !(size_of::<usize>()..=LARGEST).contains(&size) || !size.is_multiple_of(size_of::<usize>()) {
         let (name, own) = (T::NAME, size_of::<T>());
-        return Err(Failure::request(format!("{what}: its size is {size}; sizeof({name}) is {own}")));
+        return Err(Failure::request(format!(
+            "{what}: its size is {size}; sizeof({name}) is {own}"
+        )));
     }
     Ok(size)
 }
@@ -43,7 +46,8 @@ pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
     let bytes = unsafe { std::slice::from_raw_parts(at.cast::<u8>(), size) };
     let (known, unknown) = bytes.split_at(size.min(size_of::<T>()));
     if unknown.iter().any(|&byte| byte != 0) {
-        let what = format!("{what}: it is of a newer version, and asks for what this one does not have");
+        let what =
+            format!("{what}: it is of a newer version, and asks for what this one does not have");
         return Err(Failure::request(what));
     }
     // SAFETY: zeros are valid.
@@ -130,7 +134,10 @@ mod tests {
             let mut larger = [32, 1, 1, 1];
             fill(at(&mut larger), value, "two").unwrap();
             assert_eq!(larger, [32, 5, 6, 0]);
-            assert!(fill(at(&mut [9]), value, "two").is_err() && check::<Two>(at(&mut [9]), "two").is_err());
+            assert!(
+                fill(at(&mut [9]), value, "two").is_err()
+                    && check::<Two>(at(&mut [9]), "two").is_err()
+            );
         }
     }
 }

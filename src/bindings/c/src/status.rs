@@ -1,4 +1,5 @@
-//! Outcomes of calls: a code that every function returns, and a message that the calling thread keeps.
+//! Outcomes of calls: a code that every function returns, and a message that the calling thread
+//! keeps.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -8,7 +9,8 @@ use std::ptr::null;
 
 use meniscus::{Cause, Error};
 
-/// Outcome of a call: whose fault it is if it failed. The numbers are those that the program `meniscus` exits with.
+/// Outcome of a call: whose fault it is if it failed. The numbers are those that the program
+/// `meniscus` exits with.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusStatus {
@@ -24,7 +26,8 @@ pub enum MeniscusStatus {
     Output = 4,
     /// The Vulkan device that was asked for cannot be used.
     Device = 5,
-    /// A bug of the library: please report it. The handles that the call was given are fit for nothing but to be freed.
+    /// A bug of the library: please report it. The handles that the call was given are fit for
+    /// nothing but to be freed.
     Internal = 70,
     /// A callback or another thread asked for an early end.
     Cancelled = 130,
@@ -107,7 +110,8 @@ pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     }
 }
 
-/// Asks something that cannot fail; a panic, which would be a bug, is told of as any message, and `otherwise` is the answer.
+/// Asks something that cannot fail; a panic, which would be a bug, is told of as any message, and
+/// `otherwise` is the answer.
 pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         keep(panicked(&*payload).message);
@@ -116,14 +120,15 @@ pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     })
 }
 
-/// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what is wrong, and where. Empty where
-/// there was none.
+/// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what
+/// is wrong, and where. Empty where there was none.
 ///
-/// Each thread has its own, so that threads do not see each other's. The text is the library's: it is valid until the next call on
-/// this thread fails, or the thread ends.
+/// Each thread has its own, so that threads do not see each other's. The text is the library's: it
+/// is valid until the next call on this thread fails, or the thread ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_last_error() -> *const c_char {
-    LAST.try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr())).unwrap_or(c"".as_ptr())
+    LAST.try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr()))
+        .unwrap_or(c"".as_ptr())
 }
 
 #[cfg(test)]

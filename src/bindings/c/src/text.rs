@@ -85,7 +85,10 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
         return Err(Failure::request(format!("{what} is NULL, and {count} are said to be there")));
     }
     if !at.is_aligned() {
-        return Err(Failure::request(format!("{what} is not aligned to {} bytes", align_of::<T>())));
+        return Err(Failure::request(format!(
+            "{what} is not aligned to {} bytes",
+            align_of::<T>()
+        )));
     }
     let bytes = count.checked_mul(size_of::<T>()).filter(|&bytes| bytes <= isize::MAX as usize);
     if bytes.is_none_or(|bytes| at.addr().checked_add(bytes).is_none()) {
@@ -97,7 +100,8 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
 /// The buffer of a caller who says how many numbers it holds; it must hold `needed`.
 ///
 /// # Safety
-/// `at` is NULL or points to memory for `capacity` values that nobody else reads or writes meanwhile.
+/// `at` is NULL or points to memory for `capacity` values that nobody else reads or writes
+/// meanwhile.
 pub unsafe fn buffer<'a, T>(
     at: *mut T,
     capacity: u64,
@@ -109,7 +113,9 @@ pub unsafe fn buffer<'a, T>(
         return Err(Failure::request(what));
     }
     let Ok(needed) = usize::try_from(needed) else {
-        return Err(Failure::request(format!("{what}: {needed} numbers are more than the memory holds")));
+        return Err(Failure::request(format!(
+            "{what}: {needed} numbers are more than the memory holds"
+        )));
     };
     if needed == 0 {
         return Ok(&mut []);

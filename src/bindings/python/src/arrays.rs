@@ -1,8 +1,10 @@
-//! Arrays of Python's, read where they are: NumPy's own, and others by DLPack, the array interface or the buffer protocol.
+//! Arrays of Python's, read where they are: NumPy's own, and others by DLPack, the array interface
+//! or the buffer protocol.
 //!
-//! Nobody keeps another thread from writing to an array while it is read without the interpreter's lock. So no slice is ever made of one,
-//! which would promise that its numbers stay: every number is loaded once, by a volatile read through a pointer, and whatever it is then is
-//! used. The library bears positions that differ from one reading to the next, and says so.
+//! Nobody keeps another thread from writing to an array while it is read without the interpreter's
+//! lock. So no slice is ever made of one, which would promise that its numbers stay: every number
+//! is loaded once, by a volatile read through a pointer, and whatever it is then is used. The
+//! library bears positions that differ from one reading to the next, and says so.
 
 use numpy::prelude::*;
 use numpy::{PyArrayDescrMethods, PyUntypedArray};
@@ -11,7 +13,8 @@ use pyo3::prelude::*;
 
 use crate::errors::InputError;
 
-/// Kinds of device, in DLPack's numbers, whose memory the processor reads: its own, and its own pinned for CUDA and for ROCm.
+/// Kinds of device, in DLPack's numbers, whose memory the processor reads: its own, and its own
+/// pinned for CUDA and for ROCm.
 const HOST: [i32; 3] = [1, 3, 11];
 
 /// The numbers of an array: so many rows of so many, at any distances.
@@ -89,7 +92,9 @@ impl Numbers {
             match (self.kind, self.aligned) {
                 (Kind::F32, true) => at.cast::<f32>().read_volatile().into(),
                 (Kind::F64, true) => at.cast::<f64>().read_volatile(),
-                (Kind::F32, false) => f32::from_ne_bytes(at.cast::<[u8; 4]>().read_volatile()).into(),
+                (Kind::F32, false) => {
+                    f32::from_ne_bytes(at.cast::<[u8; 4]>().read_volatile()).into()
+                }
                 (Kind::F64, false) => f64::from_ne_bytes(at.cast::<[u8; 8]>().read_volatile()),
             }
         }
@@ -168,7 +173,9 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
         )));
     }
     let (shape, strides) = (array.shape(), array.strides());
-    let part = |axis: usize| (shape.get(axis).copied().unwrap_or(1), strides.get(axis).copied().unwrap_or(0));
+    let part = |axis: usize| {
+        (shape.get(axis).copied().unwrap_or(1), strides.get(axis).copied().unwrap_or(0))
+    };
     let ((rows, down), (columns, along)) = (part(0), part(1));
     // SAFETY: the object is an array, as its type says.
     let first = unsafe { (*array.as_array_ptr()).fields.data.cast_const().cast::<u8>() };
@@ -182,15 +189,21 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {
         if object.hasattr("mask")? {
-            let what = format!("{name}: an array with a mask; .filled(numpy.nan) makes one without");
+            let what =
+                format!("{name}: an array with a mask; .filled(numpy.nan) makes one without");
             return Err(PyTypeError::new_err(what));
         }
         return Ok(array.clone());
     }
     let numpy = py.import("numpy")?;
     let because = |error: PyErr| {
-        let of = object.getattr("dtype").map_or_else(|_| String::new(), |dtype| format!(" of {dtype}"));
-        let what = format!("{name}: {}{of} cannot be read as an array: {}", type_of(object), error.value(py));
+        let of =
+            object.getattr("dtype").map_or_else(|_| String::new(), |dtype| format!(" of {dtype}"));
+        let what = format!(
+            "{name}: {}{of} cannot be read as an array: {}",
+            type_of(object),
+            error.value(py)
+        );
         PyTypeError::new_err(what)
     };
     let array = if object.hasattr("__dlpack__")? {
@@ -214,9 +227,9 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
         })?;
         numpy.call_method1("asarray", (view,)).map_err(because)?
     };
-    array
-        .cast_into::<PyUntypedArray>()
-        .map_err(|_| PyTypeError::new_err(format!("{name}: {} cannot be read as an array", type_of(object))))
+    array.cast_into::<PyUntypedArray>().map_err(|_| {
+        PyTypeError::new_err(format!("{name}: {} cannot be read as an array", type_of(object)))
+    })
 }
 
 fn type_of(object: &Bound<'_, PyAny>) -> String {
@@ -236,5 +249,8 @@ fn refuse_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -
 }
 
 fn on_device(name: &str, object: &Bound<'_, PyAny>, device: &str) -> PyErr {
-    PyTypeError::new_err(format!("{name}: {} is on {device}; .cpu() brings it to the host", type_of(object)))
+    PyTypeError::new_err(format!(
+        "{name}: {} is on {device}; .cpu() brings it to the host",
+        type_of(object)
+    ))
 }

@@ -1,4 +1,5 @@
-//! Where work runs, as the keywords `backend` and `device` say it: a device is opened once, and kept for the calls that follow.
+//! Where work runs, as the keywords `backend` and `device` say it: a device is opened once, and
+//! kept for the calls that follow.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -26,8 +27,8 @@ enum Name {
     Vulkan,
 }
 
-/// Devices that are open, by the process that opened them, by whether one was asked for, and by their names. A child that was forked cannot
-/// use its parent's.
+/// Devices that are open, by the process that opened them, by whether one was asked for, and by
+/// their names. A child that was forked cannot use its parent's.
 type Open = HashMap<(u32, bool, Option<String>), Backend>;
 
 static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
@@ -68,7 +69,11 @@ impl Device {
     }
 
     /// Opens it; `None` for the processor.
-    pub fn open(&self, budget: MemoryBudget, input_bytes: Option<u64>) -> PyResult<Option<Backend>> {
+    pub fn open(
+        &self,
+        budget: MemoryBudget,
+        input_bytes: Option<u64>,
+    ) -> PyResult<Option<Backend>> {
         if self.backend == Some(Name::Cpu) {
             return Ok(None);
         }
@@ -81,7 +86,8 @@ impl Device {
         let cache: Option<PathBuf> = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         let backend = if wanted {
             let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
-            devices::device(&choice, cache.as_deref()).map_err(|error| exception(Error::Vulkan(error)))?
+            devices::device(&choice, cache.as_deref())
+                .map_err(|error| exception(Error::Vulkan(error)))?
         } else {
             match devices::fastest(budget, || input_bytes, cache.as_deref()) {
                 (backend, None) => backend,

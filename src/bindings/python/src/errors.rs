@@ -16,8 +16,9 @@ mod base {
 
 /// Whether an error is of a file, and not of what is asked for.
 fn is_of_file(error: &Error) -> bool {
-    let exists =
-        |error: &WriteError| matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation);
+    let exists = |error: &WriteError| {
+        matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation)
+    };
     match (error.cause(), error) {
         (Cause::Output, _) => true,
         (_, Error::Write(error)) => exists(error),
@@ -31,7 +32,11 @@ pub fn exception(error: Error) -> PyErr {
     let text = error.told(&|setting| setting.name().to_owned());
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
-        _ if matches!(error, Error::Cancelled | Error::Frame { fault: FrameError::Cancelled, .. }) => {
+        _ if matches!(
+            error,
+            Error::Cancelled | Error::Frame { fault: FrameError::Cancelled, .. }
+        ) =>
+        {
             other(text)
         }
         _ if matches!(error, Error::WholeMesh(WholeMeshError::TooManyVertices(_))) => other(text),

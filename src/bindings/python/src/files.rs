@@ -54,7 +54,8 @@ impl ParticleData {
     }
 }
 
-/// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .ply, .npy, .npz, .csv, .txt, .xyz, .bi4, or HDF5, gzipped or not.
+/// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .ply, .npy, .npz, .csv,
+/// .txt, .xyz, .bi4, or HDF5, gzipped or not.
 ///
 /// Parameters
 /// ----------
@@ -96,9 +97,10 @@ pub fn read_particles(
                 values
             })
             .collect();
-        particles
-            .check()
-            .map_err(|fault| meniscus::Error::Frame { path: Some(path.clone()), fault: fault.into() })?;
+        particles.check().map_err(|fault| meniscus::Error::Frame {
+            path: Some(path.clone()),
+            fault: fault.into(),
+        })?;
         Ok((file, positions, values))
     };
     let (file, positions, values) = Work::<()>::new().run(py, |()| Ok(()), read)?;

@@ -14,10 +14,12 @@ use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
-/// A frame that was sampled: its field, and whatever its surface has to know of the particles, which are not needed any more.
+/// A frame that was sampled: its field, and whatever its surface has to know of the particles,
+/// which are not needed any more.
 ///
-/// ``Frame(positions, ...)`` takes what ``reconstruct`` takes, and samples; ``surface()`` draws, as asked here or otherwise, as often as one
-/// likes. It keeps threads, and is of the process that made it.
+/// ``Frame(positions, ...)`` takes what ``reconstruct`` takes, and samples; ``surface()`` draws, as
+/// asked here or otherwise, as often as one likes. It keeps threads, and is of the process that
+/// made it.
 ///
 /// Raises
 /// ------
@@ -85,7 +87,8 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let keywords = Keywords::of("Frame", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
+        let keywords =
+            Keywords::of("Frame", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
         let arrays = Arrays::take(positions, velocity, attributes)?;
         let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
         let named = arrays.named();
@@ -96,10 +99,16 @@ impl Frame {
         let request = work.holds(request, progress.is_some());
         let water = arrays.water();
         let sampled = with_progress(py, progress, work, || request.sample(&water))?;
-        Ok(Self { sampled: Arc::new(sampled), asked: asked.unbind(), named, process: std::process::id() })
+        Ok(Self {
+            sampled: Arc::new(sampled),
+            asked: asked.unbind(),
+            named,
+            process: std::process::id(),
+        })
     }
 
-    /// Opens a frame that was saved, by this or by the program's ``pack``, or samples the particles of a file, which never become arrays.
+    /// Opens a frame that was saved, by this or by the program's ``pack``, or samples the particles
+    /// of a file, which never become arrays.
     ///
     /// Parameters
     /// ----------
@@ -112,7 +121,8 @@ impl Frame {
     /// particle_type : str, optional
     ///     The type of particles, of a file that holds several.
     ///
-    /// Further keywords are those of ``reconstruct``. Of a frame that was saved, those that say how particles are sampled are refused.
+    /// Further keywords are those of ``reconstruct``. Of a frame that was saved, those that say how
+    /// particles are sampled are refused.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
@@ -146,9 +156,11 @@ impl Frame {
         })
     }
 
-    /// Draws the surface, by the keywords that are given here, and where none is as was said when it was sampled.
+    /// Draws the surface, by the keywords that are given here, and where none is as was said when
+    /// it was sampled.
     ///
-    /// Keywords are those of ``reconstruct`` that do not need the particles again; threads and memory stay the frame's.
+    /// Keywords are those of ``reconstruct`` that do not need the particles again; threads and
+    /// memory stay the frame's.
     ///
     /// Returns
     /// -------
@@ -177,7 +189,8 @@ impl Frame {
         self.sampled.particles_up().to_string().to_lowercase()
     }
 
-    /// Packs it into a file, of which surfaces can be drawn later, by this or by the program. Attributes stay behind.
+    /// Packs it into a file, of which surfaces can be drawn later, by this or by the program.
+    /// Attributes stay behind.
     ///
     /// Parameters
     /// ----------
@@ -196,8 +209,9 @@ impl Frame {
         let work = Work::new();
         let request = work.holds(Reconstruction::new(), false);
         let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
-        let packed =
-            with_progress(py, None, work, || self.sampled.pack(request.packed_output(&path, replace)?))?;
+        let packed = with_progress(py, None, work, || {
+            self.sampled.pack(request.packed_output(&path, replace)?)
+        })?;
         Ok(packed.bytes)
     }
 }

@@ -1,7 +1,9 @@
-//! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays in and out, and nothing of its own.
+//! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays in and out, and
+//! nothing of its own.
 //!
-//! Arrays are read where they are ([`arrays`]), work runs without the interpreter's lock and ends on Ctrl-C ([`work`]), keywords are those
-//! of the program's options ([`options`]), and errors are exceptions with the library's sentences ([`errors`]).
+//! Arrays are read where they are ([`arrays`]), work runs without the interpreter's lock and ends
+//! on Ctrl-C ([`work`]), keywords are those of the program's options ([`options`]), and errors are
+//! exceptions with the library's sentences ([`errors`]).
 
 mod arrays;
 mod backends;
@@ -21,7 +23,8 @@ mod work;
 
 use pyo3::prelude::*;
 
-/// Watertight surface meshes from particle fluids: see the package `meniscus`, which exports all of this.
+/// Watertight surface meshes from particle fluids: see the package `meniscus`, which exports all of
+/// this.
 #[pymodule]
 mod _meniscus {
     #[pymodule_export]

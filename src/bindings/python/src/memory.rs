@@ -1,7 +1,7 @@
 //! Memory that is given back to the system after each call.
 
-/// Gives back what the C library's allocator keeps of what was freed: the process is another's, who does not expect to hold the memory
-/// of a frame for good.
+/// Gives back what the C library's allocator keeps of what was freed: the process is another's, who
+/// does not expect to hold the memory of a frame for good.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn give_back() {
     // SAFETY: takes a number, and may be called by any thread at any time.

@@ -18,10 +18,12 @@ use crate::memory::{GiveBack, give_back};
 use crate::report::{Check, Report};
 use crate::work::{Work, with_progress};
 
-/// A closed, oriented, 2-manifold triangle mesh around the fluid, which is what ``reconstruct`` and its kin return.
+/// A closed, oriented, 2-manifold triangle mesh around the fluid, which is what ``reconstruct`` and
+/// its kin return.
 ///
-/// Its arrays are made when one is first asked for, are the caller's to write to, and stay the same objects. What is written to them does
-/// not show in files: ``write`` writes the surface as it was made.
+/// Its arrays are made when one is first asked for, are the caller's to write to, and stay the same
+/// objects. What is written to them does not show in files: ``write`` writes the surface as it was
+/// made.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Mesh {
     surface: Surface,
@@ -68,7 +70,8 @@ impl Mesh {
                 if components == 1 {
                     attributes.set_item(name, values)?;
                 } else {
-                    attributes.set_item(name, values.reshape([values.len() / components, components])?)?;
+                    attributes
+                        .set_item(name, values.reshape([values.len() / components, components])?)?;
                 }
             }
             Ok(Arrays {
@@ -109,7 +112,8 @@ impl Mesh {
         Ok(self.arrays(py)?.vertices.clone_ref(py))
     }
 
-    /// Triangles as indices of vertices: uint32 of shape (T, 3), counter-clockwise seen from outside.
+    /// Triangles as indices of vertices: uint32 of shape (T, 3), counter-clockwise seen from
+    /// outside.
     #[getter]
     fn triangles(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u32>>> {
         Ok(self.arrays(py)?.triangles.clone_ref(py))
@@ -121,13 +125,15 @@ impl Mesh {
         Ok(self.arrays(py)?.triangles.bind(py).cast_array::<u64>(false)?.unbind())
     }
 
-    /// Unit vertex normals, outward: float32 of shape (V, 3), or None unless ``normals=True`` asked for them.
+    /// Unit vertex normals, outward: float32 of shape (V, 3), or None unless ``normals=True`` asked
+    /// for them.
     #[getter]
     fn normals(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray2<f32>>>> {
         Ok(self.arrays(py)?.normals.as_ref().map(|normals| normals.clone_ref(py)))
     }
 
-    /// Further values on the vertices by their names: float32 of shape (V,), or (V, K) for K numbers a vertex.
+    /// Further values on the vertices by their names: float32 of shape (V,), or (V, K) for K
+    /// numbers a vertex.
     #[getter]
     fn attributes(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         Ok(self.arrays(py)?.attributes.clone_ref(py))
@@ -157,7 +163,8 @@ impl Mesh {
         self.surface.report().into()
     }
 
-    /// Checks that it is closed, oriented and 2-manifold, and measures it: what the program's ``check`` says of a file.
+    /// Checks that it is closed, oriented and 2-manifold, and measures it: what the program's
+    /// ``check`` says of a file.
     fn check(&self, py: Python<'_>) -> PyResult<Check> {
         let measures = self.measures(py)?;
         let mesh = self.whole(py)?;
@@ -170,9 +177,11 @@ impl Mesh {
         Ok(Check::of(&found, measures))
     }
 
-    /// Writes it to a file whose extension says the format: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc or .glb.
+    /// Writes it to a file whose extension says the format: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf,
+    /// .stl, .usdc or .glb.
     ///
-    /// The file appears whole or not at all, and is, byte for byte, what the program writes for the same particles and options.
+    /// The file appears whole or not at all, and is, byte for byte, what the program writes for the
+    /// same particles and options.
     ///
     /// Parameters
     /// ----------
@@ -195,7 +204,13 @@ impl Mesh {
     /// meniscus.InputError
     ///     For an unknown extension, or what the format cannot hold; a ValueError.
     #[pyo3(signature = (path, *, overwrite=false, preview=false))]
-    fn write(&self, py: Python<'_>, path: PathBuf, overwrite: bool, preview: bool) -> PyResult<u64> {
+    fn write(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        overwrite: bool,
+        preview: bool,
+    ) -> PyResult<u64> {
         let work = Work::new();
         let request = work.holds(self.request.clone(), false);
         let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
@@ -231,7 +246,10 @@ impl Mesh {
         let arrays = self.arrays(py)?;
         let cells = PyTuple::new(
             py,
-            ["triangle".into_pyobject(py)?.into_any(), arrays.triangles.bind(py).clone().into_any()],
+            [
+                "triangle".into_pyobject(py)?.into_any(),
+                arrays.triangles.bind(py).clone().into_any(),
+            ],
         )?;
         let point_data = arrays.attributes.bind(py).copy()?;
         if let Some(normals) = &arrays.normals {
@@ -246,6 +264,10 @@ impl Mesh {
 
     fn __repr__(&self) -> String {
         let mesh = self.surface.mesh();
-        format!("<meniscus.Mesh: {} vertices, {} triangles>", mesh.vertex_count(), mesh.triangle_count())
+        format!(
+            "<meniscus.Mesh: {} vertices, {} triangles>",
+            mesh.vertex_count(),
+            mesh.triangle_count()
+        )
     }
 }

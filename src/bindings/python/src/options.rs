@@ -60,8 +60,13 @@ pub struct Keywords {
 }
 
 impl Keywords {
-    /// Reads the keywords of a function, which are all of those in `known`; what is None is not said.
-    pub fn of(function: &str, keywords: Option<&Bound<'_, PyDict>>, known: &[Known]) -> PyResult<Self> {
+    /// Reads the keywords of a function, which are all of those in `known`; what is None is not
+    /// said.
+    pub fn of(
+        function: &str,
+        keywords: Option<&Bound<'_, PyDict>>,
+        known: &[Known],
+    ) -> PyResult<Self> {
         let memory = default_memory();
         let mut asked = Self { request: Reconstruction::new(), device: Device::default(), memory };
         let mut settings = Settings::default();
@@ -81,7 +86,9 @@ impl Keywords {
                 _ => None,
             };
             if let Some(before) = exclusive.and_then(|slot| slot.replace(name.clone())) {
-                return Err(InputError::new_err(format!("{name}: {before} is given, and both say the same")));
+                return Err(InputError::new_err(format!(
+                    "{name}: {before} is given, and both say the same"
+                )));
             }
             let given = Given { name: &name, value: &value };
             if !settings.set(&name, &given)? {

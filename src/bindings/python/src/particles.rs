@@ -37,9 +37,9 @@ impl<'py> Arrays<'py> {
             others.push(("velocity".to_owned(), held));
         }
         if let Some(attributes) = attributes {
-            let mapping = attributes
-                .cast::<PyMapping>()
-                .map_err(|_| PyTypeError::new_err("attributes: a mapping from names to arrays is needed"))?;
+            let mapping = attributes.cast::<PyMapping>().map_err(|_| {
+                PyTypeError::new_err("attributes: a mapping from names to arrays is needed")
+            })?;
             for item in mapping.items()?.iter() {
                 let (name, array): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
                 let name: String = name.extract().map_err(|_| {
@@ -75,7 +75,8 @@ impl<'py> Arrays<'py> {
         self.others.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The names of all attributes, if there are others than the velocity, which goes along unasked.
+    /// The names of all attributes, if there are others than the velocity, which goes along
+    /// unasked.
     pub fn named(&self) -> Option<Vec<String>> {
         let names: Vec<_> = self.others.iter().map(|(name, _)| name.clone()).collect();
         names.iter().any(|name| name != "velocity").then_some(names)

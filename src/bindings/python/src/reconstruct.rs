@@ -10,8 +10,9 @@ use crate::work::{Work, with_progress};
 
 /// Reconstructs the surface of particles: a closed, oriented, 2-manifold triangle mesh.
 ///
-/// Keywords are the options of ``meniscus reconstruct``, whose ``--help`` says more of each. None is needed: what is not said is estimated,
-/// or the default. Lengths are in the unit of the positions.
+/// Keywords are the options of ``meniscus reconstruct``, whose ``--help`` says more of each. None
+/// is needed: what is not said is estimated, or the default. Lengths are in the unit of the
+/// positions.
 ///
 /// Parameters
 /// ----------
@@ -110,7 +111,8 @@ pub fn reconstruct(
     progress: Option<&Bound<'_, PyAny>>,
     keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Mesh> {
-    let keywords = Keywords::of("reconstruct", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
+    let keywords =
+        Keywords::of("reconstruct", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
     let arrays = Arrays::take(positions, velocity, attributes)?;
     let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
     if let Some(names) = arrays.named() {

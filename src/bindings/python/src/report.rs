@@ -68,7 +68,11 @@ impl From<&Found> for Report {
         let source = found.cells.as_ref().and_then(|cells| cells.spacing.as_ref());
         let census = found.facts.census;
         let mut seconds = BTreeMap::new();
-        found.timings.seconds().iter().for_each(|(stage, took)| *seconds.entry(*stage).or_default() += took);
+        found
+            .timings
+            .seconds()
+            .iter()
+            .for_each(|(stage, took)| *seconds.entry(*stage).or_default() += took);
         Self {
             spacing: found.facts.spacing,
             spacing_source: source.map(|(_, source): &(f64, SpacingSource)| source.to_string()),
@@ -97,17 +101,22 @@ impl From<&Found> for Report {
 impl Report {
     fn __repr__(&self) -> String {
         let Self { particles, cell_size, warnings, .. } = self;
-        format!("<meniscus.Report: {particles} particles, cells of {cell_size}, {} warnings>", warnings.len())
+        format!(
+            "<meniscus.Report: {particles} particles, cells of {cell_size}, {} warnings>",
+            warnings.len()
+        )
     }
 }
 
-/// Whether a mesh is closed, oriented and 2-manifold, and what it measures. True where it is all three.
+/// Whether a mesh is closed, oriented and 2-manifold, and what it measures. True where it is all
+/// three.
 ///
 /// Attributes
 /// ----------
 /// closed, oriented, manifold : bool
 ///     No edge on a boundary; no edge run along twice the same way; no edge of more than two triangles and no vertex of several fans.
-/// boundary_edges, misoriented_edges, crowded_edges, pinched_vertices, degenerate_triangles, non_finite_positions : int
+/// boundary_edges, misoriented_edges, crowded_edges, pinched_vertices, degenerate_triangles,
+/// non_finite_positions : int
 ///     How often each defect occurs.
 /// vertices, triangles, components : int
 ///     Counts; components share no vertex.

@@ -22,11 +22,12 @@ use crate::work::{News, Work, with_progress};
 pub const SIMULATION: [&str; 9] =
     ["start", "end", "step", "frames", "resume", "overwrite", "watch", "fps", "preview"];
 
-/// The frames of a simulation, all alike: cells, grid and calibration are measured once, and frozen.
+/// The frames of a simulation, all alike: cells, grid and calibration are measured once, and
+/// frozen.
 ///
-/// While a simulation runs, make one without inputs, and call ``frame(positions)`` for each: it is measured on the first frame with fluid
-/// deeper than the filters reach (see ``settled``). A frame without particles is an empty mesh. It keeps threads, and is of the process that
-/// made it.
+/// While a simulation runs, make one without inputs, and call ``frame(positions)`` for each: it is
+/// measured on the first frame with fluid deeper than the filters reach (see ``settled``). A frame
+/// without particles is an empty mesh. It keeps threads, and is of the process that made it.
 ///
 /// With inputs and an output, ``run()`` makes the meshes of files, as the program does.
 ///
@@ -111,10 +112,13 @@ impl Simulation {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let process = std::process::id();
-        let names = match keywords.map(|keywords| keywords.get_item("attributes")).transpose()?.flatten() {
-            Some(value) if !value.is_none() => Some(Given { name: "attributes", value: &value }.names()?),
-            _ => None,
-        };
+        let names =
+            match keywords.map(|keywords| keywords.get_item("attributes")).transpose()?.flatten() {
+                Some(value) if !value.is_none() => {
+                    Some(Given { name: "attributes", value: &value }.names()?)
+                }
+                _ => None,
+            };
         let known = &[
             Known::Sampling,
             Known::Surface,
@@ -179,7 +183,9 @@ impl Simulation {
         let mut live = match live.try_lock() {
             Ok(live) => live,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
-            Err(TryLockError::WouldBlock) => return Err(other("another thread is at work on a frame of it")),
+            Err(TryLockError::WouldBlock) => {
+                return Err(other("another thread is at work on a frame of it"));
+            }
         };
         let live = &mut *live;
         let work = Work::new();
@@ -190,14 +196,17 @@ impl Simulation {
         Mesh::new(py, surface, request)
     }
 
-    /// Whether all that frames have in common is frozen; always so for files, which are measured first.
+    /// Whether all that frames have in common is frozen; always so for files, which are measured
+    /// first.
     #[getter]
     fn settled(&self) -> PyResult<bool> {
         match &self.kind {
             Kind::Live(live) => match live.try_lock() {
                 Ok(live) => Ok(live.is_settled()),
                 Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner().is_settled()),
-                Err(TryLockError::WouldBlock) => Err(other("another thread is at work on a frame of it")),
+                Err(TryLockError::WouldBlock) => {
+                    Err(other("another thread is at work on a frame of it"))
+                }
             },
             Kind::Files(..) => Ok(true),
         }
@@ -205,7 +214,8 @@ impl Simulation {
 
     /// Makes the meshes of all frames, files to files.
     ///
-    /// A frame that cannot be made is an event, and the others are made all the same: see ``Summary.complete``.
+    /// A frame that cannot be made is an event, and the others are made all the same: see
+    /// ``Summary.complete``.
     ///
     /// Parameters
     /// ----------
@@ -230,8 +240,8 @@ impl Simulation {
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
-    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers of the frames: for several jobs, each
-    /// of which converts some.
+    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers
+    /// of the frames: for several jobs, each of which converts some.
     ///
     /// Returns
     /// -------
@@ -250,10 +260,13 @@ impl Simulation {
         act: impl FnOnce(&Files, &dyn Fn(meniscus::Event)) -> Result<T, meniscus::Error> + Send,
     ) -> PyResult<T> {
         let Kind::Files(files, _) = &self.kind else {
-            return Err(InputError::new_err("the simulation is one that runs: frame() makes its meshes"));
+            return Err(InputError::new_err(
+                "the simulation is one that runs: frame() makes its meshes",
+            ));
         };
         let work = Work::<(Event, Vec<String>)>::new();
-        let files = files.as_ref().clone().reconstruction(self.request.clone().cancel(work.cancel.clone()));
+        let files =
+            files.as_ref().clone().reconstruction(self.request.clone().cancel(work.cancel.clone()));
         let teller = work.teller.clone();
         let hear = |(event, warnings): (Event, Vec<String>)| {
             warn(py, warnings)?;
@@ -273,7 +286,8 @@ fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if !value.is_none()
-            && (["format", "particle_type"].contains(&name.as_str()) || SIMULATION.contains(&name.as_str()))
+            && (["format", "particle_type"].contains(&name.as_str())
+                || SIMULATION.contains(&name.as_str()))
         {
             return Err(InputError::new_err(format!("{name}: it is for inputs and an output")));
         }
@@ -299,7 +313,8 @@ fn of_files(
             "end" => files.end(given.whole()?),
             "step" => files.step(given.whole()?),
             "frames" => {
-                let wrong = |_| PyTypeError::new_err("frames: a pair of numbers is needed: first and last");
+                let wrong =
+                    |_| PyTypeError::new_err("frames: a pair of numbers is needed: first and last");
                 let (first, last): (u64, u64) = value.extract().map_err(wrong)?;
                 if first > last {
                     return Err(InputError::new_err(format!("frames: {first} is after {last}")));

@@ -70,7 +70,9 @@ impl Event {
             },
             News::Done(done) => {
                 warnings.extend(
-                    done.warnings.iter().map(|warning| format!("{}: {warning}", done.input.display())),
+                    done.warnings
+                        .iter()
+                        .map(|warning| format!("{}: {warning}", done.input.display())),
                 );
                 let (frame, output) = (Some(done.mesh.frame), Some(done.output.clone()));
                 Self { kind: "done", frame, output, ..counted(&done.progress) }
@@ -138,7 +140,11 @@ impl From<Ended> for Summary {
             folder: ended.folder,
             made: ended.made,
             failed: ended.failed.len(),
-            failures: ended.failed.iter().map(|failed| (failed.frame, failed.error.to_string())).collect(),
+            failures: ended
+                .failed
+                .iter()
+                .map(|failed| (failed.frame, failed.error.to_string()))
+                .collect(),
             error: ended.error.map(|error| error.to_string()),
             lost: ended.left_out.lost,
             seconds: ended.seconds,

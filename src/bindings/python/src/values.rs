@@ -19,7 +19,8 @@ pub struct Given<'a, 'py> {
 impl<'py> Given<'_, 'py> {
     /// Refuses a value of another type.
     fn wants(&self, what: &str) -> PyErr {
-        let kind = self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
+        let kind =
+            self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
         PyTypeError::new_err(format!("{}: {what} is needed, not {kind}", self.name))
     }
 
@@ -65,7 +66,10 @@ impl<'py> Given<'_, 'py> {
             let text = self.text()?;
             let size: Result<ByteSize, _> = text.parse();
             return size.map(|size| size.as_u64()).map_err(|_| {
-                InputError::new_err(format!("{}: {text:?} is no size such as \"512MiB\"", self.name))
+                InputError::new_err(format!(
+                    "{}: {text:?} is no size such as \"512MiB\"",
+                    self.name
+                ))
             });
         }
         self.whole()
@@ -105,23 +109,26 @@ impl Source for Given<'_, '_> {
         if self.value.is_instance_of::<PyString>() {
             return Err(self.wants("a list of names"));
         }
-        let names = self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
+        let names =
+            self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
         names.map_err(|_| self.wants("a list of names"))
     }
 
     fn point(&self) -> PyResult<[f64; 3]> {
         let ends = self.ends()?;
         let numbers: Option<Vec<f64>> = ends.into_iter().collect();
-        numbers
-            .and_then(|numbers| numbers.try_into().ok())
-            .ok_or_else(|| InputError::new_err(format!("{}: three numbers are needed: x, y, z", self.name)))
+        numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| {
+            InputError::new_err(format!("{}: three numbers are needed: x, y, z", self.name))
+        })
     }
 
     /// Takes six numbers or two times three, `None` for both ends of an axis that is open.
     fn faces(&self) -> PyResult<Faces> {
         let refused = |what: &str| InputError::new_err(format!("{}: {what}", self.name));
-        let ends: [Option<f64>; 6] =
-            self.ends()?.try_into().map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
+        let ends: [Option<f64>; 6] = self
+            .ends()?
+            .try_into()
+            .map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
         ends.try_into().map_err(|what: String| refused(&what))
     }
 

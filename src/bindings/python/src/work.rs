@@ -1,7 +1,8 @@
-//! Long work: without the interpreter's lock, ended by Ctrl-C or by an exception of whoever is told of its progress.
+//! Long work: without the interpreter's lock, ended by Ctrl-C or by an exception of whoever is told
+//! of its progress.
 //!
-//! Work runs on a thread of its own, and the caller's waits for news: signals and callbacks are Python's only there, and a callback may do
-//! whatever its caller may.
+//! Work runs on a thread of its own, and the caller's waits for news: signals and callbacks are
+//! Python's only there, and a callback may do whatever its caller may.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -59,8 +60,9 @@ impl<N: Send + 'static> Work<N> {
             let worker = thread::Builder::new().name("meniscus".into()).spawn_scoped(scope, act);
             let worker = worker.map_err(|fault| exception(Error::Threads(fault.to_string())))?;
             loop {
-                let next =
-                    py.detach(|| news.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(POLL));
+                let next = py.detach(|| {
+                    news.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(POLL)
+                });
                 let heard = match next {
                     Ok(News::Over) | Err(RecvTimeoutError::Disconnected) => break,
                     Ok(News::Told(news)) if raised.is_none() => hear(news),

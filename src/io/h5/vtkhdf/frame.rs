@@ -34,9 +34,11 @@ impl Frame {
         let at = |name: &str| entry(file, &steps, name, step);
         let first = at("PartOffsets")?;
         let (_, sets) = checked(steps.member_names())?;
-        let parts = if sets.iter().any(|set| set == "NumberOfParts") { at("NumberOfParts")? } else { 1 };
+        let parts =
+            if sets.iter().any(|set| set == "NumberOfParts") { at("NumberOfParts")? } else { 1 };
         let end = first.checked_add(parts).filter(|end| *end <= all);
-        let end = end.ok_or_else(|| malformed(0, format!("{parts} parts from {first} on of {all}")))?;
+        let end =
+            end.ok_or_else(|| malformed(0, format!("{parts} parts from {first} on of {all}")))?;
         Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })
     }
 
@@ -45,8 +47,15 @@ impl Frame {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for every partition, each with so many behind it that are taken too.
-    pub fn of_parts(&self, file: &File, group: &Group, name: &str, more: u64) -> Result<Vec<u64>, ReadFault> {
+    /// The entries of a data set for every partition, each with so many behind it that are taken
+    /// too.
+    pub fn of_parts(
+        &self,
+        file: &File,
+        group: &Group,
+        name: &str,
+        more: u64,
+    ) -> Result<Vec<u64>, ReadFault> {
         let [first, end] = self.parts;
         let part = Array::named(group, name)?.part(first, end - first + more)?;
         part.integers(file)?.into_iter().map(|value| count(value, name)).collect()
@@ -116,7 +125,10 @@ pub(super) fn entries(
 ) -> Result<Vec<u64>, ReadFault> {
     let entries = Array::named(group, name)?.part(index, 1)?.integers(file)?;
     if entries.len() < least {
-        return Err(malformed(0, format!("{name} has {} numbers of {least} in an entry", entries.len())));
+        return Err(malformed(
+            0,
+            format!("{name} has {} numbers of {least} in an entry", entries.len()),
+        ));
     }
     entries.into_iter().map(|value| count(value, name)).collect()
 }

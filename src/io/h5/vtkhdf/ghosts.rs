@@ -1,8 +1,9 @@
 //! Points of VTKHDF that are left out because their cells are flagged.
 //!
-//! The cells of partitions follow one another in every array, and where there are several kinds, a partition's vertices come before its
-//! lines. `Offsets` has one entry more than cells for each partition. One with other cells than vertices keeps all of its points. Arrays
-//! are read window by window.
+//! The cells of partitions follow one another in every array, and where there are several kinds, a
+//! partition's vertices come before its lines. `Offsets` has one entry more than cells for each
+//! partition. One with other cells than vertices keeps all of its points. Arrays are read window by
+//! window.
 
 use std::ops::Range;
 
@@ -45,7 +46,9 @@ pub(super) fn left(
     let (Some(group), false) = (group, flags.is_empty()) else { return Ok(None) };
     let counts = [found(&group, "NumberOfCells")?, found(&group, "NumberOfConnectivityIds")?];
     let arrays = [found(&group, "Offsets")?, found(&group, "Connectivity")?];
-    let ([Some(_), Some(_)], [Some(ends), Some(corners)]) = (counts, arrays) else { return Ok(None) };
+    let ([Some(_), Some(_)], [Some(ends), Some(corners)]) = (counts, arrays) else {
+        return Ok(None);
+    };
 
     let points = frame.points(file, root)?;
     // Whoever reads the points refuses more of them than the file can hold.
@@ -53,14 +56,16 @@ pub(super) fn left(
         return Ok(None);
     }
     let of_parts = |group: &Group, name: &str| frame.of_parts(file, group, name, 0);
-    let (vertices, ids) = (of_parts(&group, "NumberOfCells")?, of_parts(&group, "NumberOfConnectivityIds")?);
+    let (vertices, ids) =
+        (of_parts(&group, "NumberOfCells")?, of_parts(&group, "NumberOfConnectivityIds")?);
     let others = match lines {
         Some(lines) => of_parts(&lines, "NumberOfCells")?,
         None => vec![0; vertices.len()],
     };
     let all = [sum(&vertices)?, sum(&ids)?, sum(&others)?];
     if sum(&all)? > file.limit {
-        let what = format!("{} cells with {} points are beyond all reason for this file", all[0], all[1]);
+        let what =
+            format!("{} cells with {} points are beyond all reason for this file", all[0], all[1]);
         return Err(ReadFault::Compression(what));
     }
 
@@ -85,11 +90,12 @@ pub(super) fn left(
             ids: ids[index],
             others: others[index],
         };
-        let kept = arrays.left(&part).map_err(|fault| in_part(frame.parts[0] + index as u64, fault))?;
+        let kept =
+            arrays.left(&part).map_err(|fault| in_part(frame.parts[0] + index as u64, fault))?;
         match kept {
-            Some(kept) => {
-                kept.into_iter().for_each(|kept| append(&mut left, base + kept.start..base + kept.end))
-            }
+            Some(kept) => kept
+                .into_iter()
+                .for_each(|kept| append(&mut left, base + kept.start..base + kept.end)),
             None => append(&mut left, base..base + part.points),
         }
         base += part.points;
@@ -168,12 +174,22 @@ impl First {
     }
 
     /// Row of the first cell's data in an array of that name.
-    fn row_of_data(&self, file: &File, root: &Group, frame: &Frame, name: &str) -> Result<u64, ReadFault> {
+    fn row_of_data(
+        &self,
+        file: &File,
+        root: &Group,
+        frame: &Frame,
+        name: &str,
+    ) -> Result<u64, ReadFault> {
         let Some(step) = frame.step else { return Ok(0) };
         let Some(offsets) = sub_group(&checked(root.group("Steps"))?, "CellDataOffsets")? else {
             return Ok(self.data);
         };
-        if found(&offsets, name)?.is_some() { entry(file, &offsets, name, step) } else { Ok(self.data) }
+        if found(&offsets, name)?.is_some() {
+            entry(file, &offsets, name, step)
+        } else {
+            Ok(self.data)
+        }
     }
 }
 
@@ -206,7 +222,9 @@ impl Arrays {
             self.ends.skip(cells + 1);
         }
         match &mut self.types {
-            Some(types) if all_vertices => types.each(cells, |_, kind| all_vertices &= kind == VERTEX)?,
+            Some(types) if all_vertices => {
+                types.each(cells, |_, kind| all_vertices &= kind == VERTEX)?
+            }
             Some(types) => types.skip(cells),
             None => {}
         }

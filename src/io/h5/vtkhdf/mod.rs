@@ -1,4 +1,5 @@
-//! VTKHDF: the points of PolyData and UnstructuredGrid, their partitions one after the other, and the polygons of PolyData.
+//! VTKHDF: the points of PolyData and UnstructuredGrid, their partitions one after the other, and
+//! the polygons of PolyData.
 //!
 //! Steps lie one after the other in every data set; `Steps` says where each begins.
 
@@ -40,13 +41,15 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     let (root, _) = opened(file)?;
     let steps = step_count(&root)?.unwrap_or(0);
     if steps.saturating_mul(8) > file.limit {
-        return Err(ReadFault::Compression(format!("{steps} steps are beyond all reason for this file")));
+        return Err(ReadFault::Compression(format!(
+            "{steps} steps are beyond all reason for this file"
+        )));
     }
     Ok((0..steps).collect())
 }
 
-/// Reads the points as particles, where no faces are made of them. Points whose vertices are all flagged as copies, or hidden, are left
-/// out.
+/// Reads the points as particles, where no faces are made of them. Points whose vertices are all
+/// flagged as copies, or hidden, are left out.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
@@ -121,7 +124,8 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
     Ok(mesh)
 }
 
-/// Adds the polygons of all partitions, whose corners are numbered in each from its own first point.
+/// Adds the polygons of all partitions, whose corners are numbered in each from its own first
+/// point.
 fn add_polygons(
     file: &File,
     frame: &Frame,
@@ -135,18 +139,31 @@ fn add_polygons(
         (integers(file, polygons, "Offsets")?, integers(file, polygons, "Connectivity")?);
     let (mut at, mut corner, mut base, mut face) = (0usize, 0usize, 0i64, 0);
     for ((cells, ids), points) in cells.into_iter().zip(ids).zip(points) {
-        let short =
-            || malformed(0, format!("{cells} polygons with {ids} corners are announced, and not there"));
+        let short = || {
+            malformed(
+                0,
+                format!("{cells} polygons with {ids} corners are announced, and not there"),
+            )
+        };
         let end = |start: usize, count: u64| start.checked_add(usize::try_from(count).ok()?);
         let ends = end(at, cells).and_then(|last| offsets.get(at..=last)).ok_or_else(short)?;
-        let own = end(corner, ids).and_then(|last| connectivity.get(corner..last)).ok_or_else(short)?;
+        let own =
+            end(corner, ids).and_then(|last| connectivity.get(corner..last)).ok_or_else(short)?;
         for pair in ends.windows(2) {
             let range = usize::try_from(pair[0]).ok().zip(usize::try_from(pair[1]).ok());
             let polygon = range.and_then(|(start, end)| own.get(start..end)).ok_or_else(|| {
-                malformed(0, format!("polygon {face} has no corners from {} to {}", pair[0], pair[1]))
+                malformed(
+                    0,
+                    format!("polygon {face} has no corners from {} to {}", pair[0], pair[1]),
+                )
             })?;
-            if let Some(wrong) = polygon.iter().find(|&&corner| corner < 0 || corner as u64 >= *points) {
-                return Err(malformed(0, format!("polygon {face} names point {wrong} of {points}")));
+            if let Some(wrong) =
+                polygon.iter().find(|&&corner| corner < 0 || corner as u64 >= *points)
+            {
+                return Err(malformed(
+                    0,
+                    format!("polygon {face} names point {wrong} of {points}"),
+                ));
             }
             let moved: Vec<i64> = polygon.iter().map(|corner| corner + base).collect();
             triangles.polygon(face, 0, &moved)?;
