@@ -30,6 +30,11 @@ use notes::Verdict;
 
 fn main() -> ExitCode {
     process::set_up();
+    process::on_own_stack(run)
+}
+
+fn run() -> ExitCode {
+    process::start_threads();
     let Arguments { command } = Arguments::of_command_line();
     let verdict = match command {
         Command::Reconstruct(options) => reconstruct::run(&options),

@@ -1,19 +1,36 @@
 //! Setting up the process: memory that is freed, files beyond a limit, and threads.
 
+use std::panic::resume_unwind;
+use std::thread;
+
+/// Bytes of the stack that commands run on: as much as most systems give to a process.
+const STACK: usize = 8 << 20;
+
 /// Sets up the process, before any other thread is started.
 pub fn set_up() {
     keep_freed();
     outlive_large_files();
-    start_threads();
+}
+
+/// Does `work` on a thread whose stack is large enough, whatever the limit on that of the process
+/// (`ulimit -s`); on this one, where the system starts no other.
+pub fn on_own_stack<T: Send + 'static>(work: fn() -> T) -> T {
+    match thread::Builder::new().stack_size(STACK).spawn(work) {
+        Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
+        Err(_) => work(),
+    }
 }
 
 /// Starts the threads of commands that have none of their own. Where the system starts none, this
 /// one does their work.
-fn start_threads() {
-    let all = rayon::ThreadPoolBuilder::new().build_global();
-    if all.is_err() {
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global();
-    }
+pub fn start_threads() {
+    let all = rayon::ThreadPoolBuilder::new;
+    // The global ones can be tried once only.
+    let builder = match all().build() {
+        Ok(_) => all(),
+        Err(_) => all().num_threads(1).use_current_thread(),
+    };
+    let _ = builder.build_global();
 }
 
 /// Keeps up to 8 MiB a thread for whoever allocates next. A frame, and a block of one that exceeds
