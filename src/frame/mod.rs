@@ -277,6 +277,18 @@ impl Frame {
         known: Option<&Calibration>,
         timings: &mut Timings,
     ) -> Result<CalibratedFrame<'_>, FrameError> {
+        self.calibrate_for(surfacing, known, &self.resources.control, timings)
+    }
+
+    /// Makes ready as [`calibrate`](Self::calibrate) does, for another caller than the one that had
+    /// the frame sampled: `control` hears of the progress and can cancel.
+    pub fn calibrate_for<'a>(
+        &'a self,
+        surfacing: &Surfacing,
+        known: Option<&Calibration>,
+        control: &'a Control,
+        timings: &mut Timings,
+    ) -> Result<CalibratedFrame<'a>, FrameError> {
         let &Surfacing { normals, periodic_mesh, .. } = surfacing;
         self.refuse_farther(surfacing)?;
         let (drawn, measured) = match &self.field {
@@ -286,7 +298,9 @@ impl Frame {
                     Some(known) if !known.suits(kind) => return Err(FrameError::OtherIndicator),
                     Some(known) => (*known, None),
                     None => {
-                        let measured = surfacing.calibrate(sampled)?;
+                        let measured = surfacing.calibrate_until(sampled, &control.cancel);
+                        control.cancel.go_on()?;
+                        let measured = measured?;
                         timings.done("plateau");
                         (measured.calibration, Some(measured))
                     }
@@ -305,7 +319,7 @@ impl Frame {
             facts: self.facts(),
             carried: self.carried.as_ref(),
             resources: &self.resources,
-            control: &self.resources.control,
+            control,
             surface_share: self.surface_share,
             measured,
             normals,

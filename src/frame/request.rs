@@ -14,6 +14,7 @@ use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, dual_cells};
+use crate::system::cancel::Cancel;
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Method, Resources};
@@ -220,8 +221,18 @@ impl Surfacing {
     /// # Errors
     /// [`TooFine`] where the field does not tell finely enough where the surface is.
     pub fn calibrate(&self, frame: &SampledDif) -> Result<Calibrated, TooFine> {
+        self.calibrate_until(frame, &Cancel::new())
+    }
+
+    /// Measures as [`calibrate`](Self::calibrate) does, until the caller asks for an early end: what
+    /// is measured then is worth nothing.
+    pub fn calibrate_until(
+        &self,
+        frame: &SampledDif,
+        cancel: &Cancel,
+    ) -> Result<Calibrated, TooFine> {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
-        calibrate(frame, &filters, self.iso)
+        calibrate(frame, &filters, self.iso, cancel)
     }
 
     /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame

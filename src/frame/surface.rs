@@ -99,11 +99,6 @@ impl<'a> CalibratedFrame<'a> {
         self.measured
     }
 
-    /// Has another caller told of progress than the one that had the frame sampled, and heard.
-    pub fn heard_by(self, control: &'a Control) -> Self {
-        Self { control, ..self }
-    }
-
     /// The frame's surface.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
 
@@ -13,6 +13,7 @@ use memchr::memmem;
 use memmap2::Mmap;
 use rayon::prelude::*;
 
+use crate::system::control::{Control, Meter, Stage};
 use crate::system::reopened::ReopenedFile;
 use crate::system::reopened::read_exact_at;
 
@@ -366,12 +367,46 @@ pub struct Unpacking<'a> {
     pub in_memory: u64,
     /// The folder for scratch files.
     pub scratch: &'a Path,
+    /// The caller's hold on the reading, if there is one.
+    pub control: Option<&'a Control>,
 }
 
 impl Unpacking<'static> {
     /// Sets no limit: all is unpacked into memory.
     pub fn in_memory() -> Self {
-        Self { in_memory: u64::MAX, scratch: Path::new(".") }
+        Self { in_memory: u64::MAX, scratch: Path::new("."), control: None }
+    }
+}
+
+impl Unpacking<'_> {
+    /// Ends the work where the caller has asked for it.
+    fn go_on(&self) -> Result<(), ReadFault> {
+        let Some(control) = self.control else { return Ok(()) };
+        Ok(control.cancel.go_on().map_err(io::Error::from)?)
+    }
+}
+
+/// Bytes of a packed file, of which the caller hears how many have been read.
+struct MeteredBytes<'a, R> {
+    bytes: R,
+    meter: Option<Meter<'a>>,
+}
+
+impl<'a, R> MeteredBytes<'a, R> {
+    fn new(bytes: R, count: u64, unpacking: Unpacking<'a>) -> Self {
+        let meter = |control: &'a Control| control.meter(Stage::Reading, count as usize);
+        Self { bytes, meter: unpacking.control.map(meter) }
+    }
+}
+
+impl<R: Read> Read for MeteredBytes<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.bytes.read(buffer)?;
+        if let Some(meter) = &self.meter {
+            meter.go_on()?;
+            meter.add(read);
+        }
+        Ok(read)
     }
 }
 
@@ -406,6 +441,7 @@ impl<'a> Unpacked<'a> {
     /// # Errors
     /// [`ReadFault::Scratch`] where the scratch file cannot be written.
     pub fn push(&mut self, bytes: &[u8]) -> Result<(), ReadFault> {
+        self.unpacking.go_on()?;
         self.len += bytes.len() as u64;
         if self.file.is_none() && self.len > self.unpacking.in_memory {
             let mut file =
@@ -492,11 +528,11 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         Some(packed) if !packed.starts_with(&GZIP) => Ok(Bytes::Kept(packed)),
         Some(packed) => match unpack_at_once(&packed, unpacking.in_memory) {
             Some(unpacked) => Ok(unpacked.into()),
-            None => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking)
+            None => unpack(&packed[..], packed.len() as u64, limit, unpacking)
                 .map(Bytes::Kept)
                 .map_err(fail),
         },
-        None => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking)
+        None => unpack(BufReader::new(file), metadata.len(), limit, unpacking)
             .map(Bytes::Kept)
             .map_err(fail),
     }
@@ -531,8 +567,14 @@ fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     (written == unpacked.len() && ends == packed.len()).then_some(unpacked)
 }
 
-/// Unpacks up to `limit` bytes.
-fn unpack(packed: impl Read, limit: u64, unpacking: Unpacking) -> Result<Kept, ReadFault> {
+/// Unpacks `count` bytes, up to `limit` bytes.
+fn unpack(
+    packed: impl BufRead,
+    count: u64,
+    limit: u64,
+    unpacking: Unpacking,
+) -> Result<Kept, ReadFault> {
+    let packed = MultiGzDecoder::new(MeteredBytes::new(packed, count, unpacking));
     let damaged = |e: io::Error| ReadFault::Compression(e.to_string());
     collect(packed, unpacking, damaged, |total| {
         let what = || format!("it unpacks to more than {GREATEST_RATIO} times its size");

@@ -128,6 +128,18 @@ impl MeshFormat {
         both.map(|(info, name)| [info.name.clone(), name]).collect()
     }
 
+    /// How often its writer reads the vertices or the triangles of a mesh.
+    pub(crate) fn readings(self, mesh: &dyn MeshSource) -> usize {
+        let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
+        match self {
+            Self::Ply | Self::Obj | Self::Stl => 2,
+            // Every array of the vertices by itself, and triangles.
+            Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
+            // Vertices and triangles first to put them in order.
+            Self::Glb(_) => 2 + arrays + 1,
+        }
+    }
+
     /// Whether coordinates can be wider than f32.
     #[must_use]
     pub fn holds_f64(self) -> bool {

@@ -300,6 +300,10 @@ impl Checked {
 
     /// The memory for an input that has to be unpacked or decoded: an eighth of the budget.
     pub(crate) fn unpacking(&self) -> Unpacking<'_> {
-        Unpacking { in_memory: self.resources.budget.0 / 8, scratch: &self.resources.scratch }
+        Unpacking {
+            in_memory: self.resources.budget.0 / 8,
+            scratch: &self.resources.scratch,
+            control: Some(&self.resources.control),
+        }
     }
 }

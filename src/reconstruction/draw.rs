@@ -126,7 +126,7 @@ impl Checked {
     ) -> Result<(Stitched, Report), FrameError> {
         let control = &self.resources.control;
         control.during(Stage::Meshing, || {
-            let calibrated = engine.calibrate(&self.surfacing, known, timings)?.heard_by(control);
+            let calibrated = engine.calibrate_for(&self.surfacing, known, control, timings)?;
             let measured = calibrated.measured();
             let surface = calibrated.surface(timings)?;
             let mut report = Report::of(engine, &self.surfacing);

@@ -122,7 +122,8 @@ impl Output {
         width: CoordinateWidth,
         control: &Control,
     ) -> Result<(FilledFile, Unfinished), Error> {
-        let mesh = Metered::new(mesh, control, Stage::Writing);
+        let readings = self.file.format().readings(mesh);
+        let mesh = Metered::new(mesh, readings, control, Stage::Writing);
         let file =
             control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
         Ok((file, self.unfinished))

@@ -146,8 +146,11 @@ impl Setup<'_> {
         let Some(largest) = largest else { return Ok(None) };
         let path = &largest.path;
         let resources = &checked.resources;
-        let unpacking =
-            Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch };
+        let unpacking = Unpacking {
+            in_memory: resources.budget.0 / 8,
+            scratch: &resources.scratch,
+            control: Some(&resources.control),
+        };
         let file = open_wanted(path, checked.settings.wanted(), unpacking)?;
         let carried =
             checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));

@@ -156,7 +156,11 @@ impl Setup<'_> {
         let file = open_wanted(
             path,
             self.checked.settings.wanted(),
-            Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch },
+            Unpacking {
+                in_memory: resources.budget.0 / 8,
+                scratch: &resources.scratch,
+                control: Some(&resources.control),
+            },
         )?;
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };

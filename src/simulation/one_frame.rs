@@ -98,7 +98,11 @@ impl Conversion<'_> {
                 return Ok(None);
             }
             let scratch = &checked.resources.scratch;
-            let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch };
+            let unpacking = Unpacking {
+                in_memory: self.division.unpacked(),
+                scratch,
+                control: Some(&checked.resources.control),
+            };
             let file = particles
                 .map_or_else(|| open_wanted(path, checked.settings.wanted(), unpacking), Ok)?;
             timings.done("open");

@@ -533,7 +533,7 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
             ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
         ] {
             let scratch = std::env::temp_dir();
-            let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch };
+            let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch, control: None };
             let particles = open_particles(&data.join(file), unpacking).unwrap().particles;
             for (indicator, detail) in
                 INDICATORS.iter().flat_map(|&indicator| DETAILS.map(|detail| (indicator, detail)))

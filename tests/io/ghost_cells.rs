@@ -89,7 +89,8 @@ fn points_of_flagged_vertices_are_left_out_of_what_vtk_writes() {
         let left: Vec<usize> = (0..24).filter(|point| ![1, 5].contains(point)).collect();
         assert_eq!((ids(&file), file.ghosts), (left, 2), "{name}");
         let scratch = tempfile::tempdir().unwrap();
-        let scratched = read(Unpacking { in_memory: 0, scratch: scratch.path() }).unwrap();
+        let scratched =
+            read(Unpacking { in_memory: 0, scratch: scratch.path(), control: None }).unwrap();
         assert_eq!(ids(&scratched), ids(&file), "{name} through scratch");
     }
 }

@@ -59,7 +59,7 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     assert_eq!(attribute(&packed, "velocity"), doubled);
     // Through scratch as in memory.
     let folder = tempfile::tempdir().unwrap();
-    let unpacking = Unpacking { in_memory: 0, scratch: folder.path() };
+    let unpacking = Unpacking { in_memory: 0, scratch: folder.path(), control: None };
     assert_eq!(
         positions(&open_particles(&data("packed.h5"), unpacking).unwrap()),
         positions(&packed)

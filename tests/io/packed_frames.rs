@@ -444,7 +444,7 @@ fn pages_of_real_frames_compress() {
         ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
         ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
     ] {
-        let unpacking = Unpacking { in_memory: 1 << 30, scratch: &data };
+        let unpacking = Unpacking { in_memory: 1 << 30, scratch: &data, control: None };
         let particles = open_particles(&data.join(name), unpacking).unwrap().particles;
         for indicator in INDICATORS {
             let grid = Grid::new(DVec3::ZERO, spacing).unwrap();

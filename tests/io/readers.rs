@@ -25,7 +25,10 @@ const NPZ: Reader = |bytes| npz::read_particles(bytes, Unpacking::in_memory());
 
 /// With as much memory as unpacking takes.
 fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
-    input::open_particles(path, Unpacking { in_memory: 1 << 40, scratch: Path::new("nowhere") })
+    input::open_particles(
+        path,
+        Unpacking { in_memory: 1 << 40, scratch: Path::new("nowhere"), control: None },
+    )
 }
 
 fn attributes(file: &ParticleFile) -> Vec<(&str, usize)> {
@@ -390,7 +393,7 @@ fn vtk_xml_and_npz_give_attributes_and_time_wherever_their_numbers_are() {
 #[test]
 fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
     let scratch = tempfile::tempdir().unwrap();
-    let unpacking = Unpacking { in_memory: 100, scratch: scratch.path() };
+    let unpacking = Unpacking { in_memory: 100, scratch: scratch.path(), control: None };
     let folder = tempfile::tempdir().unwrap();
     let mut scratched = 0;
     for (name, reader, bytes) in encoded_samples() {
@@ -402,7 +405,7 @@ fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
     }
     // All but what is appended raw, and stored.
     assert_eq!(scratched, 32 - 4 + 1);
-    let nowhere = Unpacking { in_memory: 100, scratch: Path::new("nowhere") };
+    let nowhere = Unpacking { in_memory: 100, scratch: Path::new("nowhere"), control: None };
     let path = folder.path().join("a.npz");
     let fault = input::open_particles(&path, nowhere).expect_err("refused").fault;
     assert!(matches!(fault, ReadFault::Scratch(_)), "{fault}");

@@ -244,7 +244,7 @@ fn a_snapshot_of_more_files_than_there_can_be_is_refused_at_once() {
 #[test]
 fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
     let scratch = TempDir::new().unwrap();
-    let unpacking = Unpacking { in_memory: 0, scratch: scratch.path() };
+    let unpacking = Unpacking { in_memory: 0, scratch: scratch.path(), control: None };
     let names = |of: &[meniscus::internals::particles::AttributeInfo]| -> Vec<String> {
         of.iter().map(|info| info.name.clone()).collect()
     };
@@ -277,7 +277,7 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
 
 #[test]
 fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
-    let nowhere = Unpacking { in_memory: 0, scratch: Path::new("nowhere") };
+    let nowhere = Unpacking { in_memory: 0, scratch: Path::new("nowhere"), control: None };
     let wanted = Wanted { attributes: WantedAttributes::Velocity, ..Wanted::default() };
     for name in ["steps.vtkhdf#2", "steps.vtkhdf#1"] {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();

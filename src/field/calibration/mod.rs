@@ -25,6 +25,7 @@ use crate::field::distance::UNITS;
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::field::recipe::Filters;
 use crate::grid::units::{Isovalue, MeanCount};
+use crate::system::cancel::Cancel;
 
 /// Numbers that were measured, or given, and make frames alike.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -89,7 +90,8 @@ impl Calibrated {
     }
 }
 
-/// Measures what a surface through a frame has to know, but for an isovalue that is given.
+/// Measures what a surface through a frame has to know, but for an isovalue that is given. What is
+/// measured after the caller has asked for an early end is worth nothing.
 ///
 /// # Errors
 /// [`TooFine`] where the field does not tell finely enough where the surface is.
@@ -97,6 +99,7 @@ pub fn calibrate(
     frame: &SampledDif,
     filters: &Filters,
     iso: Option<Isovalue>,
+    cancel: &Cancel,
 ) -> Result<Calibrated, TooFine> {
     let facts = &frame.facts;
     match filters {
@@ -107,7 +110,7 @@ pub fn calibrate(
                 facts.spacing_cells(),
                 facts.grid.cell_size(),
             )?;
-            let plateau = Plateau::of(frame, smoothing);
+            let plateau = Plateau::of(frame, smoothing, cancel);
             let step_cells = precision::refuse_too_fine(frame, smoothing, plateau)?;
             let iso = iso.unwrap_or(plateau.isovalue());
             let calibration = Calibration::Indicator { mean: frame.indicator.mean(), iso };
@@ -115,7 +118,7 @@ pub fn calibrate(
         }
         Filters::Distances(distances) => {
             refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
-            let plateau = Plateau::of_clouds(frame, distances);
+            let plateau = Plateau::of_clouds(frame, distances, cancel);
             let calibration = Calibration::Clouds { plateau: plateau.value() };
             let step_cells = facts.spacing_cells_or_one() / UNITS;
             Ok(Calibrated { calibration, plateau, step_cells })

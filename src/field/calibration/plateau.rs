@@ -20,6 +20,7 @@ use crate::field::indicator::{GHOST_LAYER, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
 use crate::grid::CellBox;
 use crate::grid::units::{FULL, Isovalue};
+use crate::system::cancel::Cancel;
 
 use super::expected::expected;
 use super::histogram::Histogram;
@@ -77,7 +78,7 @@ impl Plateau {
     /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The
     /// result depends on the frame and that width alone.
     #[must_use]
-    pub fn of_clouds(frame: &SampledDif, distances: &Distances) -> Self {
+    pub fn of_clouds(frame: &SampledDif, distances: &Distances, cancel: &Cancel) -> Self {
         let narrowest = &distances.bulk.widths[0];
         let wide = frame.wide_cells();
         let spacing = 1.0 / wide.edge;
@@ -91,6 +92,7 @@ impl Plateau {
             halo: narrowest.weights.reach(),
             width: f64::from(narrowest.spacings) / 4096.0 * spacing,
             apply: &|block, walls| blur(block, &narrowest.weights, walls),
+            cancel,
         };
         let found = GAPS.into_iter().find_map(|(gap, share)| {
             let interior = Interior::new(&blurred, gap * spacing);
@@ -104,7 +106,7 @@ impl Plateau {
     /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and
     /// the smoothing alone. Particles whose spacing is not known are taken to be a cell apart.
     #[must_use]
-    pub fn of(frame: &SampledDif, smoothing: &Smoothing) -> Self {
+    pub fn of(frame: &SampledDif, smoothing: &Smoothing, cancel: &Cancel) -> Self {
         let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
         let cells = spacing.unwrap_or(1.0);
         let blurred = Blurred {
@@ -115,6 +117,7 @@ impl Plateau {
             halo: smoothing.halo(),
             width: smoothing.width(),
             apply: &|block, walls| smoothing.apply(block, walls),
+            cancel,
         };
         // Symmetry does not tell how many particles there are, and any interior is better than none
         // where the spacing is not known, for nothing can be expected there.

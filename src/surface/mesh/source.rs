@@ -175,10 +175,15 @@ pub struct Metered<'a> {
 }
 
 impl<'a> Metered<'a> {
-    /// Counts the pieces of a mesh whose reader asks for the vertices and for the triangles of
-    /// each.
-    pub fn new(mesh: &'a dyn MeshSource, control: &'a Control, stage: Stage) -> Self {
-        Self { mesh, meter: control.meter(stage, 2 * mesh.pieces()) }
+    /// Counts the pieces of a mesh whose reader asks for the vertices or the triangles of each so
+    /// many times.
+    pub fn new(
+        mesh: &'a dyn MeshSource,
+        readings: usize,
+        control: &'a Control,
+        stage: Stage,
+    ) -> Self {
+        Self { mesh, meter: control.meter(stage, readings * mesh.pieces()) }
     }
 }
 
