@@ -287,6 +287,7 @@ impl Error {
             | Self::Read(_) => Cause::Input,
             Self::Simulation(
                 SimulationError::NoFrames(_)
+                | SimulationError::NoFiles(_)
                 | SimulationError::NoFolder(_)
                 | SimulationError::Unreadable { .. },
             ) => Cause::Input,

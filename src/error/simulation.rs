@@ -14,6 +14,9 @@ pub enum SimulationError {
     /// The request names no frame.
     #[error("{0}: there are no frames")]
     NoFrames(String),
+    /// A folder or a pattern of files that names none that can be read.
+    #[error("{0}: there are no such files")]
+    NoFiles(String),
     /// A folder of inputs that does not exist.
     #[error("{}: there is no such folder", .0.display())]
     NoFolder(PathBuf),

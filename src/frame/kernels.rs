@@ -14,7 +14,7 @@ use crate::grid::units::Sigma;
 use crate::grid::{CellBox, Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
 
-use super::surface::Drawn;
+use super::surface::Drawable;
 use super::{FrameError, Resources};
 
 /// The kernels of a frame.
@@ -47,9 +47,9 @@ impl SampledKernels {
     }
 
     /// All that the surface is drawn by.
-    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> Drawn<'_> {
+    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> Drawable<'_> {
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
-        Drawn {
+        Drawable {
             regions: self.field.regions(walls),
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),

@@ -1,6 +1,6 @@
 //! One frame, within its memory budget: particles to a field, the field to a surface.
 //!
-//! [`Frame`] is the one engine, whatever makes the field and wherever stages run: it counts, bins,
+//! [`Engine`] is the one engine, whatever makes the field and wherever stages run: it counts, bins,
 //! samples, calibrates and meshes. [`resident`] takes the same steps for particles and meshes that
 //! stay on a device.
 //!
@@ -55,11 +55,11 @@ use crate::system::timings::Timings;
 use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
 use sink::FieldSink;
-use surface::Drawn;
+use surface::Drawable;
 
 /// The field of a frame, and what else its surface needs.
 #[derive(Debug)]
-pub struct Frame {
+pub struct Engine {
     field: Field,
     /// Nothing of a frame that was sampled before.
     occupied: Occupied,
@@ -80,7 +80,7 @@ enum Field {
 /// The share of sampling that is the sorting of the particles.
 const SORTING: f64 = 0.3;
 
-impl Frame {
+impl Engine {
     /// Samples the field of `particles`, which are read once or twice.
     ///
     /// # Errors
@@ -309,7 +309,7 @@ impl Frame {
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(kind, *spacing, grid);
                 (
-                    Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh),
+                    Drawable::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh),
                     measured,
                 )
             }

@@ -35,7 +35,7 @@ type Contour<'a> =
     dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
 /// A field of which a surface is known, whatever makes it.
-pub(super) struct Drawn<'a> {
+pub(super) struct Drawable<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<CellBox>,
     pub(super) contour: Box<Contour<'a>>,
@@ -46,7 +46,7 @@ pub(super) struct Drawn<'a> {
     pub(super) nothing: FrameError,
 }
 
-impl<'a> Drawn<'a> {
+impl<'a> Drawable<'a> {
     /// The DIF of a frame, by a recipe.
     pub(super) fn of_dif(
         sampled: &'a SampledDif,
@@ -90,7 +90,7 @@ pub struct CalibratedFrame<'a> {
     pub(super) normals: Normals,
     /// The walls at which the mesh ends.
     pub(super) walls: Option<Domain>,
-    pub(super) drawn: Drawn<'a>,
+    pub(super) drawn: Drawable<'a>,
 }
 
 impl<'a> CalibratedFrame<'a> {

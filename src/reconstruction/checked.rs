@@ -50,7 +50,7 @@ pub(crate) struct Checked {
 
 /// A request with threads of its own.
 #[derive(Debug, Clone)]
-pub(crate) struct Ready {
+pub(crate) struct Started {
     pub(crate) checked: Arc<Checked>,
     pub(crate) threads: Arc<ThreadPool>,
 }
@@ -226,7 +226,7 @@ impl Settings {
     }
 
     /// Packed frames are made by the default method, so that nothing is wrong with saying it.
-    fn without_default_method(&self) -> Self {
+    pub(super) fn without_default_method(&self) -> Self {
         Self { method: self.plain().method, ..self.clone() }
     }
 
@@ -280,10 +280,10 @@ impl Settings {
 
 impl Checked {
     /// Starts threads for the request.
-    pub(crate) fn on_threads(self) -> Result<Ready, Error> {
+    pub(crate) fn on_threads(self) -> Result<Started, Error> {
         let started = || Threads::start(self.threads).map_err(Error::Threads);
         let threads = self.pool.clone().map_or_else(started, Ok)?;
-        Ok(Ready { checked: Arc::new(self), threads })
+        Ok(Started { checked: Arc::new(self), threads })
     }
 
     /// Refuses settings that have no meaning for the indicator that was asked for, or without a

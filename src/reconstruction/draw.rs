@@ -3,7 +3,7 @@
 
 use crate::error::Error;
 use crate::field::calibration::Calibration;
-use crate::frame::{Frame as Engine, FrameError, Normals, Shortfall};
+use crate::frame::{Engine, FrameError, Normals, Shortfall};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{Mesh, VertexAttribute};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::brick::BinPlan;
 use crate::error::{Conflict, Error, Setting, Unfit};
-use crate::frame::{Counted, Frame as Engine, FrameError, Sampling};
+use crate::frame::{Counted, Engine, FrameError, Sampling};
 use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
 use crate::particles::Particles;
@@ -14,7 +14,7 @@ use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::builder::Reconstruction;
-use super::checked::{Checked, Ready};
+use super::checked::{Checked, Started};
 use super::output::PackedOutput;
 use super::surface::Surface;
 use super::warning::{Warning, of_frame, with_doubts};
@@ -27,7 +27,7 @@ use crate::settings::Settings;
 pub struct Frame {
     pub(super) path: Option<PathBuf>,
     pub(super) up: UpAxis,
-    pub(super) ready: Ready,
+    pub(super) ready: Started,
     pub(super) sampled: Sampled,
     pub(super) timings: Timings,
 }
@@ -40,7 +40,7 @@ pub(super) struct Sampled {
     pub(super) moved: bool,
 }
 
-impl Ready {
+impl Started {
     pub(super) fn sample(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
@@ -153,7 +153,7 @@ impl Frame {
     /// # Errors
     /// [`Error::Unfit`] for kernels, which have none, [`Error::Write`] and [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
-        let Ready { checked, threads } = &self.ready;
+        let Started { checked, threads } = &self.ready;
         let Some(sampled) = self.sampled.engine.dif() else {
             let with = Conflict::Packed(output.path().to_owned());
             return Err(Unfit { setting: Setting::named("method"), with }.into());

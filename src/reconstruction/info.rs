@@ -198,7 +198,8 @@ fn mesh(path: &Path) -> Result<MeshInfo, Error> {
 
 fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let scratch = std::env::temp_dir();
-    let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
+    let unpacking =
+        Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
     // Names of attributes are enough, where their values would have to be unpacked.
     let wanted = Wanted { attributes: WantedAttributes::Named(&[]), ..settings.wanted() };
     let file = open_wanted(path, wanted, unpacking)?;

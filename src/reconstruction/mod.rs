@@ -1,6 +1,15 @@
 //! Particles to a surface in one call, with everything chosen that is not said: the facade, and the
 //! policy behind it.
 //!
+//! A frame comes about in four ways, by the same steps:
+//!
+//! | | planned | sampled | drawn | written |
+//! |---|---|---|---|---|
+//! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `Checked::engine` | `draw` | `output` |
+//! | in parts: `parts` | once for all parts, `parts/plan.rs`, kept in `plan.json` | the bins that decide its blocks, `parts/make.rs` | its blocks alone, not stitched; `parts/merge.rs` stitches all | a file of blocks, then `output` |
+//! | of a simulation: `simulation` | frozen on one frame, `simulation/freeze.rs` | beside others or alone, `simulation/one_frame.rs` | `draw_or_empty` | filled by its lane, named by another thread |
+//! | live: `simulation/live.rs` | frozen on the first frame that tells, in memory | all particles, `Checked::engine` | `draw_or_empty` | by its caller |
+//!
 //! Limits are in `limits.md`, a page of the docs.
 
 pub mod as_numbers;
@@ -29,7 +38,7 @@ mod width;
 
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, Slab, Source};
-pub(crate) use checked::{Checked, Ready};
+pub(crate) use checked::{Checked, Started};
 pub(crate) use draw::Drawn;
 pub use frame::Frame;
 pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_by};
@@ -37,8 +46,8 @@ pub use lattice::{moved, on_sound_grid, origin_for_lattice};
 pub use opened::{Needs, Opened};
 pub(crate) use orientation::Orientation;
 pub use orientation::usual_up;
+pub(crate) use output::{Held, coordinate_width, refuse_same_file};
 pub use output::{Output, Packed, PackedOutput};
-pub(crate) use output::{coordinate_width, refuse_same_file};
 pub use particles::open_particles;
 pub use parts::{PartMade, PartShare, PartTakes, Parts, Planned};
 pub use report::Report;

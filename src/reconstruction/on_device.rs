@@ -36,7 +36,8 @@ impl Reconstruction {
     /// there, [`Error::Request`] where neither spacing nor cell size is given, and [`Error::Frame`]
     /// for cells that are too fine for the spacing.
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
-        refuse_named(&self.settings, &OF_HOST, || Conflict::OnDevice)?;
+        let settings = self.settings.without_default_method();
+        refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
         let checked = self.checked()?;
         checked.refuse_of_indicator()?;
         let (request, surfacing) = (&checked.sampling, checked.surfacing);

@@ -6,7 +6,7 @@ use crate::brick::Census;
 use crate::error::Error;
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::estimate::Estimate;
-use crate::frame::{Counted, Frame as Engine, FrameError};
+use crate::frame::{Counted, Engine, FrameError};
 use crate::io::ParticleFile;
 use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
@@ -16,7 +16,7 @@ use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::checked::{Checked, Ready};
+use super::checked::{Checked, Started};
 use super::frame::{Frame, Sampled};
 use super::{Cells, ChosenSampling, Source};
 
@@ -24,7 +24,7 @@ use super::{Cells, ChosenSampling, Source};
 #[derive(Debug)]
 pub struct Opened {
     path: PathBuf,
-    ready: Ready,
+    ready: Started,
     input: Input,
     timings: Timings,
 }
@@ -59,7 +59,7 @@ pub struct Needs {
     pub writing: Option<u64>,
 }
 
-impl Ready {
+impl Started {
     pub(super) fn open(self, path: &Path) -> Result<Opened, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
@@ -180,7 +180,7 @@ impl Opened {
     /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold.
     pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
         let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
-        let Ready { checked, threads } = &self.ready;
+        let Started { checked, threads } = &self.ready;
         let counted = threads.install(|| {
             let counted =
                 Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing, None)?;

@@ -18,24 +18,28 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use crate::settings::Settings;
 
+/// What an output in progress has made: removed where it does not get its name.
+#[derive(Debug)]
+pub(crate) struct Held {
+    unfinished: Unfinished,
+    /// Dropped after the file, which may be in them.
+    _folders: MadeFolders,
+}
+
 /// A mesh file that is going to be written: whole or not at all.
 #[derive(Debug)]
 pub struct Output {
     file: MeshOutput,
-    unfinished: Unfinished,
+    held: Held,
     path: PathBuf,
-    /// Dropped last: none is removed that the file is in.
-    _folders: MadeFolders,
 }
 
 /// A packed frame that is going to be written: whole or not at all.
 #[derive(Debug)]
 pub struct PackedOutput {
     file: WholeFile,
-    unfinished: Unfinished,
+    held: Held,
     path: PathBuf,
-    /// Dropped last: none is removed that the file is in.
-    _folders: MadeFolders,
 }
 
 /// A packed frame that was written.
@@ -94,7 +98,7 @@ impl Output {
         let prepare = || MeshOutput::prepare(path, replace);
         let (file, unfinished) = cancel.guard(prepare, MeshOutput::temporary)?;
         settings.refuse_of_format(path, file.format())?;
-        Ok(Self { file, unfinished, path: path.to_owned(), _folders: folders })
+        Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
     }
 
     /// The format, by the file's extension.
@@ -121,12 +125,12 @@ impl Output {
         mesh: &dyn MeshSource,
         width: CoordinateWidth,
         control: &Control,
-    ) -> Result<(FilledFile, Unfinished), Error> {
+    ) -> Result<(FilledFile, Held), Error> {
         let readings = self.file.format().readings(mesh);
         let mesh = Metered::new(mesh, readings, control, Stage::Writing);
         let file =
             control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
-        Ok((file, self.unfinished))
+        Ok((file, self.held))
     }
 
     /// Writes a mesh, and gives the file its name.
@@ -136,8 +140,8 @@ impl Output {
         width: CoordinateWidth,
         control: &Control,
     ) -> Result<u64, Error> {
-        let (file, unfinished) = self.fill(mesh, width, control)?;
-        keep(file, unfinished)
+        let (file, held) = self.fill(mesh, width, control)?;
+        keep(file, &held)
     }
 }
 
@@ -152,7 +156,7 @@ impl PackedOutput {
         let folders = MadeFolders::of(path)?;
         let (file, unfinished) =
             cancel.guard(|| WholeFile::prepare(path, replace), WholeFile::temporary)?;
-        Ok(Self { file, unfinished, path: path.to_owned(), _folders: folders })
+        Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
     }
 
     /// The file's path.
@@ -167,16 +171,14 @@ impl PackedOutput {
         content: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send,
     ) -> Result<u64, Error> {
         let file = control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(content)?))?;
-        keep(file, self.unfinished)
+        keep(file, &self.held)
     }
 }
 
 /// Gives a file its name, unless the caller has asked for an early end.
-fn keep(file: FilledFile, unfinished: Unfinished) -> Result<u64, Error> {
-    if unfinished.is_cancelled() {
+fn keep(file: FilledFile, held: &Held) -> Result<u64, Error> {
+    if held.unfinished.is_cancelled() {
         return Err(Error::Cancelled);
     }
-    let bytes = file.keep()?;
-    drop(unfinished);
-    Ok(bytes)
+    Ok(file.keep()?)
 }

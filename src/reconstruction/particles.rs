@@ -30,7 +30,8 @@ use crate::system::memory::default_memory;
 /// [`Error::Read`], also where there is no such type.
 pub fn open_particles(path: impl AsRef<Path>, settings: &Settings) -> Result<ParticleFile, Error> {
     let (path, scratch) = (path.as_ref(), std::env::temp_dir());
-    let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
+    let unpacking =
+        Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
     let wanted = Wanted { attributes: WantedAttributes::All, ..settings.wanted() };
     let mut file = open_wanted(path, wanted, unpacking)?;
     file.spacing = file.spacing.or_else(|| spacing_beside(path).map(|(spacing, _)| spacing));

@@ -4,7 +4,7 @@ use crate::backend::Work;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, Calibration};
 use crate::field::indicator::Indicator;
-use crate::frame::{Frame as Engine, Method, Surfacing};
+use crate::frame::{Engine, Method, Surfacing};
 use crate::surface::simplify::TooSmall;
 use crate::system::timings::Timings;
 

@@ -127,7 +127,7 @@ impl Surface {
 
     /// Writes the mesh to a file that is not there yet, whose extension says the format: whole or
     /// not at all. Coordinates are f64 where f32 would move vertices by more than 1 / 256 of a cell
-    /// and the format can hold them. Returns the file's size in bytes. Its folder has to be there.
+    /// and the format can hold them. Returns the file's size in bytes. Its folder is made if it is missing.
     ///
     /// To replace a file call [`overwrite`](Self::overwrite).
     ///

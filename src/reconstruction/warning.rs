@@ -5,7 +5,7 @@ use std::fmt;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
-use crate::frame::{Coincident, Frame as Engine, FrameError, Shortfall};
+use crate::frame::{Coincident, Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::output::MeshFormat;
 use crate::surface::simplify::TooSmall;

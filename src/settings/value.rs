@@ -124,6 +124,8 @@ macro_rules! taken_by_name {
     ($($type:ty: $($name:literal => $value:ident),*;)*) => {
         $(impl Taken for $type {
             fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+                // A value that is missing here does not compile.
+                let _all = |value: &Self| match value { $(Self::$value => ()),* };
                 source.one_of(&[$($name),*]).map(|index| [$(Self::$value),*][index])
             }
         })*

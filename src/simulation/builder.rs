@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf, is_separator};
 
 use crate::error::{Error, FPS, SimulationError};
+use crate::io::input::is_known;
 use crate::reconstruction::Reconstruction;
 
 use super::inputs::{Inputs, Selection};
@@ -33,7 +34,7 @@ pub struct Simulation {
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
     pub(super) beside: Vec<PathBuf>,
-    /// Whether nothing is converted yet: all jobs may then plan, whatever is there.
+    /// Whether nothing is converted yet: every job may then plan.
     pub(super) planned: bool,
 }
 
@@ -162,7 +163,8 @@ impl Simulation {
             // A folder that is still to come.
             (None, [path])
                 if !path.exists()
-                    && (self.watch.is_some() || path.to_string_lossy().ends_with(is_separator)) =>
+                    && (self.watch.is_some() && !is_known(path)
+                        || path.to_string_lossy().ends_with(is_separator)) =>
             {
                 Inputs::Folder(path.clone())
             }

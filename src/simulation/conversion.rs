@@ -67,7 +67,6 @@ impl Conversion<'_> {
             setup.state(store, frames, &resources)
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
-        store.log.open()?;
         let (number, fingerprint) = (state.frozen.frame, state.fingerprint());
         self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
         let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());
@@ -204,6 +203,7 @@ impl Conversion<'_> {
                         under_way += 1;
                         tally.total += 1;
                         self.setup.tell(Event::Came { bytes: frame.bytes() });
+                        let again = again && tally.lists(&frame);
                         let _ = to_lanes.send(Job { frame, particles: None, again });
                     }
                     if under_way == 0 && watch.is_over() {

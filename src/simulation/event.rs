@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::time::Duration;
 use std::{fmt, thread};
 
 use bytesize::ByteSize;
@@ -30,11 +31,11 @@ pub enum Event {
     },
     /// The spacing that a frame says, or looks like, may not be right.
     Doubted(Box<Doubt>),
-    /// The state of an earlier run is of other settings, and is made anew.
+    /// The state of an earlier run is made anew, because settings or its input changed.
     Anew {
         /// The state's file.
         state: PathBuf,
-        /// The settings that differ, by their names.
+        /// What changed: settings by their names, or the frame whose input did.
         differing: String,
     },
     /// The frames of an earlier run are gone on with.
@@ -257,7 +258,7 @@ impl fmt::Display for Event {
             Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
             Self::Doubted(doubt) => write!(f, "warning: {doubt}"),
             Self::Anew { state, differing } => {
-                write!(f, "{}: of other settings ({differing}), made anew", state.display())
+                write!(f, "{}: made anew, for these changed: {differing}", state.display())
             }
             Self::GoesOn { state, frozen } => {
                 write!(f, "going on with {}: {frozen}", state.display())
@@ -306,6 +307,9 @@ impl fmt::Display for FrameDone {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(error) = &self.error {
+            return error.fmt(f);
+        }
         let Self { folder, made, seconds, .. } = self;
         write!(f, "{}: {made} frames in {seconds:.2} s", folder.display())
     }
@@ -373,10 +377,28 @@ pub(super) fn hearing<T: Send>(
         let worker = worker.map_err(|fault| Error::Threads(fault.to_string()))?;
         // Ends with the last teller.
         let stop = CancelInPanic(cancel);
-        told.into_iter().for_each(hear);
+        hear_all(&told, hear);
         drop(stop);
         worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })
+}
+
+/// Hears all that is told. A thread of a rayon pool works meanwhile: what tells may need that pool.
+fn hear_all(told: &Receiver<Event>, mut hear: impl FnMut(Event)) {
+    if rayon::current_thread_index().is_none() {
+        return told.iter().for_each(hear);
+    }
+    loop {
+        match told.try_recv() {
+            Ok(event) => hear(event),
+            Err(TryRecvError::Disconnected) => return,
+            Err(TryRecvError::Empty) => {
+                if rayon::yield_now() != Some(rayon::Yield::Executed) {
+                    thread::sleep(Duration::from_millis(1));
+                }
+            }
+        }
+    }
 }
 
 /// Cancels work that nobody waits for any more.

@@ -8,7 +8,7 @@ use bytesize::ByteSize;
 use rayon::prelude::*;
 
 use crate::error::Error;
-use crate::frame::{Counted, Frame};
+use crate::frame::{Counted, Engine};
 use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
 use crate::io::mnf::is_packed;
@@ -162,7 +162,7 @@ impl Setup<'_> {
             .map_err(in_file)?;
         let (census, estimate) = (counted.census(), counted.estimate());
         let frame =
-            Frame::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
+            Engine::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
         let drawn = frame.calibrate(&checked.surfacing, frozen.calibration.as_ref(), &mut timings);
         let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
         // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and

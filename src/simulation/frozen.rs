@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::Error;
 use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
 use crate::field::indicator::{IndicatorKind, SampledDif};
-use crate::frame::{Frame, FrameError, Method, Resources, Sampling, Surfacing};
+use crate::frame::{Engine, FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
@@ -97,7 +97,7 @@ pub(super) fn measure_in(
 /// the isovalue has to come from disorder. Clouds are the same wherever they fall.
 ///
 /// # Errors
-/// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Frame::sample`].
+/// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Engine::sample`].
 pub fn measure(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -114,7 +114,7 @@ pub fn measure(
     if sound.method.indicator().is_none() {
         return Ok(nothing);
     }
-    let frame = Frame::sample(
+    let frame = Engine::sample(
         particles,
         &Sampling { carried: Vec::new(), ..sound },
         &mut Timings::default(),

@@ -13,7 +13,7 @@ pub(super) struct Gate {
     lanes: usize,
     threads: usize,
     /// For who is alone.
-    all: OnceLock<ThreadPool>,
+    all: OnceLock<Option<ThreadPool>>,
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -38,9 +38,10 @@ impl Gate {
         Self { lanes, threads, all, state, changed }
     }
 
-    fn all(&self) -> &ThreadPool {
-        let start = || ThreadPoolBuilder::new().num_threads(self.threads).build();
-        self.all.get_or_init(|| start().expect("threads can be started"))
+    /// The threads of who is alone; `None` where the system does not start them.
+    fn all(&self) -> Option<&ThreadPool> {
+        let start = || ThreadPoolBuilder::new().num_threads(self.threads).build().ok();
+        self.all.get_or_init(start).as_ref()
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -73,7 +74,11 @@ impl Gate {
 impl Permit<'_> {
     /// Runs `act` with the threads of this lane, or alone with as many as there are.
     pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
-        if self.lanes < self.gate.lanes { act() } else { self.gate.all().install(act) }
+        let alone = self.lanes == self.gate.lanes;
+        match alone.then(|| self.gate.all()).flatten() {
+            Some(all) => all.install(act),
+            None => act(),
+        }
     }
 }
 

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, is_separator};
 use std::time::Duration;
 
 use glob::MatchOptions;
@@ -368,7 +368,7 @@ fn below(pattern: &str) -> String {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),
         _ => name.to_owned(),
     };
-    pattern.split_inclusive(std::path::is_separator).map(name).collect()
+    pattern.split_inclusive(is_separator).map(name).collect()
 }
 
 /// Lists the frames that a request for a simulation names, in the order of their numbers: by a name
@@ -393,18 +393,23 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
     for argument in arguments {
         let mut found = match Inputs::of(std::slice::from_ref(argument))? {
             Some(Inputs::Folder(folder)) => files_in(&folder, &wanted)?,
-            Some(inputs @ (Inputs::Pattern(_) | Inputs::Glob(_))) => {
-                let named = inputs.simulations(None)?.iter().map(Sequence::list).collect::<Result<
-                    Vec<_>,
-                    _,
-                >>(
-                )?;
-                named.into_iter().flatten().map(|frame| frame.path).collect()
+            Some(inputs @ Inputs::Glob(_)) => {
+                let files = inputs.candidates()?.into_iter().map(|file| file.path);
+                files.filter(|file| wanted(file)).collect()
+            }
+            Some(inputs @ Inputs::Pattern(_)) => inputs
+                .only()
+                .map(|(_, frames)| frames)?
+                .into_iter()
+                .map(|frame| frame.path)
+                .collect(),
+            None if argument.to_string_lossy().ends_with(is_separator) => {
+                return Err(SimulationError::NoFolder(argument.clone()).into());
             }
             Some(Inputs::Steps(_) | Inputs::Files(_)) | None => vec![argument.clone()],
         };
         if found.is_empty() {
-            return Err(SimulationError::NoFrames(argument.display().to_string()).into());
+            return Err(SimulationError::NoFiles(argument.display().to_string()).into());
         }
         found.sort_by_cached_key(|path| in_order_of_numbers(path));
         all.append(&mut found);

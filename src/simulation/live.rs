@@ -10,7 +10,7 @@ use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, Doubt, Drawn, Ready, Reconstruction, Report, SinglePrecision, Slab, Surface, Warning,
+    self, Doubt, Drawn, Reconstruction, Report, SinglePrecision, Slab, Started, Surface, Warning,
 };
 use crate::system::timings::Timings;
 
@@ -40,7 +40,7 @@ use super::frozen::{Measured, Trust, measure_in};
 /// ```
 #[derive(Debug)]
 pub struct LiveSimulation {
-    ready: Ready,
+    ready: Started,
     known: Option<Known>,
     settled: bool,
 }
@@ -172,7 +172,7 @@ impl LiveSimulation {
 /// Measures a frame for all, on the grid of a lattice that came before, if one did. With it come
 /// doubts about its spacing.
 fn measured(
-    ready: &Ready,
+    ready: &Started,
     particles: &(impl Particles + ?Sized),
     before: Option<&Known>,
 ) -> Result<(Known, Vec<Doubt>), Error> {

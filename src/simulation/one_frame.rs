@@ -12,7 +12,7 @@ use super::gate::Permit;
 use super::inputs::FrameFile;
 use super::records::Record;
 use crate::error::Error;
-use crate::frame::{Counted, Frame, FrameError, Resources};
+use crate::frame::{Counted, Engine, FrameError, Resources};
 use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
 use crate::io::input::{file_and_step, open_wanted};
@@ -22,11 +22,10 @@ use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    Checked, Doubt, Drawn, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
-    coordinate_width, made_of, refuse_same_file,
+    Checked, Doubt, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
+    Warning, coordinate_width, made_of, refuse_same_file,
 };
 use crate::surface::mesh::source::Bounded;
-use crate::system::cancel::Unfinished;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
@@ -43,7 +42,7 @@ pub(super) struct Done {
 /// A frame whose mesh is written, but not known to be on disk.
 pub(super) struct Filled {
     file: FilledFile,
-    unfinished: Unfinished,
+    held: Held,
     record: Record,
     done: Done,
 }
@@ -62,7 +61,7 @@ pub(super) struct Opened {
 /// A frame that waits to be meshed.
 struct Ready<'a> {
     /// `None` where there are no particles.
-    frame: Option<Frame>,
+    frame: Option<Engine>,
     left_out: LeftOut,
     /// The attributes of its vertices.
     infos: Vec<AttributeInfo>,
@@ -148,7 +147,7 @@ impl Conversion<'_> {
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
-        let (file, unfinished) =
+        let (file, held) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if Stamp::of(path).ok() != Some(input) {
             return Err(ReadError::new(path, ReadFault::Changed).into());
@@ -179,14 +178,14 @@ impl Conversion<'_> {
         let fingerprint = settled.fingerprint;
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
         let done = Done { mesh: listed, time, report, left_out, warnings, seconds };
-        Ok(Filled { file, unfinished, record, done })
+        Ok(Filled { file, held, record, done })
     }
 
     /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
     pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
-        let Filled { file, unfinished, record, done } = filled;
+        let Filled { file, held, record, done } = filled;
         file.keep()?;
-        drop(unfinished);
+        drop(held);
         self.cancel().undisturbed(|| self.store.log.keep(&record))?;
         Ok(done)
     }
@@ -205,7 +204,7 @@ impl Conversion<'_> {
         timings.done("open");
         checked.settings.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
-        let frame = Frame::from_sampled(sampled, &checked.surfacing, resources);
+        let frame = Engine::from_sampled(sampled, &checked.surfacing, resources);
         Ok(Ready {
             frame: Some(frame),
             left_out: LeftOut::default(),
@@ -265,7 +264,7 @@ impl Conversion<'_> {
             counted => {
                 let counted = counted.map_err(in_file)?;
                 let census = counted.census();
-                let sample = || Frame::sample_counted(counted, budget, timings).map_err(in_file);
+                let sample = || Engine::sample_counted(counted, budget, timings).map_err(in_file);
                 (Some(permit.run(sample)?), census)
             }
         };
@@ -288,7 +287,7 @@ impl Conversion<'_> {
     fn surface(
         checked: &Checked,
         path: &Path,
-        sampled: &Frame,
+        sampled: &Engine,
         frozen: &Frozen,
         infos: Vec<AttributeInfo>,
         timings: &mut Timings,

@@ -102,7 +102,7 @@ impl Records {
     }
 }
 
-/// Where one process keeps its records, created with the first of them.
+/// Where one process keeps its records, created when it is at work.
 #[derive(Debug)]
 pub struct Log {
     folder: PathBuf,

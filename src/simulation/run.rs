@@ -50,9 +50,9 @@ impl Simulation {
     /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| {
-            let Begun { setup, series, store, frames, found } = begun;
+            let Begun { setup, series, mut store, frames, found } = begun;
             prepare_folder(setup, &store)?;
-            let kept = store.begin(found)?;
+            let kept = store.begin(found, true)?;
             if let Some(state) = &kept {
                 setup.tell(goes_on(&store, state));
             }
@@ -77,9 +77,9 @@ impl Simulation {
     pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<u64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
         let numbers = plan.each(hear, |begun| {
-            let Begun { setup, store, frames, found, .. } = begun;
+            let Begun { setup, mut store, frames, found, .. } = begun;
             prepare_folder(setup, &store)?;
-            match store.begin(found)? {
+            match store.begin(found, false)? {
                 Some(state) => setup.tell(goes_on(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
@@ -194,7 +194,9 @@ impl Simulation {
         act: &(impl Fn(Begun<'_>) -> Result<T, Error> + Sync),
     ) -> Result<Vec<Each<T>>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
-        let (simulations, frames) = self.found(&inputs, &checked, teller)?;
+        let ready = checked.clone().on_threads()?;
+        let found = || self.found(&inputs, &checked, teller);
+        let (simulations, frames) = ready.threads.install(found)?;
         if simulations.is_empty() {
             return Err(inputs.no_frames().into());
         }
@@ -204,7 +206,6 @@ impl Simulation {
             return Err(inputs.several(&simulations).into());
         }
         checked.go_on()?;
-        let ready = checked.on_threads()?;
         ready.threads.install(|| {
             let mut results = Vec::new();
             for (sequence, frames) in simulations.iter().zip(frames) {
@@ -246,15 +247,17 @@ impl Simulation {
         }
         // Looked for before the state: a state is there before the first output of its conversion
         // is.
-        let output = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
+        let is_there = |frames: &mut dyn Iterator<Item = &FrameFile>| {
+            frames.map(|frame| setup.output(frame)).find(|path| path.exists())
+        };
+        let output = is_there(&mut wanted.iter().copied());
+        let any_output = is_there(&mut frames.iter());
         let listing = series.files().into_iter().find(|path| path.exists());
         let found = setup.kept_state(&store, &frames)?;
         if !self.overwrite {
-            let refused = match (&found, output, listing) {
+            let refused = match (&found, output, any_output.or(listing)) {
                 // Without a state it is not this conversion's.
-                (Found::Nothing, output, listing) => {
-                    output.or(listing).map(|path| (path, WriteFault::Exists))
-                }
+                (Found::Nothing, _, other) => other.map(|path| (path, WriteFault::Exists)),
                 (_, Some(path), _) if !self.resume && !self.planned => {
                     Some((path, WriteFault::ExistsInSimulation))
                 }

@@ -168,7 +168,7 @@ impl Setup<'_> {
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {
-                return Ok(Found::Kept(Box::new(state)));
+                return Ok(Found::Kept(Box::new(state), text));
             }
             let what = "what was measured is missing, or of another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };

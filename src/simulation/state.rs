@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::io::whole::{Replace, WholeFile, make_folder};
-use crate::io::{WriteError, WriteFault};
+use crate::io::whole::{make_folder, replace_small};
 use crate::settings::{Kept, differing};
 
 use super::frozen::Frozen;
@@ -49,8 +48,8 @@ impl State {
 pub enum Found {
     /// No state.
     Nothing,
-    /// A state that holds for what is asked for.
-    Kept(Box<State>),
+    /// A state that holds for what is asked for, and the bytes of its file.
+    Kept(Box<State>, Vec<u8>),
     /// A state that is to be made anew.
     Stale {
         /// The bytes of its file.
@@ -65,7 +64,7 @@ impl Found {
     #[must_use]
     pub fn kept(self) -> Option<State> {
         match self {
-            Self::Kept(state) => Some(*state),
+            Self::Kept(state, _) => Some(*state),
             Self::Nothing | Self::Stale { .. } => None,
         }
     }
@@ -76,6 +75,10 @@ impl Found {
 pub struct Store {
     /// Where this process keeps its records.
     pub log: Log,
+    /// The bytes of a state that is to be made anew, and whether it is of other settings.
+    stale: Option<(Vec<u8>, bool)>,
+    /// Whether this process makes frames.
+    at_work: bool,
 }
 
 impl Store {
@@ -83,7 +86,7 @@ impl Store {
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
-        Self { log: Log::new(name.into()) }
+        Self { log: Log::new(name.into()), stale: None, at_work: false }
     }
 
     /// Where it is.
@@ -130,66 +133,79 @@ impl Store {
         }
     }
 
-    /// Begins a conversion by the state that was found, which is returned if it is kept. A stale
-    /// one is removed, unless another process is at work by its settings, or has made it anew
-    /// meanwhile.
-    pub fn begin(&self, found: Found) -> Result<Option<State>, SimulationError> {
-        let (text, of_others) = match found {
-            Found::Nothing => return Ok(None),
-            Found::Kept(state) => return Ok(Some(*state)),
-            Found::Stale { text, of_others } => (text, of_others),
-        };
-        let path = self.state_path();
-        let _alone = self.locked();
-        if self.text()? != Some(text) {
-            return Ok(None);
-        }
-        if of_others && self.log.others_are_open() {
-            return Err(SimulationError::Busy(path));
-        }
-        match fs::remove_file(&path) {
-            Err(fault) if fault.kind() != io::ErrorKind::NotFound => {
-                Err(SimulationError::Io { path, fault })
+    /// Begins by the state that was found, which is returned if it is kept: whoever is `at_work` by
+    /// it is known to others from now on. A stale one stays until [`add`](Self::add) replaces it.
+    ///
+    /// # Errors
+    /// [`SimulationError::Busy`] and [`SimulationError::Io`].
+    pub fn begin(&mut self, found: Found, at_work: bool) -> Result<Option<State>, SimulationError> {
+        self.at_work = at_work;
+        match found {
+            Found::Nothing => Ok(None),
+            Found::Stale { text, of_others } => {
+                self.stale = Some((text, of_others));
+                Ok(None)
             }
-            _ => Ok(None),
+            Found::Kept(state, text) => {
+                let settings = state.settings.clone();
+                let _alone = self.locked();
+                let state = if self.text()? == Some(text) { Some(*state) } else { self.load()? };
+                let state = state.filter(|there| there.settings == settings);
+                let state = state.ok_or_else(|| SimulationError::Busy(self.state_path()))?;
+                self.open_log()?;
+                Ok(Some(state))
+            }
         }
     }
 
-    /// Keeps a state, unless another process has kept one meanwhile: then returns that, if it is of
-    /// the same settings.
+    fn open_log(&self) -> Result<(), SimulationError> {
+        if self.at_work { self.log.open() } else { Ok(()) }
+    }
+
+    /// Keeps a state in place of the stale one, if there is one, unless another process has kept
+    /// another meanwhile: then returns that, if it is of the same settings.
+    ///
+    /// # Errors
+    /// [`SimulationError::Settings`], [`SimulationError::Busy`] where somebody is at work by a stale
+    /// state of other settings, [`SimulationError::Io`] and those of [`load`](Self::load).
     pub fn add(&self, state: &State) -> Result<State, SimulationError> {
         let (folder, path) = (self.folder(), self.state_path());
+        let fail = |fault| SimulationError::Io { path: path.clone(), fault };
         make_folder(folder)
             .map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
-        let added = WholeFile::prepare(&path, Replace::Refuse)
-            .and_then(|file| file.write(|out| out.write_all(&json(state))));
-        match added {
-            Ok(_) => Ok(state.clone()),
-            Err(WriteError { fault: WriteFault::Exists, .. }) => {
-                let there = self.load()?.ok_or_else(|| {
-                    let fault = io::ErrorKind::NotFound.into();
-                    SimulationError::Io { path: path.clone(), fault }
-                })?;
-                let differing = there.differing(&state.settings);
-                if differing.is_empty() {
-                    Ok(there)
-                } else {
-                    Err(SimulationError::Settings { path, differing })
+        let _alone = self.locked();
+        let there = self.text()?;
+        let kept = match (there, &self.stale) {
+            (Some(there), Some((stale, of_others))) if there == *stale => {
+                if *of_others && self.log.others_are_open() {
+                    return Err(SimulationError::Busy(path));
                 }
+                replace_small(&path, &json(state)).map_err(fail)?;
+                state.clone()
             }
-            Err(WriteError { fault: WriteFault::Io(fault), .. }) => {
-                Err(SimulationError::Io { path, fault })
+            (Some(there), _) => {
+                let there = self.parsed(&there)?;
+                let differing = there.differing(&state.settings);
+                if !differing.is_empty() {
+                    return Err(SimulationError::Settings { path, differing });
+                }
+                there
             }
-            Err(error) => Err(SimulationError::Io { path, fault: io::Error::other(error) }),
-        }
+            (None, _) => {
+                replace_small(&path, &json(state)).map_err(fail)?;
+                state.clone()
+            }
+        };
+        self.open_log()?;
+        Ok(kept)
     }
 
     /// Keeps other processes that ask for the same from going on until this is dropped, where the
     /// file system has locks.
     pub fn locked(&self) -> Option<File> {
-        let file = File::open(self.state_path()).ok()?;
-        file.lock().ok()?;
-        Some(file)
+        let folder = File::open(self.folder()).ok()?;
+        folder.lock().ok()?;
+        Some(folder)
     }
 }
 
@@ -238,22 +254,26 @@ mod tests {
                 let late =
                     State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
                 assert_eq!(store.add(&late).unwrap(), state);
-                let other =
-                    State { settings: Kept::from_iter([("cell".to_owned(), 1.into())]), ..late };
+                let other = State {
+                    settings: Kept::from_iter([("cell".to_owned(), 1.into())]),
+                    ..late.clone()
+                };
                 assert!(matches!(store.add(&other), Err(SimulationError::Settings { .. })));
                 assert_eq!(store.load().unwrap(), Some(state));
-                // Another state replaces it only while nobody is at work.
+                // A stale state is replaced while nobody is at work by its settings.
                 let busy = Store::beside(&folder.path().join("fluid.ply"));
                 busy.log.open().unwrap();
-                let stale =
-                    || Found::Stale { text: store.text().unwrap().unwrap(), of_others: true };
-                assert!(matches!(store.begin(stale()), Err(SimulationError::Busy(_))));
+                let text = store.text().unwrap().unwrap();
+                let mut anew = Store::beside(&folder.path().join("fluid.ply"));
+                let stale = |of_others| Found::Stale { text: text.clone(), of_others };
+                assert_eq!(anew.begin(stale(true), false).unwrap(), None);
+                assert_eq!(anew.load().unwrap(), store.load().unwrap(), "it stays until then");
+                assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));
                 drop(busy);
-                let outdated = Found::Stale { text: b"{}".to_vec(), of_others: true };
-                assert_eq!(store.begin(outdated).unwrap(), None);
-                assert!(store.load().unwrap().is_some(), "made anew by another meanwhile");
-                assert_eq!(store.begin(stale()).unwrap(), None);
-                assert_eq!(store.load().unwrap(), None);
+                assert_eq!(anew.add(&other).unwrap(), other);
+                // Made anew by another meanwhile: of other settings.
+                assert!(matches!(anew.add(&late), Err(SimulationError::Settings { .. })));
+                fs::remove_file(store.state_path()).unwrap();
             }
         }
         fs::write(store.state_path(), "{").unwrap();

@@ -13,7 +13,7 @@ use meniscus::internals::brick::{
 use meniscus::internals::field::blur::{self, Weights};
 use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};
-use meniscus::internals::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{Detail, Engine, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
 use meniscus::internals::io::bytes::Unpacking;
@@ -301,7 +301,8 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
                 let surfacing = surfacing();
                 let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
                 known.resources.backend = watched(device.clone()).unwrap();
-                let frame = Frame::sample(&particles[..], &known, &mut Timings::default()).unwrap();
+                let frame =
+                    Engine::sample(&particles[..], &known, &mut Timings::default()).unwrap();
                 let [made, expected] = [&frame, &expected].map(dif);
                 assert!(made.dif.elsewhere().is_some(), "{what}: it does not stay");
                 let calibration = surfacing.calibrate(expected).unwrap().calibration;
@@ -339,7 +340,7 @@ fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
     validated_with(&own, |device| {
         let mut sampling = sampling.clone();
         sampling.resources.backend = Backend::vulkan(device.clone()).unwrap();
-        let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
+        let frame = Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
         assert!(dif(&frame).dif.elsewhere().is_some());
         device.faults().submission.store(1, Ordering::Relaxed);
         assert_same_fields(&dif(&frame).dif, &dif(&expected).dif, "after a loss");
@@ -364,11 +365,11 @@ fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come
             let mut sampling = sampling.clone();
             sampling.resources.backend = watched(device.clone()).unwrap();
             let timings = &mut Timings::default();
-            let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
+            let frame = Engine::sample(&particles[..], &sampling, timings).unwrap();
             let known = surfacing().calibrate(dif(&frame)).unwrap().calibration;
             drop(frame);
             let before = device.counters();
-            let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
+            let frame = Engine::sample(&particles[..], &sampling, timings).unwrap();
             let surface = frame
                 .calibrate(&surfacing(), Some(&known), timings)
                 .unwrap()

@@ -20,7 +20,7 @@ use meniscus::internals::brick::{Bins, BrickSide, Census, DifField, FrameFacts, 
 use meniscus::internals::field::calibration::Calibrated;
 use meniscus::internals::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use meniscus::internals::field::recipe::Recipe;
-use meniscus::internals::frame::{Frame, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{Engine, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget};
 use meniscus::internals::grid::{Domain, Grid};
 use meniscus::internals::particles::Particles;
@@ -57,7 +57,7 @@ pub struct Reconstructed {
 }
 
 /// The frame's DIF, which an indicator makes.
-pub fn dif(frame: &Frame) -> &SampledDif {
+pub fn dif(frame: &Engine) -> &SampledDif {
     frame.dif().expect("an indicator makes the field")
 }
 
@@ -72,7 +72,7 @@ pub fn sampled(dif: DifField) -> SampledDif {
 }
 
 /// A frame's recipe, and what it was calibrated by.
-pub fn recipe(frame: &Frame, surfacing: &Surfacing) -> (Recipe, Calibrated) {
+pub fn recipe(frame: &Engine, surfacing: &Surfacing) -> (Recipe, Calibrated) {
     let measured = surfacing.calibrate(dif(frame)).unwrap();
     (surfacing.recipe(dif(frame), &measured.calibration), measured)
 }
@@ -81,9 +81,9 @@ pub fn reconstruct(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     surfacing: &Surfacing,
-) -> (Frame, Reconstructed) {
+) -> (Engine, Reconstructed) {
     let mut timings = Timings::default();
-    let frame = Frame::sample(particles, sampling, &mut timings).unwrap();
+    let frame = Engine::sample(particles, sampling, &mut timings).unwrap();
     let calibrated = frame.calibrate(surfacing, None, &mut timings).unwrap();
     let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::NO_DISTANCE);
     let mesh = calibrated.surface(&mut timings).unwrap().to_mesh().unwrap();

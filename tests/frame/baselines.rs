@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use glam::{DMat3, DVec3};
 use meniscus::internals::baselines::KernelMethod;
-use meniscus::internals::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{Engine, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::grid::{CellBox, Grid};
 use meniscus::internals::particles::Particles;
@@ -31,7 +31,7 @@ fn surface(
 ) -> Mesh {
     let timings = &mut Timings::default();
     let sampling = Sampling { method: method.into(), ..sampling.clone() };
-    let frame = Frame::sample(particles, &sampling, timings).unwrap();
+    let frame = Engine::sample(particles, &sampling, timings).unwrap();
     let surfacing = Surfacing { normals: Normals::Gradient, ..Surfacing::PLAIN };
     frame.surface(&surfacing, timings).unwrap().to_mesh().unwrap()
 }
@@ -265,7 +265,7 @@ fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
         let sampling = Sampling { grid, method, spacing, ..sampling() };
         let before = sampling.refuse_unfit(&Surfacing::PLAIN).unwrap_err();
         let refused =
-            Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
+            Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
         for error in [before, refused] {
             match spacing {
                 Some(_) => assert!(matches!(error, FrameError::Kernels(_)), "{error}"),

@@ -10,7 +10,9 @@ use meniscus::internals::field::calibration::{
     COARSEST_STEP, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine,
 };
 use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::{self, Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
+use meniscus::internals::frame::{
+    self, Detail, Engine, FrameError, Sampling, Shortfall, Surfacing,
+};
 use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma};
 use meniscus::internals::grid::{CellBox, Domain, Grid};
 use meniscus::internals::surface::mesh::measure::measure;
@@ -87,11 +89,11 @@ fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
     particles.iter().map(|p| p.map(|x| x * by + 0.137)).collect()
 }
 
-fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Frame {
-    Frame::sample(particles, sampling, &mut Timings::default()).unwrap()
+fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Engine {
+    Engine::sample(particles, sampling, &mut Timings::default()).unwrap()
 }
 
-fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
+fn draw(frame: &Engine, surfacing: &Surfacing) -> Stitched {
     frame.surface(surfacing, &mut Timings::default()).unwrap()
 }
 
@@ -106,7 +108,7 @@ fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
 
 /// The plateau of a cube of particles, and by how much it differs from that of a dense oracle in
 /// f64: in the isovalue, which is a share of it, or in the density that clouds tell.
-fn off_from_oracle(particles: &[[f64; 3]], frame: &Frame, edge: f64) -> (f64, Plateau) {
+fn off_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
     let ratio = if indicator.kind() == CLOUD {
@@ -239,7 +241,7 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
             let particles = scaled(&body, spacing);
             // Detail is drawn by the isovalue whatever that is, so it is looked at too, as
             // particles in a cell.
-            let isovalue = |frame: &Frame| match recipe(frame, &surfacing()).1.calibration {
+            let isovalue = |frame: &Engine| match recipe(frame, &surfacing()).1.calibration {
                 Calibration::Indicator { mean, iso } => iso.value() * mean.unwrap().particles(),
                 Calibration::Clouds { plateau } => f64::from(plateau),
             };

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::{Frame, Normals, Sampling, Surfacing};
+use meniscus::internals::frame::{Engine, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::units::Tolerance;
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
@@ -22,7 +22,7 @@ use crate::common::{INDICATORS, fill, sampling, splashes, surfacing};
 
 fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
-    let frame = Frame::sample(particles, sampling, &mut Timings::default()).unwrap();
+    let frame = Engine::sample(particles, sampling, &mut Timings::default()).unwrap();
     frame.surface(&surfacing, &mut Timings::default()).unwrap()
 }
 

@@ -129,9 +129,12 @@ fn combination(random: &mut Random) -> Vec<String> {
     arguments
 }
 
-/// A ball with a few drops around it, and a particle that is no number.
-fn frame() -> Vec<u8> {
+/// A ball with a few drops around it, and now and then a particle that is no number.
+fn frame(random: &mut Random) -> Vec<u8> {
     let mut particles = fill(12.0, 1.0, 0.3, 1, |p| p.length() < 5.0);
+    if random.bits().is_multiple_of(4) {
+        particles.push([f64::NAN, 0.0, 0.0]);
+    }
     particles.extend([[7.0, 0.0, 0.0], [0.0, -7.5, 0.5], [7.3, 0.2, 0.1]]);
     raw(&particles)
 }
@@ -142,7 +145,7 @@ fn try_combination(seed: u64) {
         [(random.bits() % 8) as usize];
     let arguments = combination(&mut random);
     let folder = TempDir::new().unwrap();
-    fs::write(folder.path().join("f.xyz"), frame()).unwrap();
+    fs::write(folder.path().join("f.xyz"), frame(&mut random)).unwrap();
     let run = Run::of(folder.path(), output, &arguments);
     run.look(folder.path(), &["f.xyz".to_owned()]);
     let mesh = folder.path().join(output);

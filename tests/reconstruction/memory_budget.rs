@@ -10,7 +10,7 @@ use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, InvalidPartic
 use meniscus::internals::field::indicator::{PageRule, indicate};
 use meniscus::internals::frame::estimate::{Drawing, Estimate, Plan};
 use meniscus::internals::frame::{
-    Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
+    Counted, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::system::timings::Timings;
@@ -182,9 +182,16 @@ fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
     let run = in_shell(
         folder.path(),
         "",
-        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch no",
+        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch /proc",
     );
     assert_eq!(run.status.code(), Some(4), "{}", String::from_utf8_lossy(&run.stderr));
+    let missing = "reconstruct splash.xyz -o out.ply --cell-size 1 --scratch no";
+    for arguments in [missing.to_owned(), format!("{missing} --dry-run")] {
+        let run = in_shell(folder.path(), "", &arguments);
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(2), "{errors}");
+        assert!(errors.contains("no such folder"), "{errors}");
+    }
 }
 
 #[test]
@@ -339,8 +346,7 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
 #[test]
 fn a_frame_that_fits_its_budget_touches_no_scratch() {
     let folder = folder_with_splash();
-    let arguments =
-        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch no/such/folder";
+    let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch /proc";
     let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
@@ -408,7 +414,8 @@ fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
     let scratch = TempDir::new().unwrap();
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());
     let sampling = Sampling { resources, carried: vec![0], ..sampling() };
-    let fault = Frame::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
+    let fault =
+        Engine::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
     let FrameError::NoRoom { folder, needed, free } = &fault else { panic!("{fault}") };
     assert!(folder == scratch.path() && needed > free);
     let error = Error::Frame { path: Some("frame".into()), fault };

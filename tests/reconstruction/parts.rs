@@ -11,7 +11,7 @@ use meniscus::internals::field::blur::Filter;
 use meniscus::internals::field::calibration::Calibration;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::{Detail, Filters, Recipe};
-use meniscus::internals::frame::{Counted, Frame, Method, Normals, Sampling, Surfacing};
+use meniscus::internals::frame::{Counted, Engine, Method, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::stretch::{Stretch, WantedBins};
 use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Grid, MortonKey};
@@ -473,13 +473,13 @@ fn field_of(
     particles: &[[f64; 3]],
     seen: CellBox,
     sampling: &Sampling,
-    recipe: impl Fn(&Frame) -> Recipe,
+    recipe: impl Fn(&Engine) -> Recipe,
     cells: CellBox,
 ) -> Block {
     let cell = |p: &[f64; 3]| DVec3::from(*p).floor().as_ivec3();
     let near: Vec<[f64; 3]> =
         particles.iter().filter(|p| seen.contains(cell(p))).copied().collect();
-    let frame = Frame::sample(&near[..], sampling, &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&near[..], sampling, &mut Timings::default()).unwrap();
     field(&recipe(&frame), dif(&frame), cells)
 }
 
@@ -517,7 +517,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
             let outermost = if sides.start == 0 { seen.lo } else { seen.hi - 1 };
             let by = |plateau: u16| {
                 let surfacing = &surfacing;
-                move |frame: &Frame| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
+                move |frame: &Engine| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
             };
             // Particles that wide cells hold all in the same way, and that lie in the outermost
             // cells that are seen.
@@ -571,7 +571,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
         };
         let by = |threshold: u16| {
             let plain = &plain;
-            move |frame: &Frame| plain.recipe(dif(frame), &calibration(threshold))
+            move |frame: &Engine| plain.recipe(dif(frame), &calibration(threshold))
         };
         let middle = |cell: IVec3| (cell.as_dvec3() + 0.5).to_array();
         let all = CellBox { lo: IVec3::splat(-1000), hi: IVec3::splat(1000) };
@@ -586,8 +586,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
             };
             let edge = if up < 0 { cells.lo[axis] } else { cells.hi[axis] - 1 };
             let last = if up < 0 { seen.lo[axis] } else { seen.hi[axis] - 1 };
-            let frame =
-                Frame::sample(&[middle(at(edge))][..], &sampling, &mut Timings::default()).unwrap();
+            let frame = Engine::sample(&[middle(at(edge))][..], &sampling, &mut Timings::default())
+                .unwrap();
             let Filters::Paper(filters) = by(1)(&frame).filters else { unreachable!() };
             let halo = filters.recovery.as_ref().map_or(0, Filter::halo);
             let between = at(edge + up * halo);
@@ -599,7 +599,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
                 // What smoothing leaves of that cell alone is just lost, and with the other near it
                 // is not.
                 let alone =
-                    Frame::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
+                    Engine::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
                 let none = Surfacing { detail: Detail::Smoothed, ..plain };
                 let smoothed = none.recipe(dif(&alone), &calibration(1));
                 threshold = field(&smoothed, dif(&alone), CellBox { lo: between, hi: between + 1 })

@@ -8,7 +8,9 @@ use meniscus::error::{Error, FrameError};
 use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::estimate::Plan;
-use meniscus::internals::frame::{Counted, Frame, Method, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{
+    Counted, Engine, Method, Normals, Resources, Sampling, Surfacing,
+};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget};
 use meniscus::internals::grid::{Grid, Periodic};
 use meniscus::internals::io::output::read_mesh;
@@ -58,9 +60,9 @@ fn drawn(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     surfacing: &Surfacing,
-) -> (Frame, Mesh) {
+) -> (Engine, Mesh) {
     let timings = &mut Timings::default();
-    let frame = Frame::sample(particles, sampling, timings).unwrap();
+    let frame = Engine::sample(particles, sampling, timings).unwrap();
     let mesh = frame.surface(surfacing, timings).unwrap().to_mesh().unwrap();
     (frame, mesh)
 }
@@ -97,14 +99,15 @@ fn attributes_come_from_beyond_the_faces_as_well() {
     let (_, found) = drawn(&particles, &sampling, &surfacing);
     let alone = Sampling { periodic: None, ..sampling };
     let around = turned(&repeated(&fluid, faces), &fluid);
-    let (frame, calibrated) = (Frame::sample(&around, &alone, &mut Timings::default()).unwrap(), {
-        let frame = Frame::sample(
-            &particles,
-            &in_box(IndicatorKind::Cloud, 0.5, faces),
-            &mut Timings::default(),
-        );
-        surfacing.calibrate(frame.unwrap().dif().unwrap()).unwrap().calibration
-    });
+    let (frame, calibrated) =
+        (Engine::sample(&around, &alone, &mut Timings::default()).unwrap(), {
+            let frame = Engine::sample(
+                &particles,
+                &in_box(IndicatorKind::Cloud, 0.5, faces),
+                &mut Timings::default(),
+            );
+            surfacing.calibrate(frame.unwrap().dif().unwrap()).unwrap().calibration
+        });
     let timings = &mut Timings::default();
     let expected =
         frame.calibrate(&surfacing, Some(&calibrated), timings).unwrap().surface(timings).unwrap();
@@ -213,8 +216,8 @@ fn images_are_counted_nowhere() {
     let (frame, _) = drawn(&particles[..], &counting, &surfacing());
     assert_eq!(frame.facts().census.binned, particles.len());
     let alone = Sampling { periodic: None, ..counting };
-    let expected = Frame::sample(&particles[..], &alone, &mut Timings::default()).unwrap();
-    let mean = |frame: &Frame| frame.dif().unwrap().indicator.mean();
+    let expected = Engine::sample(&particles[..], &alone, &mut Timings::default()).unwrap();
+    let mean = |frame: &Engine| frame.dif().unwrap().indicator.mean();
     assert_eq!(mean(&frame), mean(&expected), "cells divide the box");
 
     let timings = &mut Timings::default();

@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::DVec3;
 use meniscus::files::Replace;
 use meniscus::internals::brick::BrickSide;
-use meniscus::internals::frame::{Frame as Sampled, FrameError, Sampling};
+use meniscus::internals::frame::{Engine as Sampled, FrameError, Sampling};
 use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::system::timings::Timings;
 use meniscus::mesh::Mesh;

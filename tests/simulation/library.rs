@@ -186,6 +186,18 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
 }
 
 #[test]
+fn a_simulation_runs_on_the_only_thread_of_the_pool_that_it_is_called_on() {
+    let folder = simulated(3);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let pool = std::sync::Arc::new(pool);
+    let request = Reconstruction::new().spacing(0.5).pool(std::sync::Arc::clone(&pool));
+    let simulation = simulation(folder.path(), "mesh").reconstruction(request);
+    let mut heard = 0;
+    let summaries = pool.install(|| simulation.run(|_| heard += 1)).unwrap();
+    assert!(summaries[0].made == 3 && heard > 3, "{summaries:?}");
+}
+
+#[test]
 fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
     let water = fill(36.0, 1.0, 0.3, 5, |_| true);
     let cancel = Cancel::new();

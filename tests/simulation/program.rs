@@ -366,7 +366,7 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
     assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
     let (_, notes) = made(&["--resume", "--overwrite"]);
-    assert!(notes.contains("other settings (method), made anew"), "{notes}");
+    assert!(notes.contains("made anew, for these changed: method"), "{notes}");
 }
 
 #[test]
@@ -392,6 +392,44 @@ fn nothing_is_replaced_that_the_conversion_did_not_make() {
         assert_ne!(fs::read(folder.path().join(there)).unwrap(), b"mine");
         run(folder.path(), &["in/f_{}.xyz", "-o", output, "--resume"], 0);
     }
+}
+
+#[test]
+fn a_conversion_goes_on_after_one_that_could_not_measure_its_changed_input() {
+    let folder = falling(1..=3);
+    run(folder.path(), &ALL, 0);
+    let before = tree(&folder.path().join("out"));
+    // It was measured on the first frame, which is written anew just then.
+    fs::write(folder.path().join("in/f_1.xyz"), "seven").unwrap();
+    run(folder.path(), &with(&["--resume", "--frames", "1..1"]), 1);
+    for frame in 2..=3 {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "seven").unwrap();
+    }
+    run(folder.path(), &with(&["--resume"]), 3);
+    let settings = with(&["--overwrite", "--spacing", "1e300"]);
+    assert_ne!(command(folder.path(), &settings).status().unwrap().code(), Some(0));
+    for frame in 1..=3 {
+        let path = folder.path().join(format!("in/f_{frame}.xyz"));
+        fs::write(path, raw(&ball(frame))).unwrap();
+    }
+    run(folder.path(), &with(&["--resume"]), 0);
+    let after = tree(&folder.path().join("out"));
+    for frame in 1..=3 {
+        let mesh = format!("m_{frame}.ply");
+        assert!(before[&mesh] == after[&mesh], "{mesh}");
+    }
+}
+
+#[test]
+fn a_mesh_of_others_among_frames_of_other_jobs_is_not_replaced_either() {
+    let folder = falling(1..=4);
+    fs::create_dir(folder.path().join("out")).unwrap();
+    fs::write(folder.path().join("out/m_4.ply"), "mine").unwrap();
+    for frames in ["1..2", "3..4"] {
+        let errors = run(folder.path(), &with(&["--resume", "--frames", frames]), 2);
+        assert!(errors.contains("m_4.ply"), "{errors}");
+    }
+    assert_eq!(fs::read(folder.path().join("out/m_4.ply")).unwrap(), b"mine");
 }
 
 #[test]

@@ -16,7 +16,7 @@ use meniscus::internals::backend::Backend;
 use meniscus::internals::brick::InvalidParticles;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::spacing::estimate;
-use meniscus::internals::frame::{Detail, Frame, FrameError, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{Detail, Engine, FrameError, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::Grid;
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::surface::mesh::source::MeshSource;
@@ -158,7 +158,7 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), Fr
         false => Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN },
     };
     let mut timings = Timings::default();
-    let frame = Frame::sample(particles, sampling, &mut timings)?;
+    let frame = Engine::sample(particles, sampling, &mut timings)?;
     let surface = frame.surface(&surfacing, &mut timings)?;
     assert!(frame.warnings().is_empty(), "{:?}", frame.warnings());
     let mut sum = crc32fast::Hasher::new();

@@ -13,7 +13,7 @@ use meniscus::internals::backend::field;
 use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::internals::field::blur::{Weights, blur};
 use meniscus::internals::field::indicator::{IndicatorKind, PageRule, indicate};
-use meniscus::internals::frame::{Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::frame::{Engine, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{MemoryBudget, Sigma};
 use meniscus::internals::grid::{CellBox, Grid};
 use meniscus::internals::surface::dual_mc::contour;
@@ -105,7 +105,8 @@ fn main() {
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };
     let surfacing = Surfacing::PLAIN;
-    let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).expect("a frame");
+    let frame =
+        Engine::sample(&particles[..], &sampling, &mut Timings::default()).expect("a frame");
     let sampled = frame.dif().expect("an indicator makes the field");
     let measured = surfacing.calibrate(sampled).expect("cells of a spacing");
     let recipe = surfacing.recipe(sampled, &measured.calibration);
@@ -141,7 +142,7 @@ fn main() {
 
     let (seconds, (timings, surface)) = best_seconds(3, || {
         let mut timings = Timings::default();
-        let frame = Frame::sample(&particles[..], &sampling, &mut timings).expect("a frame");
+        let frame = Engine::sample(&particles[..], &sampling, &mut timings).expect("a frame");
         let surface = frame.surface(&surfacing, &mut timings).expect("a surface");
         (timings, surface)
     });

@@ -9,7 +9,7 @@ use meniscus::internals::backend::field;
 use meniscus::internals::field::calibration::Calibrated;
 use meniscus::internals::field::indicator::{IndicatorKind, SampledDif};
 use meniscus::internals::field::recipe::Recipe;
-use meniscus::internals::frame::{Frame, FrameError};
+use meniscus::internals::frame::{Engine, FrameError};
 use meniscus::internals::grid::Grid;
 use meniscus::internals::grid::units::{FULL, Isovalue};
 use meniscus::internals::particles::lattice::sound_origin;
@@ -153,7 +153,7 @@ fn per_rule(found: &[&Found]) -> Vec<String> {
 fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) -> Outcome<Found> {
     let particles = fill(solid, lattice);
     let sample = |grid: Grid| {
-        Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Timings::default())
+        Engine::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Timings::default())
     };
     let frame = sample(grid(cell)?)?;
     let (asked, sampled) =
@@ -181,7 +181,7 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
     Ok(Found { plateau: median, errors: errors? })
 }
 
-fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Errors>> {
+fn error_at(solid: &Solid, frame: &Engine, c: Option<f64>) -> Outcome<Option<Errors>> {
     let iso = c.map(|c| Isovalue::new(c.clamp(1e-4, 0.9999))).transpose()?;
     match frame.surface(&surfacing(None, iso), &mut Timings::default()) {
         Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),

@@ -5,7 +5,7 @@ use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::brick::InvalidParticles;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{
-    self, Detail, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
+    self, Detail, Engine, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
 };
 use meniscus::internals::grid::Grid;
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma};
@@ -146,7 +146,7 @@ impl Method {
             }
             Self::Kernels(kernels) => (kernels.into(), Surfacing::PLAIN),
         };
-        let frame = Frame::sample(particles, &sampling(grid, spacing, method), timings)?;
+        let frame = Engine::sample(particles, &sampling(grid, spacing, method), timings)?;
         frame.surface(&Surfacing { normals, ..surfacing }, timings)
     }
 }

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use meniscus::internals::backend::{Backend, Surfaces, field};
-use meniscus::internals::frame::{Detail, Frame, Normals, Surfacing};
+use meniscus::internals::frame::{Detail, Engine, Normals, Surfacing};
 use meniscus::internals::grid::PeriodicMesh;
 use meniscus::internals::surface::dual_mc::contour;
 use meniscus::internals::surface::mesh::measure::measure;
@@ -79,9 +79,9 @@ type Figures = ([Option<f64>; 4], f64, u64);
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let (sampling, surfacing) =
         (sampling(grid(cell)?, 1.0, COUNTING), surfacing(Sigmas::Auto.value(), Iso::Auto.value()));
-    Frame::sample(particles, &sampling, &mut Timings::default())?;
+    Engine::sample(particles, &sampling, &mut Timings::default())?;
     let start = Instant::now();
-    let frame = Frame::sample(particles, &sampling, &mut Timings::default())?;
+    let frame = Engine::sample(particles, &sampling, &mut Timings::default())?;
     let dif = start.elapsed().as_secs_f64();
     let stitched = frame.surface(&surfacing, &mut Timings::default())?;
     let surface = stitched.to_mesh()?;
@@ -128,7 +128,7 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
     let surfacing = surfacing(Sigmas::Auto.value(), Iso::Auto.value());
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
-        let frame = Frame::sample(particles, &sampling, &mut Timings::default())?;
+        let frame = Engine::sample(particles, &sampling, &mut Timings::default())?;
         let mesh = frame.surface(&surfacing, &mut Timings::default())?;
         mesh.to_mesh()?;
         let seconds = start.elapsed().as_secs_f64();
@@ -158,7 +158,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         let surfacing = Surfacing { detail, ..surfacing(Sigmas::Cells(1.2).value(), iso.value()) };
         let run = || -> Outcome<_> {
             let start = Instant::now();
-            let frame = Frame::sample(particles, &sampling, &mut Timings::default())?;
+            let frame = Engine::sample(particles, &sampling, &mut Timings::default())?;
             let mesh = frame.surface(&surfacing, &mut Timings::default())?.to_mesh()?;
             Ok((start.elapsed().as_secs_f64(), mesh))
         };

@@ -4,7 +4,7 @@
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
 use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::{Frame, Method, Sampling};
+use meniscus::internals::frame::{Engine, Method, Sampling};
 use meniscus::internals::simulation::frozen::{Measured, Origin, measure};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::timings::Timings;
@@ -62,7 +62,7 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
 
     let height = |step: u32| -> Outcome<f64> {
         let timings = &mut Timings::default();
-        let frame = Frame::sample(&raised(step)[..], &frozen, timings)?;
+        let frame = Engine::sample(&raised(step)[..], &frozen, timings)?;
         let mesh =
             frame.calibrate(&asked, calibration.as_ref(), timings)?.surface(timings)?.to_mesh()?;
         Ok(level(&mesh) - rise(step))

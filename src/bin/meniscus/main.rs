@@ -34,8 +34,8 @@ fn main() -> ExitCode {
 }
 
 fn run() -> ExitCode {
-    process::start_threads();
     let Arguments { command } = Arguments::of_command_line();
+    process::start_threads();
     let verdict = match command {
         Command::Reconstruct(options) => reconstruct::run(&options),
         Command::Pack(options) => pack::run(&options),

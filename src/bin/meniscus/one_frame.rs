@@ -46,11 +46,12 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     if let Some(stats) = &options.stats {
         refuse_same_file(input, stats)?;
         refuse_same_file(&options.output, stats)?;
-        options.prepare_stats()?;
     }
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
+    // In the folder of the output, which is there now.
+    options.prepare_stats()?;
     let preview =
         options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
     if let (Some(preview), Some(stats)) = (&preview, &options.stats) {

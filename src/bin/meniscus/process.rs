@@ -1,6 +1,7 @@
 //! Setting up the process: memory that is freed, files beyond a limit, and threads.
 
 use std::panic::resume_unwind;
+use std::sync::mpsc::channel;
 use std::thread;
 
 /// Bytes of the stack that commands run on: as much as most systems give to a process.
@@ -25,9 +26,19 @@ pub fn on_own_stack<T: Send + 'static>(work: fn() -> T) -> T {
 /// one does their work.
 pub fn start_threads() {
     let all = rayon::ThreadPoolBuilder::new;
-    // The global ones can be tried once only.
-    let builder = match all().build() {
-        Ok(_) => all(),
+    // The global ones can be tried once only: others are tried first, and have ended before.
+    let (ended, ends) = channel();
+    let end = move |_| {
+        let _ = ended.send(());
+    };
+    let tried = all().exit_handler(end).build();
+    let builder = match tried {
+        Ok(pool) => {
+            let threads = pool.current_num_threads();
+            drop(pool);
+            ends.iter().take(threads).for_each(drop);
+            all()
+        }
         Err(_) => all().num_threads(1).use_current_thread(),
     };
     let _ = builder.build_global();

@@ -218,7 +218,8 @@ pub struct SimulationOptions {
     frames: Option<(u64, u64)>,
     /// Go on with a conversion that was begun.
     ///
-    /// Skip what is done, whole, and made with the same settings; make the rest.
+    /// Skip what is done and whole; make the rest. Other settings are refused, unless --overwrite
+    /// allows to make all frames anew.
     #[arg(long, help_heading = "Simulations")]
     pub resume: bool,
     /// Follow a simulation that runs.

@@ -155,7 +155,8 @@ impl Indicator {
     }
 }
 
-/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
+/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1. Cells store numbers, and eq.
+/// 6 is applied when blocks are cut out of them: by [`DifField::gather`], and by `gather.wgsl`.
 pub fn count_table(mean: MeanCount) -> Vec<u16> {
     let mean = mean.particles();
     (0..=mean.floor() as u32)

@@ -109,7 +109,9 @@ pub(in crate::io) fn attribute_names(
     has_normals: bool,
 ) -> Vec<String> {
     let taken: &[&str] = if has_normals { &["Normals"] } else { &[] };
-    told_apart(attributes.iter().map(|info| &*info.name), taken, str::to_owned)
+    // A name has to be a word.
+    let spelled = |name: &str| if name.is_empty() { "_".into() } else { name.to_owned() };
+    told_apart(attributes.iter().map(|info| &*info.name), taken, spelled)
 }
 
 /// A name as the format spells it: one word, whatever it holds.

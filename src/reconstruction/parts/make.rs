@@ -2,7 +2,7 @@
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
-use crate::frame::{Counted, Frame as Engine};
+use crate::frame::{Counted, Engine};
 use crate::grid::stretch::WantedBins;
 use crate::io::input::open_wanted;
 use crate::io::stamp::Stamp;
@@ -10,7 +10,7 @@ use crate::io::wanted::{Wanted, WantedPieces};
 use crate::io::whole::{Replace, WholeFile, sweep};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::{Particles, carried_infos};
-use crate::reconstruction::checked::{Checked, Ready};
+use crate::reconstruction::checked::{Checked, Started};
 use crate::reconstruction::warning::Warning;
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
@@ -19,8 +19,8 @@ use crate::system::timings::Timings;
 
 use super::chunks::Reading;
 use super::file::{Made, Mark, PartFile};
-use super::plan::Plan;
-use super::{Begun, PartMade, Parts, part_in, plan};
+use super::plan_file::Plan;
+use super::{Begun, PartMade, Parts, part_in, plan_file};
 
 /// Blocks of a part, and what a report adds up of it.
 struct Meshed {
@@ -80,13 +80,13 @@ impl Parts {
 
     fn meshed(
         &self,
-        ready: &Ready,
+        ready: &Started,
         plan: &Plan,
         indicator: IndicatorKind,
         mark: Mark,
         timings: &mut Timings,
     ) -> Result<Meshed, Error> {
-        let Ready { checked, threads } = ready;
+        let Started { checked, threads } = ready;
         let control = &checked.resources.control;
         threads.install(|| {
             let wanted = |carried: Vec<usize>| {
@@ -101,7 +101,7 @@ impl Parts {
                 return Ok(Meshed::nothing(plan, 0));
             }
             let changed = || {
-                let (input, plan) = (self.input.clone(), plan::path_in(&self.folder()));
+                let (input, plan) = (self.input.clone(), plan_file::path_in(&self.folder()));
                 PartsError::Changed { input, plan }
             };
             let pieces = WantedPieces::Numbered(&reading.pieces);

@@ -5,7 +5,7 @@ use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
 use crate::frame::{FrameError, Occupied, Sampling, Shortfall, simplified};
 use crate::grid::units::Isovalue;
-use crate::reconstruction::checked::{Checked, Ready};
+use crate::reconstruction::checked::{Checked, Started};
 use crate::reconstruction::draw::Drawn;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
@@ -18,7 +18,7 @@ use crate::system::timings::Timings;
 
 use super::file::PartFile;
 use super::make::{components, mark};
-use super::plan::Plan;
+use super::plan_file::Plan;
 use super::{Begun, Parts, part_in};
 
 /// Contents of the files of all parts.
@@ -42,7 +42,7 @@ impl Parts {
         let begun = self.begin()?;
         let (plan, fingerprint) = self.planned(&begun)?;
         let Begun { checked, folder, indicator } = begun;
-        let Ready { checked, threads } = checked.on_threads()?;
+        let Started { checked, threads } = checked.on_threads()?;
         let mut timings = Timings::default();
         let control = &checked.resources.control;
         let drawn = threads.install(|| {

@@ -16,9 +16,9 @@
 mod chunks;
 mod file;
 mod make;
-mod measure;
 mod merge;
 mod plan;
+mod plan_file;
 
 use std::path::{Path, PathBuf};
 
@@ -37,7 +37,7 @@ use super::checked::Checked;
 use super::output::refuse_same_file;
 use super::warning::Warning;
 
-use plan::Plan;
+use plan_file::Plan;
 
 /// Parts of a mesh, at the most: of more, each would sample far more around its blocks than in
 /// them.
@@ -237,7 +237,7 @@ impl Parts {
     fn planned(&self, begun: &Begun) -> Result<(Plan, u32), Error> {
         let Begun { checked, folder, .. } = begun;
         let Some(found) = Plan::load(folder)? else {
-            return Err(PartsError::NoPlan(plan::path_in(folder)).into());
+            return Err(PartsError::NoPlan(plan_file::path_in(folder)).into());
         };
         found.0.refuse_other(folder, checked, &self.input, self.count)?;
         Ok(found)

@@ -1,246 +1,306 @@
-//! The plan of parts: what a single run would measure, and which blocks each part makes. It is kept
-//! as `plan.json`.
+//! Planning: the frame is sampled once to measure it, and its blocks are shared out.
 
-use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use rayon::prelude::*;
 
-use serde::{Deserialize, Serialize};
-
-use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, PartsError};
-use crate::field::calibration::{Calibrated, Calibration, Plateau};
-use crate::field::indicator::{Indicator, IndicatorKind};
-use crate::frame::{Coincident, Sampling};
-use crate::grid::stretch::Stretch;
-use crate::grid::units::MeanCount;
-use crate::grid::{Grid, MortonKey};
-use crate::io::ReadError;
+use crate::field::indicator::IndicatorKind;
+use crate::frame::estimate::Estimate;
+use crate::frame::{Counted, Engine, Sampling};
+use crate::grid::stretch::{Sight, Stretch};
+use crate::grid::units::MemoryBudget;
+use crate::grid::{MortonKey, block_of_bin};
+use crate::io::input::open_wanted;
 use crate::io::stamp::Stamp;
-use crate::io::whole::{make_folder, replace_small};
-use crate::particles::AttributeInfo;
-use crate::reconstruction::checked::Checked;
-use crate::reconstruction::{Cells, as_numbers};
-use crate::settings::{Kept as KeptSettings, differing};
+use crate::io::whole::sweep;
+use crate::io::{ParticleFile, ReadError, ReadFault};
+use crate::particles::{Particles, carried_infos};
+use crate::reconstruction::checked::{Checked, Started};
+use crate::reconstruction::warning::mean_symmetry;
+use crate::reconstruction::{ChosenSampling, Source};
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
 
-use super::chunks::Chunk;
+use super::plan_file::{Plan, Share, path_in};
+use super::{Again, Begun, PartShare, PartTakes, Parts, Planned, chunks};
 
-/// All that parts and their merging have to know.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Plan {
-    /// The version of this library.
-    pub(super) meniscus: String,
-    /// The request, by the names of the options.
-    pub(super) settings: KeptSettings,
-    /// Whether a calibration was given, which only a caller of the library does.
-    pub(super) calibrated: bool,
-    /// The particles' file.
-    pub(super) input: Stamp,
-    /// Number of particles, whatever becomes of them.
-    pub(super) particles: usize,
-    /// The kind of file, for people.
-    pub(super) format: String,
-    /// The cells that were chosen.
-    pub(super) cells: Cells,
-    pub(super) origin: [f64; 3],
-    /// Whether the grid was moved to suit a lattice.
-    pub(super) moved: bool,
-    pub(super) census: Census,
-    /// mu0 by which counts become the field.
-    pub(super) mean: Option<f64>,
-    /// By what the surface is drawn.
-    #[serde(flatten, with = "as_numbers")]
-    pub(super) calibration: Option<Calibration>,
-    /// By what that was told, unless it was given.
-    pub(super) measured: Option<Measured>,
-    /// Mean indicator of full cells, for symmetry.
-    pub(super) mean_symmetry: Option<f64>,
-    /// Particles in the same place as others.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) coincident: Option<Coincident>,
-    /// Attributes that go to the vertices.
-    pub(super) attributes: Vec<AttributeInfo>,
-    pub(super) parts: Vec<Share>,
-    /// All particles of the input, in their order.
-    pub(super) chunks: Vec<Chunk>,
-}
+/// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and
+/// to sample a particle.
+const CELLS_A_PARTICLE: u64 = 4;
 
-/// By what a calibration was told.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Measured {
-    plateau: Plateau,
-    step_cells: f64,
-}
-
-/// The share of a part.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Share {
-    /// The key of its first block; the next part's first is the first beyond.
-    pub(super) first: u64,
-    /// Particles in its blocks.
-    pub(super) particles: u64,
-    /// Particles that it has to know, around its blocks as well.
-    pub(super) counted: u64,
-}
-
-impl From<Calibrated> for Measured {
-    fn from(Calibrated { plateau, step_cells, .. }: Calibrated) -> Self {
-        Self { plateau, step_cells }
-    }
-}
-
-/// The file of the plan in a folder of parts.
-pub(super) fn path_in(folder: &Path) -> PathBuf {
-    folder.join("plan.json")
-}
-
-impl Plan {
-    /// The plan in a folder, and its fingerprint; `None` where there is none.
-    pub(super) fn load(folder: &Path) -> Result<Option<(Self, u32)>, PartsError> {
-        let path = path_in(folder);
-        let bytes = match fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(fault) => return Err(PartsError::Io { path, fault }),
+impl Parts {
+    /// Measures the frame and shares out its blocks, unless that was done for the same request
+    /// before.
+    ///
+    /// # Errors
+    /// [`Error::Parts`] for a plan that was made for something else, [`Error::Unfit`] for kernels
+    /// and packed frames, which are not made in parts, [`Error::Read`], and [`Error::Frame`] for
+    /// particles that cannot be sampled.
+    pub fn plan(&self) -> Result<Planned, Error> {
+        let begun = self.begin()?;
+        let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
+            Some((plan, _)) => plan
+                .refuse_other(&begun.folder, &begun.checked, &self.input, self.count)
+                .map(|()| Some(plan)),
+            None => Ok(None),
+        });
+        match (found, self.again) {
+            (Ok(Some(plan)), Again::Refuse | Again::Differing) => {
+                return self.told(plan, None, &begun, Timings::default());
+            }
+            (Err(fault), Again::Refuse) => return Err(fault),
+            _ => {}
+        }
+        let Begun { checked, folder, indicator } = begun;
+        let ready = checked.clone().on_threads()?;
+        let mut timings = Timings::default();
+        let (plan, takes) = self.measured(&ready, indicator, &mut timings)?;
+        let save = || {
+            plan.save(&folder)?;
+            sweep(&folder);
+            Ok::<_, PartsError>(())
         };
-        let damaged = |what: String| PartsError::Plan { path: path.clone(), what };
-        let kept: Kept =
-            serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
-        if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
-            return Err(damaged("it is not as it was written".into()));
-        }
-        let Kept { plan, fingerprint } = kept;
-        plan.validate().map_err(damaged)?;
-        Ok(Some((plan, fingerprint)))
+        checked.resources.control.cancel.undisturbed(save)?;
+        self.told(plan, Some(takes), &Begun { checked, folder, indicator }, timings)
     }
 
-    /// Keeps it in a folder in place of any other.
-    pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
-        make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
-        let path = path_in(folder);
-        let kept = Kept { fingerprint: self.fingerprint(), plan: self.clone() };
-        replace_small(&path, &kept.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
-        Ok(kept.fingerprint)
-    }
-
-    /// A number that differs where anything does.
-    fn fingerprint(&self) -> u32 {
-        crc32fast::hash(&serde_json::to_vec(self).expect("string keys and finite depth"))
-    }
-
-    /// Refuses what cannot have been planned.
-    fn validate(&self) -> Result<(), String> {
-        self.grid().map_err(|fault| fault.to_string())?;
-        let first = self.parts.first().ok_or("no parts")?;
-        if first.first != 0 || !self.parts.is_sorted_by_key(|share| share.first) {
-            return Err("its parts are not in order".into());
-        }
-        if self.calibration.is_none() {
-            return Err("no calibration".into());
-        }
-        let listed = self
-            .chunks
-            .iter()
-            .try_fold(0, |all: usize, chunk| all.checked_add(chunk.particles.count));
-        if listed != Some(self.particles) {
-            return Err("its chunks are not all particles".into());
-        }
-        Ok(())
-    }
-
-    /// Refuses to go on with what was planned for something else.
-    pub(super) fn refuse_other(
+    fn told(
         &self,
-        folder: &Path,
-        checked: &Checked,
-        input: &Path,
-        count: u32,
-    ) -> Result<(), Error> {
-        let path = path_in(folder);
-        let mut differing = differing(&self.meniscus, &self.settings, &checked.settings.kept());
-        let mut differs = |name: &str| {
-            differing += if differing.is_empty() { "" } else { ", " };
-            differing += name;
+        plan: Plan,
+        takes: Option<Vec<PartTakes>>,
+        begun: &Begun,
+        timings: Timings,
+    ) -> Result<Planned, Error> {
+        let path = path_in(&begun.folder);
+        let no_calibration =
+            || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
+        let calibration = plan.calibration.ok_or_else(no_calibration)?;
+        let share = |(part, share): (usize, &Share)| PartShare {
+            particles: share.particles,
+            kept: share.counted,
+            takes: takes.as_ref().map(|takes| takes[part]),
         };
-        if self.count() != count {
-            differs("parts");
-        }
-        let same = match checked.calibration {
-            None => !self.calibrated,
-            Some(by) => self.calibrated && self.calibration == Some(by),
-        };
-        if !same {
-            differs("calibration");
-        }
-        if !differing.is_empty() {
-            return Err(PartsError::Settings { path, differing }.into());
-        }
-        let stamp = Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()))?;
-        if stamp != self.input {
-            return Err(PartsError::Changed { input: input.to_owned(), plan: path }.into());
-        }
-        Ok(())
+        Ok(Planned {
+            parts: plan.parts.iter().enumerate().map(share).collect(),
+            particles: plan.particles,
+            moved_to: plan.moved.then_some(plan.origin),
+            format: plan.format,
+            cells: plan.cells,
+            indicator: begun.indicator,
+            census: plan.census,
+            calibration,
+            budget: begun.checked.resources.budget.0,
+            scratch_folder: begun.checked.resources.scratch.clone(),
+            timings,
+            path,
+        })
     }
 
-    pub(super) fn count(&self) -> u32 {
-        self.parts.len() as u32
+    /// Measures the frame, and shares out its blocks; says what each part takes.
+    fn measured(
+        &self,
+        ready: &Started,
+        indicator: IndicatorKind,
+        timings: &mut Timings,
+    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+        let (Started { checked, threads }, input) = (ready, &self.input);
+        let stamp = || Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()));
+        let before = stamp()?;
+        let measured = threads.install(|| {
+            let open = || {
+                let file = open_wanted(input, checked.settings.wanted(), checked.unpacking())?;
+                timings.done("open");
+                let source = Source { path: Some(input), spacing: file.spacing };
+                let chosen = checked.choose(&file.particles, source)?;
+                Ok::<_, Error>((file, chosen))
+            };
+            let (file, chosen) = checked.resources.control.during(Stage::Reading, open)?;
+            timings.done("spacing");
+            self.sampled(checked, indicator, file, chosen, before, timings)
+        });
+        let measured = measured.map_err(|error| error.of_file(input))?;
+        if stamp()? != before {
+            return Err(ReadError::new(input, ReadFault::Changed).into());
+        }
+        Ok(measured)
     }
 
-    pub(super) fn stretch(&self, part: u32) -> Stretch {
-        let key = |part: usize| {
-            self.parts.get(part).map_or(Stretch::ALL.end, |share| MortonKey(share.first))
-        };
-        Stretch { first: key(part as usize), end: key(part as usize + 1) }
-    }
-
-    pub(super) fn grid(&self) -> Result<Grid, crate::grid::units::UnitError> {
-        Grid::new(self.origin.into(), self.cells.size)
-    }
-
-    /// How parts are sampled: as all of it was, and by the mu0 that was measured.
-    pub(super) fn sampling(
+    fn sampled(
         &self,
         checked: &Checked,
-        carried: Vec<usize>,
-    ) -> Result<Sampling, Error> {
-        let mean = self.mean.map(MeanCount::new).transpose()?;
-        let method = checked.sampling.method.with_mean(mean);
-        let resources = checked.resources.clone();
-        let request = checked.sampling.in_slab(self.cells.slab);
-        request.sampling_on(self.grid()?, method, self.cells.spacing(), carried, resources)
-    }
-
-    /// The facts of the whole frame.
-    pub(super) fn facts(&self, sampling: &Sampling) -> FrameFacts {
-        let Sampling { grid, domain, periodic, spacing, .. } = *sampling;
-        FrameFacts { grid, domain, periodic, census: self.census, spacing }
-    }
-
-    /// The indicator of the whole frame, with the mu0 that was measured where it counts.
-    pub(super) fn indicator(&self, kind: IndicatorKind) -> Result<Indicator, Error> {
-        Ok(kind.with_mean(|| MeanCount::new(self.mean.unwrap_or_default()))?)
-    }
-
-    /// The measurements, unless a calibration was given.
-    pub(super) fn calibrated(&self) -> Option<Calibrated> {
-        let (calibration, Measured { plateau, step_cells }) = (self.calibration?, self.measured?);
-        Some(Calibrated { calibration, plateau, step_cells })
+        indicator: IndicatorKind,
+        file: ParticleFile,
+        chosen: ChosenSampling,
+        stamp: Stamp,
+        timings: &mut Timings,
+    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+        let ChosenSampling { sampling, cells, moved, .. } = chosen;
+        let (surfacing, particles) = (&checked.surfacing, &file.particles);
+        let control = &checked.resources.control;
+        // Nothing here asks for attributes.
+        let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
+        let cut = chunks::cut(particles);
+        let watched = chunks::watched(particles, &cut, &sampling.grid);
+        let count = || Counted::for_surface(&watched, &bare, surfacing, None);
+        let counted = control.during(Stage::Counting, count)?;
+        let chunks = chunks::boxed(&cut, &watched, sampling.domain.as_ref());
+        let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
+        timings.done("count");
+        let engine = Engine::sample_counted(counted, bare.resources.budget, timings)?;
+        let calibrated = engine.calibrate(surfacing, checked.calibration.as_ref(), timings)?;
+        let measured = calibrated.measured();
+        let calibration = checked.calibration.or(measured.map(|measured| measured.calibration));
+        let cuts = cuts(&work(&bins, calibrated.passed()), self.count);
+        drop(calibrated);
+        let sampled = engine.dif();
+        let (mean, mean_symmetry) =
+            (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
+        let coincident = engine.coincident();
+        drop(engine);
+        let shared = shared(&bins, &cuts, sampling.sight(indicator, surfacing));
+        let parts = shares(&bins, &cuts, &shared);
+        let plan = Plan {
+            meniscus: env!("CARGO_PKG_VERSION").into(),
+            settings: checked.settings.kept(),
+            calibrated: checked.calibration.is_some(),
+            input: stamp,
+            particles: particles.len(),
+            format: file.format.to_owned(),
+            cells,
+            origin: sampling.grid.origin().to_array(),
+            moved,
+            census,
+            mean: mean.map(|mean| mean.particles()),
+            calibration,
+            measured: measured.map(Into::into),
+            mean_symmetry,
+            coincident,
+            attributes: carried_infos(particles.attributes(), &sampling.carried),
+            parts,
+            chunks,
+        };
+        let takes = (0..).zip(&shared).map(|(part, known)| {
+            let bins = known.iter().map(|&bin| bins[bin as usize]);
+            let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
+            PartTakes::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
+        });
+        let takes = takes.collect();
+        timings.done("share out");
+        Ok((plan, takes))
     }
 }
 
-/// A plan as it is kept.
-#[derive(Serialize, Deserialize)]
-struct Kept {
-    /// CRC-32 of the plan, so that no number in it can change unseen.
-    fingerprint: u32,
-    #[serde(flatten)]
-    plan: Plan,
+/// The block of a bin.
+fn block_of(bin: MortonKey) -> MortonKey {
+    MortonKey::of(block_of_bin(bin.coord()))
 }
 
-impl Kept {
-    fn to_text(&self) -> Vec<u8> {
-        let mut text = serde_json::to_vec_pretty(self).expect("string keys and finite depth");
-        text.push(b'\n');
-        text
+/// How long the blocks take that hold any of some particles by bin, or that a surface may pass
+/// through in so many cells: in particles that are binned, in Morton order.
+fn work(
+    bins: &[(MortonKey, usize)],
+    passed: impl Iterator<Item = (MortonKey, usize)>,
+) -> Vec<(MortonKey, u64)> {
+    let of_particles =
+        bins.iter().map(|&(bin, count)| (block_of(bin), CELLS_A_PARTICLE * count as u64));
+    let mut work: Vec<_> =
+        of_particles.chain(passed.map(|(block, cells)| (block, cells as u64))).collect();
+    work.sort_unstable_by_key(|&(block, _)| block);
+    work.dedup_by(|other, one| {
+        let same = other.0 == one.0;
+        if same {
+            one.1 += other.1;
+        }
+        same
+    });
+    work
+}
+
+/// The first block of each of so many parts, which take about as long as one another: the first has
+/// all before it, too.
+fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
+    let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
+    let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
+    for &(block, work) in work {
+        // A block goes to the part that its middle lies in.
+        let middle = 2 * before + u128::from(work);
+        while (cuts.len() as u128) < u128::from(parts)
+            && middle * u128::from(parts) >= 2 * all * cuts.len() as u128
+        {
+            cuts.push(block);
+        }
+        before += u128::from(work);
+    }
+    cuts.resize(parts as usize, Stretch::ALL.end);
+    cuts
+}
+
+/// The part of a block.
+fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
+    cuts.partition_point(|&first| first <= block) - 1
+}
+
+/// The numbers of the bins that each part has to know.
+fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: Sight) -> Vec<Vec<u32>> {
+    let seen_by = |&(bin, _): &(MortonKey, usize)| {
+        let mut parts: Vec<usize> =
+            sight.blocks(bin.coord()).map(|block| part_of(cuts, MortonKey::of(block))).collect();
+        parts.sort_unstable();
+        parts.dedup();
+        parts
+    };
+    let seen_by: Vec<Vec<usize>> = bins.par_iter().map(seen_by).collect();
+    let mut shared = vec![Vec::new(); cuts.len()];
+    for (bin, parts) in (0..).zip(seen_by) {
+        parts.into_iter().for_each(|part| shared[part].push(bin));
+    }
+    shared
+}
+
+fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) -> Vec<Share> {
+    let mut own = vec![0; cuts.len()];
+    bins.iter().for_each(|&(bin, count)| own[part_of(cuts, block_of(bin))] += count as u64);
+    let counted = |bins_of: &Vec<u32>| bins_of.iter().map(|&bin| bins[bin as usize].1 as u64).sum();
+    let parts = cuts.iter().zip(own).zip(shared.iter().map(counted));
+    parts
+        .map(|((first, particles), counted)| Share { first: first.0, particles, counted })
+        .collect()
+}
+
+impl PartTakes {
+    fn of(estimate: &Estimate, budget: MemoryBudget, input_scratch: u64) -> Self {
+        let plan = estimate.plan(budget);
+        Self {
+            memory: estimate.peak(plan),
+            in_core: estimate.in_core(),
+            scratch: input_scratch + estimate.scratch(plan),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_are_cut_into_parts_of_about_equal_work_whatever_their_number() {
+        let keys = [3, 4, 9, 12, 13, 20_u64];
+        let work: Vec<_> =
+            keys.into_iter().zip([1, 1, 1, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
+        let first = |parts: u32| cuts(&work, parts).iter().map(|key| key.0).collect::<Vec<_>>();
+        assert_eq!(first(1), [0]);
+        assert_eq!(first(2), [0, 12]);
+        assert_eq!(first(3), [0, 9, 13]);
+        assert_eq!(first(6), [0, 4, 9, 12, 13, 20]);
+        // Of more parts than blocks some are empty, and every block is in one.
+        let many = cuts(&work, 20);
+        assert_eq!(many.len(), 20);
+        assert!(many.is_sorted() && many[0].0 == 0);
+        let parts: Vec<usize> = work.iter().map(|&(block, _)| part_of(&many, block)).collect();
+        assert!(parts.is_sorted_by(|a, b| a < b), "{parts:?}");
+        // One that takes longer than all others together is a part alone.
+        let heavy: Vec<_> =
+            keys.into_iter().zip([1, 1, 100, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
+        assert_eq!(cuts(&heavy, 3).iter().map(|key| key.0).collect::<Vec<_>>(), [0, 9, 12]);
+        assert_eq!(cuts(&[], 3), [Stretch::ALL.first, Stretch::ALL.end, Stretch::ALL.end]);
     }
 }

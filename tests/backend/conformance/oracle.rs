@@ -8,7 +8,7 @@ use meniscus::internals::brick::BrickSide;
 use meniscus::internals::field::distance::{AWAY, BRICK, DEPTHS, Inside};
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::Filters;
-use meniscus::internals::frame::{Detail, Frame, Sampling, Surfacing};
+use meniscus::internals::frame::{Detail, Engine, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Domain, Grid};
 use meniscus::internals::system::timings::Timings;
@@ -94,7 +94,7 @@ fn water(seed: u64) -> Vec<[f64; 3]> {
 }
 
 /// The field that the oracle computes.
-fn dense_field(frame: &Frame, Variant { particles, sampling, surfacing }: &Variant) -> Dense<u16> {
+fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Variant) -> Dense<u16> {
     if sampling.method != IndicatorKind::Cloud.into() {
         return oracle(frame, sampling, surfacing).integer(particles);
     }
@@ -104,13 +104,13 @@ fn dense_field(frame: &Frame, Variant { particles, sampling, surfacing }: &Varia
 }
 
 /// What is deep in a frame of clouds.
-fn inside(frame: &Frame, surfacing: &Surfacing) -> Arc<Inside> {
+fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<Inside> {
     let (recipe, _) = recipe(frame, surfacing);
     let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };
     distances.inside
 }
 
-fn distances(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Distances {
+fn distances(frame: &Engine, sampling: &Sampling, surfacing: &Surfacing) -> Distances {
     Distances {
         spacing: sampling.spacing.unwrap(),
         smooth: surfacing.smooth.spacings(),
@@ -119,7 +119,7 @@ fn distances(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Dista
     }
 }
 
-fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
+fn oracle(frame: &Engine, sampling: &Sampling, surfacing: &Surfacing) -> Method {
     let iso = surfacing.iso.unwrap();
     Method {
         indicator: dif(frame).indicator,
@@ -131,7 +131,7 @@ fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
 }
 
 /// The sparse field, block by block as it is meshed, is the dense one; beyond, both are 0.
-fn assert_same_field(frame: &Frame, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
+fn assert_same_field(frame: &Engine, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
     let (recipe, _) = recipe(frame, surfacing);
     let mut cells = 0;
     for block in dense.cells.cubes(BLOCK) {
@@ -153,7 +153,7 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
     for seed in 0..2 {
         for variant in variants(place, seed) {
             let Variant { particles, sampling, surfacing } = &variant;
-            let frame = Frame::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
+            let frame = Engine::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
             let dense = dense_field(&frame, &variant);
             let what = format!(
                 "seed {seed}, {:?}, spacing {:?}, {surfacing:?}",
@@ -170,7 +170,7 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
                 let sampling = Sampling { side, ..sampling.clone() };
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 let frame = pool
-                    .install(|| Frame::sample(&shuffled[..], &sampling, &mut Timings::default()))
+                    .install(|| Engine::sample(&shuffled[..], &sampling, &mut Timings::default()))
                     .unwrap();
                 assert_same_field(&frame, surfacing, &dense, &format!("{what}, {side:?}"));
             }
@@ -279,7 +279,7 @@ fn distances_are_those_of_the_formulas_in_f64_within_a_fiftieth_of_a_spacing() {
     let Ok(place) = Place::cpu();
     for variant in of_clouds(&place, 5) {
         let Variant { particles, sampling, surfacing } = &variant;
-        let frame = Frame::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
+        let frame = Engine::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
         let integer = dense_field(&frame, &variant);
         let real = distances(&frame, sampling, surfacing).real(particles);
         let pairs = integer.iter().zip(real.values).filter(|(_, real)| real.abs() < 1.0);
@@ -325,7 +325,7 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
         let moved: Vec<[f64; 3]> =
             particles.iter().map(|&p| (DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
         let frame = |particles: &[[f64; 3]]| {
-            Frame::sample(particles, &sampling, &mut Timings::default()).unwrap()
+            Engine::sample(particles, &sampling, &mut Timings::default()).unwrap()
         };
         let (here, there) = (frame(&particles), frame(&moved));
         let (recipe, measured) = recipe(&here, &surfacing);

@@ -4,7 +4,7 @@ use glam::DVec3;
 use meniscus::internals::backend::Backend;
 use meniscus::internals::field::calibration::Calibration;
 use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::{Frame, Method, Normals, Sampling, Surfacing};
+use meniscus::internals::frame::{Engine, Method, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::{Domain, Grid, Periodic, PeriodicMesh};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
@@ -41,7 +41,7 @@ fn drawn(
     known: Option<&Calibration>,
 ) -> (Mesh, Option<Calibration>) {
     let timings = &mut Timings::default();
-    let frame = Frame::sample(particles, sampling, timings).unwrap();
+    let frame = Engine::sample(particles, sampling, timings).unwrap();
     let calibrated = frame.calibrate(surfacing, known, timings).unwrap();
     let measured = calibrated.measured().map(|measured| measured.calibration);
     (calibrated.surface(timings).unwrap().to_mesh().unwrap(), measured)

@@ -4,7 +4,7 @@ use glam::{DVec3, IVec3};
 use meniscus::internals::backend::field;
 use meniscus::internals::field::calibration::{Calibrated, Plateau};
 use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::{Frame, Sampling};
+use meniscus::internals::frame::{Engine, Sampling};
 use meniscus::internals::grid::{BIN, CellBox, Grid};
 use meniscus::internals::system::timings::Timings;
 
@@ -17,12 +17,12 @@ const CELLS: f64 = 1.6;
 
 /// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold
 /// little.
-fn frame(place: &Place, indicator: IndicatorKind) -> (Frame, IVec3) {
+fn frame(place: &Place, indicator: IndicatorKind) -> (Engine, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
     let sampling =
         Sampling { method: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
-    let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
     (frame, pool.as_ivec3())

@@ -11,7 +11,7 @@ use meniscus::internals::field::recipe::PaperFilters;
 use meniscus::internals::field::recipe::Recipe;
 use meniscus::internals::frame::estimate::Plan;
 use meniscus::internals::frame::{
-    Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
+    Counted, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::internals::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey, PeriodicMesh};
@@ -462,7 +462,7 @@ pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_err
     let (_, surface) = reconstruct(&particle[..], &of_spacings(place, 1.0), &surfacing());
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
-    let frame = Frame::sample(&particle[..], &place.sampling(), &mut Timings::default()).unwrap();
+    let frame = Engine::sample(&particle[..], &place.sampling(), &mut Timings::default()).unwrap();
     let error = frame.surface(&surfacing(), &mut Timings::default()).unwrap_err();
     assert!(matches!(error, FrameError::NoSurface { .. }), "{error}");
     let iso = Isovalue::new(0.5).unwrap();
@@ -474,7 +474,7 @@ pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_err
 pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
     for indicator in INDICATORS {
-        let surface = Frame::sample(
+        let surface = Engine::sample(
             &particles[..],
             &Sampling { method: indicator.into(), spacing: Some(1.0), ..place.sampling() },
             &mut Timings::default(),

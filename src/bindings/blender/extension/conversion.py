@@ -27,13 +27,14 @@ class Order:
     filters: Filters
 
     def keywords(self) -> dict[str, Any]:
-        """The keywords of the library's conversion: what was done before by the same settings is kept."""
+        """The keywords of the library's conversion: what was done before by the same settings is kept, and anew by others."""
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
         return {name: value for name, value in of if value is not None} | {
             "fps": self.fps,
             "up": "z",
             "particles_up": self.particles_up,
             "resume": True,
+            "overwrite": True,
         }
 
 

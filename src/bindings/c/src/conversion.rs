@@ -20,7 +20,7 @@ pub enum MeniscusEventKind {
     Waiting = 1,
     /// The spacing that a frame says, or looks like, may not be right.
     Doubted = 2,
-    /// The state of an earlier run is of other settings, and is made anew.
+    /// The state of an earlier run is made anew, because settings or its input changed.
     Anew = 3,
     /// The frames of an earlier run are gone on with.
     GoesOn = 4,
@@ -255,7 +255,11 @@ fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
     let ended = summaries.iter().filter_map(|one| one.error.as_ref()).map(ToString::to_string);
     let missing = summaries.iter().flat_map(|one| &one.missing).map(ToString::to_string);
     let Some(first) = failed.chain(ended).chain(missing).next() else { return Ok(()) };
-    let message =
-        format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing);
+    let message = match all.failed + all.missing {
+        0 => first,
+        _ => {
+            format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing)
+        }
+    };
     Err(Failure { status: MeniscusStatus::Incomplete, message })
 }

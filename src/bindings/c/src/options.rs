@@ -102,8 +102,8 @@ options! {
     /// Convert these frames of the simulation only, such as 100..199, as one of several jobs, for
     /// meniscus_convert.
     frames: (u64, u64) = range,
-    /// Resume an interrupted conversion: skip finished frames that were made with the same
-    /// settings, for meniscus_convert.
+    /// Resume an interrupted conversion: skip finished frames. Other settings are refused, unless
+    /// outputs may be overwritten, for meniscus_convert.
     resume: bool = Source::switch,
     /// Replace outputs that exist, for meniscus_convert.
     overwrite: bool = Source::switch,

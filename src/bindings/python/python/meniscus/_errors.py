@@ -32,7 +32,12 @@ class _Sentence(str):
         return _NUMBER.sub("#", str.__str__(self))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Sentence) and self._kind() == other._kind()
+        if isinstance(other, _Sentence):
+            return self._kind() == other._kind()
+        return str.__eq__(self, other)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
 
     def __hash__(self) -> int:
         return hash(self._kind())

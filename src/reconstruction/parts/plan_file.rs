@@ -1,0 +1,246 @@
+//! The plan of parts: what a single run would measure, and which blocks each part makes. It is kept
+//! as `plan.json`.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::brick::{Census, FrameFacts};
+use crate::error::{Error, PartsError};
+use crate::field::calibration::{Calibrated, Calibration, Plateau};
+use crate::field::indicator::{Indicator, IndicatorKind};
+use crate::frame::{Coincident, Sampling};
+use crate::grid::stretch::Stretch;
+use crate::grid::units::MeanCount;
+use crate::grid::{Grid, MortonKey};
+use crate::io::ReadError;
+use crate::io::stamp::Stamp;
+use crate::io::whole::{make_folder, replace_small};
+use crate::particles::AttributeInfo;
+use crate::reconstruction::checked::Checked;
+use crate::reconstruction::{Cells, as_numbers};
+use crate::settings::{Kept as KeptSettings, differing};
+
+use super::chunks::Chunk;
+
+/// All that parts and their merging have to know.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Plan {
+    /// The version of this library.
+    pub(super) meniscus: String,
+    /// The request, by the names of the options.
+    pub(super) settings: KeptSettings,
+    /// Whether a calibration was given, which only a caller of the library does.
+    pub(super) calibrated: bool,
+    /// The particles' file.
+    pub(super) input: Stamp,
+    /// Number of particles, whatever becomes of them.
+    pub(super) particles: usize,
+    /// The kind of file, for people.
+    pub(super) format: String,
+    /// The cells that were chosen.
+    pub(super) cells: Cells,
+    pub(super) origin: [f64; 3],
+    /// Whether the grid was moved to suit a lattice.
+    pub(super) moved: bool,
+    pub(super) census: Census,
+    /// mu0 by which counts become the field.
+    pub(super) mean: Option<f64>,
+    /// By what the surface is drawn.
+    #[serde(flatten, with = "as_numbers")]
+    pub(super) calibration: Option<Calibration>,
+    /// By what that was told, unless it was given.
+    pub(super) measured: Option<Measured>,
+    /// Mean indicator of full cells, for symmetry.
+    pub(super) mean_symmetry: Option<f64>,
+    /// Particles in the same place as others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) coincident: Option<Coincident>,
+    /// Attributes that go to the vertices.
+    pub(super) attributes: Vec<AttributeInfo>,
+    pub(super) parts: Vec<Share>,
+    /// All particles of the input, in their order.
+    pub(super) chunks: Vec<Chunk>,
+}
+
+/// By what a calibration was told.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Measured {
+    plateau: Plateau,
+    step_cells: f64,
+}
+
+/// The share of a part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Share {
+    /// The key of its first block; the next part's first is the first beyond.
+    pub(super) first: u64,
+    /// Particles in its blocks.
+    pub(super) particles: u64,
+    /// Particles that it has to know, around its blocks as well.
+    pub(super) counted: u64,
+}
+
+impl From<Calibrated> for Measured {
+    fn from(Calibrated { plateau, step_cells, .. }: Calibrated) -> Self {
+        Self { plateau, step_cells }
+    }
+}
+
+/// The file of the plan in a folder of parts.
+pub(super) fn path_in(folder: &Path) -> PathBuf {
+    folder.join("plan.json")
+}
+
+impl Plan {
+    /// The plan in a folder, and its fingerprint; `None` where there is none.
+    pub(super) fn load(folder: &Path) -> Result<Option<(Self, u32)>, PartsError> {
+        let path = path_in(folder);
+        let bytes = match fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(fault) => return Err(PartsError::Io { path, fault }),
+        };
+        let damaged = |what: String| PartsError::Plan { path: path.clone(), what };
+        let kept: Kept =
+            serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
+        if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
+            return Err(damaged("it is not as it was written".into()));
+        }
+        let Kept { plan, fingerprint } = kept;
+        plan.validate().map_err(damaged)?;
+        Ok(Some((plan, fingerprint)))
+    }
+
+    /// Keeps it in a folder in place of any other.
+    pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
+        make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
+        let path = path_in(folder);
+        let kept = Kept { fingerprint: self.fingerprint(), plan: self.clone() };
+        replace_small(&path, &kept.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
+        Ok(kept.fingerprint)
+    }
+
+    /// A number that differs where anything does.
+    fn fingerprint(&self) -> u32 {
+        crc32fast::hash(&serde_json::to_vec(self).expect("string keys and finite depth"))
+    }
+
+    /// Refuses what cannot have been planned.
+    fn validate(&self) -> Result<(), String> {
+        self.grid().map_err(|fault| fault.to_string())?;
+        let first = self.parts.first().ok_or("no parts")?;
+        if first.first != 0 || !self.parts.is_sorted_by_key(|share| share.first) {
+            return Err("its parts are not in order".into());
+        }
+        if self.calibration.is_none() {
+            return Err("no calibration".into());
+        }
+        let listed = self
+            .chunks
+            .iter()
+            .try_fold(0, |all: usize, chunk| all.checked_add(chunk.particles.count));
+        if listed != Some(self.particles) {
+            return Err("its chunks are not all particles".into());
+        }
+        Ok(())
+    }
+
+    /// Refuses to go on with what was planned for something else.
+    pub(super) fn refuse_other(
+        &self,
+        folder: &Path,
+        checked: &Checked,
+        input: &Path,
+        count: u32,
+    ) -> Result<(), Error> {
+        let path = path_in(folder);
+        let mut differing = differing(&self.meniscus, &self.settings, &checked.settings.kept());
+        let mut differs = |name: &str| {
+            differing += if differing.is_empty() { "" } else { ", " };
+            differing += name;
+        };
+        if self.count() != count {
+            differs("parts");
+        }
+        let same = match checked.calibration {
+            None => !self.calibrated,
+            Some(by) => self.calibrated && self.calibration == Some(by),
+        };
+        if !same {
+            differs("calibration");
+        }
+        if !differing.is_empty() {
+            return Err(PartsError::Settings { path, differing }.into());
+        }
+        let stamp = Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()))?;
+        if stamp != self.input {
+            return Err(PartsError::Changed { input: input.to_owned(), plan: path }.into());
+        }
+        Ok(())
+    }
+
+    pub(super) fn count(&self) -> u32 {
+        self.parts.len() as u32
+    }
+
+    pub(super) fn stretch(&self, part: u32) -> Stretch {
+        let key = |part: usize| {
+            self.parts.get(part).map_or(Stretch::ALL.end, |share| MortonKey(share.first))
+        };
+        Stretch { first: key(part as usize), end: key(part as usize + 1) }
+    }
+
+    pub(super) fn grid(&self) -> Result<Grid, crate::grid::units::UnitError> {
+        Grid::new(self.origin.into(), self.cells.size)
+    }
+
+    /// How parts are sampled: as all of it was, and by the mu0 that was measured.
+    pub(super) fn sampling(
+        &self,
+        checked: &Checked,
+        carried: Vec<usize>,
+    ) -> Result<Sampling, Error> {
+        let mean = self.mean.map(MeanCount::new).transpose()?;
+        let method = checked.sampling.method.with_mean(mean);
+        let resources = checked.resources.clone();
+        let request = checked.sampling.in_slab(self.cells.slab);
+        request.sampling_on(self.grid()?, method, self.cells.spacing(), carried, resources)
+    }
+
+    /// The facts of the whole frame.
+    pub(super) fn facts(&self, sampling: &Sampling) -> FrameFacts {
+        let Sampling { grid, domain, periodic, spacing, .. } = *sampling;
+        FrameFacts { grid, domain, periodic, census: self.census, spacing }
+    }
+
+    /// The indicator of the whole frame, with the mu0 that was measured where it counts.
+    pub(super) fn indicator(&self, kind: IndicatorKind) -> Result<Indicator, Error> {
+        Ok(kind.with_mean(|| MeanCount::new(self.mean.unwrap_or_default()))?)
+    }
+
+    /// The measurements, unless a calibration was given.
+    pub(super) fn calibrated(&self) -> Option<Calibrated> {
+        let (calibration, Measured { plateau, step_cells }) = (self.calibration?, self.measured?);
+        Some(Calibrated { calibration, plateau, step_cells })
+    }
+}
+
+/// A plan as it is kept.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    /// CRC-32 of the plan, so that no number in it can change unseen.
+    fingerprint: u32,
+    #[serde(flatten)]
+    plan: Plan,
+}
+
+impl Kept {
+    fn to_text(&self) -> Vec<u8> {
+        let mut text = serde_json::to_vec_pretty(self).expect("string keys and finite depth");
+        text.push(b'\n');
+        text
+    }
+}
