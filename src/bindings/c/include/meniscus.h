@@ -28,7 +28,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// Outcome of a call: whose fault it is if it failed. The numbers are those that the program `meniscus` exits with.
+// Outcome of a call: whose fault it is if it failed. The numbers are those that the program
+// `meniscus` exits with.
 enum MeniscusStatus
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -46,7 +47,8 @@ enum MeniscusStatus
   MENISCUS_STATUS_OUTPUT = 4,
   // The Vulkan device that was asked for cannot be used.
   MENISCUS_STATUS_DEVICE = 5,
-  // A bug of the library: please report it. The handles that the call was given are fit for nothing but to be freed.
+  // A bug of the library: please report it. The handles that the call was given are fit for
+  // nothing but to be freed.
   MENISCUS_STATUS_INTERNAL = 70,
   // A callback or another thread asked for an early end.
   MENISCUS_STATUS_CANCELLED = 130,
@@ -146,7 +148,7 @@ enum MeniscusEventKind
   MENISCUS_EVENT_KIND_WAITING = 1,
   // The spacing that a frame says, or looks like, may not be right.
   MENISCUS_EVENT_KIND_DOUBTED = 2,
-  // The state of an earlier run is of other settings, and is made anew.
+  // The state of an earlier run is made anew, because settings or its input changed.
   MENISCUS_EVENT_KIND_ANEW = 3,
   // The frames of an earlier run are gone on with.
   MENISCUS_EVENT_KIND_GOES_ON = 4,
@@ -175,12 +177,13 @@ typedef int32_t MeniscusEventKind;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// A handle to end work early from any thread. Work that was begun with it, or is begun later, ends with MENISCUS_STATUS_CANCELLED: a
-// handle is not used again once it was cancelled. It may be freed while such work runs.
+// A handle to end work early from any thread. Work that was begun with it, or is begun later, ends
+// with MENISCUS_STATUS_CANCELLED: a handle is not used again once it was cancelled. It may be
+// freed while such work runs.
 typedef struct MeniscusCancel MeniscusCancel;
 
-// A frame that was sampled: particles as a field, from which surfaces are drawn by other filters without the particles. Freed by
-// meniscus_frame_free.
+// A frame that was sampled: particles as a field, from which surfaces are drawn by other filters
+// without the particles. Freed by meniscus_frame_free.
 //
 // Several threads may use it at once, as long as none frees it.
 typedef struct MeniscusFrame MeniscusFrame;
@@ -202,10 +205,11 @@ typedef struct MeniscusMesh MeniscusMesh;
 // them.
 typedef struct MeniscusOptions MeniscusOptions;
 
-// A simulation whose frames come from memory, one after the other. Freed by meniscus_simulation_free.
+// A simulation whose frames come from memory, one after the other. Freed by
+// meniscus_simulation_free.
 //
-// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters reach, and frozen: the frames from
-// then on are alike. It makes one frame at a time.
+// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters
+// reach, and frozen: the frames from then on are alike. It makes one frame at a time.
 typedef struct MeniscusSimulation MeniscusSimulation;
 
 // The end of a conversion. The caller sets `size`, and the library fills the rest.
@@ -226,29 +230,35 @@ typedef struct MeniscusSummary {
   double seconds;
 } MeniscusSummary;
 
-// A value that every particle carries: one number, or several. To be filled with zeros but for what is said.
+// A value that every particle carries: one number, or several. To be filled with zeros but for
+// what is said.
 typedef struct MeniscusAttribute {
   // sizeof(MeniscusAttribute).
   size_t size;
-  // The name, by which it is asked for and the vertices have it. "velocity" of three components, or another usual name of it such as
-  // "v" or "vel", is carried to the vertices where nothing else is asked for.
+  // The name, by which it is asked for and the vertices have it. "velocity" of three components,
+  // or another usual name of it such as "v" or "vel", is carried to the vertices where nothing
+  // else is asked for.
   const char *name;
   // The first number of the first particle; need not be aligned.
   const void *values;
-  // Bytes from a particle's first number to the next particle's; 0 where values lie side by side. May be negative.
+  // Bytes from a particle's first number to the next particle's; 0 where values lie side by
+  // side. May be negative.
   ptrdiff_t stride;
-  // Bytes from one number of a particle to its next; 0 where they lie side by side. May be negative.
+  // Bytes from one number of a particle to its next; 0 where they lie side by side. May be
+  // negative.
   ptrdiff_t component_stride;
   // Numbers per particle, from 1 to 65536.
   uint32_t components;
-  // The type of the numbers, one of MeniscusType. They are carried as float: a double that is not finite as such counts as none.
+  // The type of the numbers, one of MeniscusType. They are carried as float: a double that is
+  // not finite as such counts as none.
   int32_t number;
 } MeniscusAttribute;
 
 // Particles in memory. To be filled with zeros but for what is said.
 //
-// They are read where they are, several times and by several threads, while the call lasts that is given them, and must stay as they
-// are meanwhile. Positions are in any unit, the same for all lengths.
+// They are read where they are, several times and by several threads, while the call lasts that is
+// given them, and must stay as they are meanwhile. Positions are in any unit, the same for all
+// lengths.
 typedef struct MeniscusParticles {
   // sizeof(MeniscusParticles).
   size_t size;
@@ -256,7 +266,8 @@ typedef struct MeniscusParticles {
   uint64_t count;
   // The first particle's x; need not be aligned.
   const void *positions;
-  // Bytes from a particle's x to the next particle's; 0 where positions lie side by side. May be negative.
+  // Bytes from a particle's x to the next particle's; 0 where positions lie side by side. May be
+  // negative.
   ptrdiff_t stride;
   // Bytes from x to y, and from y to z; 0 where they lie side by side. May be negative.
   ptrdiff_t component_stride;
@@ -280,8 +291,8 @@ typedef struct MeniscusMeshAttribute {
   uint64_t components;
 } MeniscusMeshAttribute;
 
-// A mesh in memory of the library's. The caller sets `size`, and the library fills the rest; all pointers are valid until the mesh is
-// freed, and NULL where there is nothing.
+// A mesh in memory of the library's. The caller sets `size`, and the library fills the rest; all
+// pointers are valid until the mesh is freed, and NULL where there is nothing.
 typedef struct MeniscusArrays {
   // sizeof(MeniscusArrays).
   size_t size;
@@ -301,7 +312,8 @@ typedef struct MeniscusArrays {
   size_t attribute_count;
 } MeniscusArrays;
 
-// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the unit of the positions.
+// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the
+// unit of the positions.
 typedef struct MeniscusReport {
   // sizeof(MeniscusReport).
   size_t size;
@@ -387,11 +399,11 @@ typedef struct MeniscusProgress {
   int32_t stage;
 } MeniscusProgress;
 
-// A function that is told of progress. It returns 0 for the work to go on, and anything else to end it early: the call then returns
-// MENISCUS_STATUS_CANCELLED.
+// A function that is told of progress. It returns 0 for the work to go on, and anything else to
+// end it early: the call then returns MENISCUS_STATUS_CANCELLED.
 //
-// It is called from threads of the library, but never from two at once in the same call, and never after the call has returned. It
-// must not throw, nor leave by longjmp.
+// It is called from threads of the library, but never from two at once in the same call, and never
+// after the call has returned. It must not throw, nor leave by longjmp.
 typedef int32_t (*MeniscusProgressCallback)(void *user, const struct MeniscusProgress *progress);
 
 // An event of a conversion. The library fills it, and a later version may put more behind.
@@ -400,7 +412,8 @@ typedef struct MeniscusEvent {
   size_t size;
   // The event as a line for people; valid during the callback.
   const char *text;
-  // The doubts about a frame that is done, a line each; NULL where there are none. Valid during the callback.
+  // The doubts about a frame that is done, a line each; NULL where there are none. Valid during
+  // the callback.
   const char *warnings;
   // The number of the frame, for stages, and for frames that are done or failed.
   uint64_t frame;
@@ -416,10 +429,11 @@ typedef struct MeniscusEvent {
   double share;
 } MeniscusEvent;
 
-// A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
-// stay.
+// A function that is told of events. It returns 0 for the conversion to go on, and anything else
+// to end it early: frames that are done stay.
 //
-// It is called on the thread that called meniscus_convert. It must not throw, nor leave by longjmp.
+// It is called on the thread that called meniscus_convert. It must not throw, nor leave by
+// longjmp.
 typedef int32_t (*MeniscusEventCallback)(void *user, const struct MeniscusEvent *event);
 
 #ifdef __cplusplus
@@ -432,7 +446,8 @@ const char *meniscus_version(void);
 // Makes a handle, to be freed by meniscus_cancel_free.
 struct MeniscusCancel *meniscus_cancel_new(void);
 
-// Asks all work with this handle to end soon. May be called from any thread, at any time; NULL is ignored.
+// Asks all work with this handle to end soon. May be called from any thread, at any time; NULL is
+// ignored.
 //
 // `cancel` is NULL, or a handle that is not freed yet.
 void meniscus_cancel(const struct MeniscusCancel *cancel);
@@ -442,14 +457,16 @@ void meniscus_cancel(const struct MeniscusCancel *cancel);
 // `cancel` is NULL, or a handle that is not freed yet.
 void meniscus_cancel_free(struct MeniscusCancel *cancel);
 
-// Converts the frames of a simulation from files to files, as the program does: all alike, side by side, whole or not at all.
+// Converts the frames of a simulation from files to files, as the program does: all alike, side by
+// side, whole or not at all.
 //
 // `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
 // files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
 // `options`: which frames, and how; NULL for all defaults. Their progress function is not called.
 // `summary`: NULL, or where to put what was done.
 //
-// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are done: the message says of the first.
+// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are
+// done: the message says of the first.
 //
 // Pointers are NULL or point to what they say.
 MeniscusStatus meniscus_convert(const char *const *inputs,
@@ -460,10 +477,12 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 
 // Reconstructs the surface of particles in memory.
 //
-// `options` may be NULL for all defaults. `mesh`: where to put the mesh, to be freed by meniscus_mesh_free; NULL where it fails.
+// `options` may be NULL for all defaults. `mesh`: where to put the mesh, to be freed by
+// meniscus_mesh_free; NULL where it fails.
 //
-// MENISCUS_STATUS_REQUEST for arguments and options that are wrong, and for memory that does not do; MENISCUS_STATUS_INPUT for
-// particles that are not finite or too far away, have no surface, or are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
+// MENISCUS_STATUS_REQUEST for arguments and options that are wrong, and for memory that does not
+// do; MENISCUS_STATUS_INPUT for particles that are not finite or too far away, have no surface, or
+// are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
 //
 // Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
@@ -472,7 +491,8 @@ MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
 
 // Reconstructs the surface of the particles in a file, or of a packed frame.
 //
-// `path`: any file that the program reads; one of several steps has a number behind a colon. Otherwise as meniscus_reconstruct.
+// `path`: any file that the program reads; one of several steps has a number behind a colon.
+// Otherwise as meniscus_reconstruct.
 //
 // Pointers are NULL or point to what they say.
 MeniscusStatus meniscus_reconstruct_file(const char *path,
@@ -481,8 +501,8 @@ MeniscusStatus meniscus_reconstruct_file(const char *path,
 
 // Samples particles in memory once, for surfaces that may be drawn otherwise again and again.
 //
-// `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails. Otherwise as meniscus_reconstruct. The
-// particles are not needed any more afterwards.
+// `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails.
+// Otherwise as meniscus_reconstruct. The particles are not needed any more afterwards.
 //
 // Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_sample(const struct MeniscusParticles *particles,
@@ -498,18 +518,21 @@ MeniscusStatus meniscus_sample_file(const char *path,
 
 // Draws a surface of a frame.
 //
-// `options`: NULL for the surface that was asked for when it was sampled. Else whatever does not need the particles again, from the
-// width of smoothing to simplifying; what says how particles are sampled may be as it was, and is refused otherwise
-// (MENISCUS_STATUS_REQUEST). Memory, threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
+// `options`: NULL for the surface that was asked for when it was sampled. Else whatever does not
+// need the particles again, from the width of smoothing to simplifying; what says how particles
+// are sampled may be as it was, and is refused otherwise (MENISCUS_STATUS_REQUEST). Memory,
+// threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
 //
 // Pointers are NULL or point to what they say.
 MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
                                       const struct MeniscusOptions *options,
                                       struct MeniscusMesh **mesh);
 
-// Writes a frame to a .mnf file, whole or not at all, to be surfaced later by meniscus_reconstruct_file or meniscus_sample_file.
+// Writes a frame to a .mnf file, whole or not at all, to be surfaced later by
+// meniscus_reconstruct_file or meniscus_sample_file.
 //
-// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's size.
+// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
+// size.
 //
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_frame_pack(const struct MeniscusFrame *frame,
@@ -522,7 +545,8 @@ MeniscusStatus meniscus_frame_pack(const struct MeniscusFrame *frame,
 // `frame` is NULL, or a handle that is not freed yet.
 size_t meniscus_frame_warning_count(const struct MeniscusFrame *frame);
 
-// Returns a doubt by its number from 0, for people; valid until the frame is freed. NULL where there is no such doubt.
+// Returns a doubt by its number from 0, for people; valid until the frame is freed. NULL where
+// there is no such doubt.
 //
 // `frame` is NULL, or a handle that is not freed yet.
 const char *meniscus_frame_warning(const struct MeniscusFrame *frame, size_t index);
@@ -534,25 +558,27 @@ void meniscus_frame_free(struct MeniscusFrame *frame);
 
 // Starts threads for a simulation, of which nothing is known yet.
 //
-// `options` may be NULL for all defaults; its callback and what that is given have to be there until the simulation is freed. A callback
-// ends one frame early, a handle also all that come later. `simulation`: where to put the handle, to be freed by
-// meniscus_simulation_free; NULL where it fails.
+// `options` may be NULL for all defaults; its callback and what that is given have to be there
+// until the simulation is freed. A callback ends one frame early, a handle also all that come
+// later. `simulation`: where to put the handle, to be freed by meniscus_simulation_free; NULL
+// where it fails.
 //
 // Pointers are NULL or point to what they say.
-MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options,
-                                       struct MeniscusSimulation **simulation);
+MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options, struct MeniscusSimulation **simulation);
 
 // Reconstructs the surface of the next frame.
 //
-// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what meniscus_reconstruct does; the next frame may
-// do better than one that fails. MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
+// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what
+// meniscus_reconstruct does; the next frame may do better than one that fails.
+// MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
 //
 // Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_simulation_frame(struct MeniscusSimulation *simulation,
                                          const struct MeniscusParticles *particles,
                                          struct MeniscusMesh **mesh);
 
-// Returns 1 once cells, grid and calibration are frozen, else 0; 0 of NULL, and while a frame is made.
+// Returns 1 once cells, grid and calibration are frozen, else 0; 0 of NULL, and while a frame is
+// made.
 //
 // `simulation` is NULL, or a handle that is not freed yet.
 int32_t meniscus_simulation_is_settled(const struct MeniscusSimulation *simulation);
@@ -587,26 +613,25 @@ int32_t meniscus_mesh_has_normals(const struct MeniscusMesh *mesh);
 // `mesh` is NULL, or a handle that is not freed yet.
 size_t meniscus_mesh_attribute_count(const struct MeniscusMesh *mesh);
 
-// Returns the name of an attribute by its number from 0, valid until the mesh is freed; NULL where there is no such attribute.
+// Returns the name of an attribute by its number from 0, valid until the mesh is freed; NULL where
+// there is no such attribute.
 //
 // `mesh` is NULL, or a handle that is not freed yet.
-const char *meniscus_mesh_attribute_name(const struct MeniscusMesh *mesh,
-                                         size_t index);
+const char *meniscus_mesh_attribute_name(const struct MeniscusMesh *mesh, size_t index);
 
-// Returns the numbers per vertex of an attribute by its number from 0; 0 where there is no such attribute.
+// Returns the numbers per vertex of an attribute by its number from 0; 0 where there is no such
+// attribute.
 //
 // `mesh` is NULL, or a handle that is not freed yet.
 uint64_t meniscus_mesh_attribute_components(const struct MeniscusMesh *mesh, size_t index);
 
 // Copies the vertices' positions as float: 3 numbers a vertex.
 //
-// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to float moves vertices that are far from
-// the origin.
+// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to
+// float moves vertices that are far from the origin.
 //
 // Pointers are NULL or as is said.
-MeniscusStatus meniscus_mesh_positions_f32(const struct MeniscusMesh *mesh,
-                                           float *out,
-                                           uint64_t capacity);
+MeniscusStatus meniscus_mesh_positions_f32(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
 // Copies the vertices' positions as double: 3 numbers a vertex.
 //
@@ -615,72 +640,76 @@ MeniscusStatus meniscus_mesh_positions_f32(const struct MeniscusMesh *mesh,
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_positions_f64(const struct MeniscusMesh *mesh, double *out, uint64_t capacity);
 
-// Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from outside.
+// Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from
+// outside.
 //
-// `capacity`: the numbers that `out` has room for, at least 3 times the triangles. MENISCUS_STATUS_REQUEST for a mesh of more than
-// 2^32 vertices.
+// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
+// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
 // Pointers are NULL or as is said.
-MeniscusStatus meniscus_mesh_triangles_u32(const struct MeniscusMesh *mesh,
-                                           uint32_t *out,
-                                           uint64_t capacity);
+MeniscusStatus meniscus_mesh_triangles_u32(const struct MeniscusMesh *mesh, uint32_t *out, uint64_t capacity);
 
-// Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from outside.
+// Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from
+// outside.
 //
 // `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
 //
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_triangles_u64(const struct MeniscusMesh *mesh, uint64_t *out, uint64_t capacity);
 
-// Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST where none were asked for.
+// Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST
+// where none were asked for.
 //
 // `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
 //
 // Pointers are NULL or as is said.
-MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh,
-                                     float *out,
-                                     uint64_t capacity);
+MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
-// Copies an attribute of the vertices by its number from 0: all components of one vertex after the other.
+// Copies an attribute of the vertices by its number from 0: all components of one vertex after the
+// other.
 //
 // `capacity`: the numbers that `out` has room for, at least the vertices times the components.
 //
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_attribute(const struct MeniscusMesh *mesh, size_t index, float *out, uint64_t capacity);
 
-// Lends the whole mesh, in memory that the library allocates with the first such call, and frees with the mesh.
-// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+// Lends the whole mesh, in memory that the library allocates with the first such call, and frees
+// with the mesh. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
-// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure of the size that it says.
-MeniscusStatus meniscus_mesh_arrays(const struct MeniscusMesh *mesh,
-                                    struct MeniscusArrays *arrays);
+// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure of
+// the size that it says.
+MeniscusStatus meniscus_mesh_arrays(const struct MeniscusMesh *mesh, struct MeniscusArrays *arrays);
 
 // Returns the number of doubts about the surface, or about the request for it; 0 of NULL.
 //
 // `mesh` is NULL, or a handle that is not freed yet.
 size_t meniscus_mesh_warning_count(const struct MeniscusMesh *mesh);
 
-// Returns a doubt by its number from 0, for people; valid until the mesh is freed. NULL where there is no such doubt.
+// Returns a doubt by its number from 0, for people; valid until the mesh is freed. NULL where
+// there is no such doubt.
 //
 // `mesh` is NULL, or a handle that is not freed yet.
 const char *meniscus_mesh_warning(const struct MeniscusMesh *mesh, size_t index);
 
 // Tells how the mesh was made.
 //
-// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure of the size that it says.
-MeniscusStatus meniscus_mesh_report(const struct MeniscusMesh *mesh,
-                                    struct MeniscusReport *report);
+// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure of
+// the size that it says.
+MeniscusStatus meniscus_mesh_report(const struct MeniscusMesh *mesh, struct MeniscusReport *report);
 
-// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Takes memory for a copy of the mesh, as
-// meniscus_mesh_arrays does.
+// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Takes memory for a
+// copy of the mesh, as meniscus_mesh_arrays does.
 //
-// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure of the size that it says.
+// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure of
+// the size that it says.
 MeniscusStatus meniscus_mesh_check(const struct MeniscusMesh *mesh, struct MeniscusCheck *check);
 
-// Writes the mesh to a file whose extension says the format: whole or not at all, and the same bytes as the program writes.
+// Writes the mesh to a file whose extension says the format: whole or not at all, and the same
+// bytes as the program writes.
 //
-// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's size. The axis that points up and the
-// compression are those of the options that the mesh was made by.
+// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
+// size. The axis that points up and the compression are those of the options that the mesh was
+// made by.
 //
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
@@ -688,11 +717,12 @@ MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
                                    int32_t overwrite,
                                    uint64_t *bytes);
 
-// Tells what the format of a file would make of the mesh that is worth a warning, in lines of text, and puts it into the caller's
-// buffer, cut short where that is too small, and ended by a NUL.
+// Tells what the format of a file would make of the mesh that is worth a warning, in lines of
+// text, and puts it into the caller's buffer, cut short where that is too small, and ended by a
+// NUL.
 //
-// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the whole text takes, without the NUL: 0
-// where there is no warning.
+// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the
+// whole text takes, without the NUL: 0 where there is no warning.
 //
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_format_warnings(const struct MeniscusMesh *mesh,
@@ -785,11 +815,11 @@ const char *meniscus_options_help(size_t index);
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_check_output(const char *path, const struct MeniscusOptions *options, int32_t overwrite);
 
-// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what is wrong, and where. Empty where
-// there was none.
+// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what
+// is wrong, and where. Empty where there was none.
 //
-// Each thread has its own, so that threads do not see each other's. The text is the library's: it is valid until the next call on
-// this thread fails, or the thread ends.
+// Each thread has its own, so that threads do not see each other's. The text is the library's: it
+// is valid until the next call on this thread fails, or the thread ends.
 const char *meniscus_last_error(void);
 
 #ifdef __cplusplus
