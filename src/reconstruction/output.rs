@@ -18,7 +18,7 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use crate::settings::Settings;
 
-/// What an output in progress has made: removed where it does not get its name.
+/// Files and folders of an output in progress: removed where it does not get its name.
 #[derive(Debug)]
 pub(crate) struct Held {
     unfinished: Unfinished,

@@ -35,7 +35,7 @@ pub enum Event {
     Anew {
         /// The state's file.
         state: PathBuf,
-        /// What changed: settings by their names, or the frame whose input did.
+        /// Settings that changed, by their names, or the frame whose input did.
         differing: String,
     },
     /// The frames of an earlier run are gone on with.
