@@ -230,7 +230,10 @@ static void files_are_refused(const char *folder) {
   WRITE(REQUEST, "path is NULL", meniscus_mesh_write(made, NULL, 0, NULL));
   WRITE(REQUEST, "mesh is NULL", meniscus_mesh_write(NULL, path, 0, NULL));
   WRITE(REQUEST, "mesh.doc", meniscus_mesh_write(made, "mesh.doc", 0, NULL));
-  WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, "there/is/none/mesh.ply", 0, NULL));
+  // A folder that is missing is made, but not in the place of a file.
+  char below[sizeof path + 32];
+  snprintf(below, sizeof below, "%s/none/mesh.ply", path);
+  WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, below, 0, NULL));
   WRITE(REQUEST, "exists already", meniscus_check_output(path, NULL, 0));
   OK(meniscus_check_output(path, NULL, 1));
   MeniscusOptions *heat = OPTIONS("attributes", "heat");
