@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, Scope};
+use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -16,6 +17,7 @@ use crate::io::series::Series;
 use crate::particles::Particles;
 use crate::reconstruction::Checked;
 use crate::system::cancel::Cancel;
+use crate::system::control::Progress;
 
 use super::event::{Event, Summary};
 use super::gate::Gate;
@@ -27,6 +29,9 @@ use super::setup::{POLL, Setup};
 use super::state::{State, Store};
 use super::tally::Tally;
 use super::watch::{Ready, Watch};
+
+/// Between two events that tell how much of a stage is done, at the least.
+const BETWEEN_NEWS: Duration = Duration::from_millis(50);
 
 /// Settles at last that it cannot be known: whatever happens, nobody waits for ever.
 struct AtLast<'a>(&'a OnceLock<Option<Settled>>);
@@ -258,10 +263,20 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame, whose progress is told as that of its lane.
+    /// The request for a frame, whose progress is told as that of its lane: where a stage begins and
+    /// ends, and now and then in between, for every event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: u64) -> Checked {
         let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
-        let tell = move |progress| {
+        let told = Mutex::new(Instant::now());
+        let tell = move |progress: Progress| {
+            let is_end = progress.done <= 0.0 || progress.done >= 1.0;
+            if !is_end {
+                let Ok(mut told) = told.try_lock() else { return };
+                if told.elapsed() < BETWEEN_NEWS {
+                    return;
+                }
+                *told = Instant::now();
+            }
             teller.tell(Event::Stage { lane, frame, progress: Some(progress) });
         };
         checked.resources.control.progress = Some(Arc::new(tell));
