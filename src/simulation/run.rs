@@ -245,27 +245,21 @@ impl Simulation {
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoneWanted(setup.sequence.describe()).into());
         }
-        // Looked for before the state: a state is there before the first output of its conversion
-        // is.
-        let is_there = |frames: &mut dyn Iterator<Item = &FrameFile>| {
-            frames.map(|frame| setup.output(frame)).find(|path| path.exists())
-        };
-        let output = is_there(&mut wanted.iter().copied());
-        let any_output = is_there(&mut frames.iter());
-        let listing = series.files().into_iter().find(|path| path.exists());
+        // Without a state, what is there is not of this conversion. Looked for before the state: a
+        // state is there before the first output of its conversion is.
+        let is_new = !self.overwrite && store.text()?.is_none();
+        let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
+        let there = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
         let found = setup.kept_state(&store, &frames)?;
-        if !self.overwrite {
-            let refused = match (&found, output, any_output.or(listing)) {
-                // Without a state it is not this conversion's.
-                (Found::Nothing, _, other) => other.map(|path| (path, WriteFault::Exists)),
-                (_, Some(path), _) if !self.resume && !self.planned => {
-                    Some((path, WriteFault::ExistsInSimulation))
-                }
-                _ => None,
-            };
-            if let Some((path, fault)) = refused {
-                return Err(WriteError::new(&path, fault).into());
-            }
+        let refused = if matches!(found, Found::Nothing) {
+            foreign.map(|path| (path, WriteFault::Exists))
+        } else if self.overwrite || self.resume || self.planned {
+            None
+        } else {
+            there.map(|path| (path, WriteFault::ExistsInSimulation))
+        };
+        if let Some((path, fault)) = refused {
+            return Err(WriteError::new(&path, fault).into());
         }
         Ok(Begun { setup, series, store, frames, found })
     }

@@ -95,6 +95,12 @@ impl Setup<'_> {
         Division::of(frames, *threads, resources.budget, chunk)
     }
 
+    /// The first mesh or listing of these frames that exists already.
+    pub(super) fn existing(&self, frames: &[FrameFile], series: &Series) -> Option<PathBuf> {
+        let meshes = frames.iter().map(|frame| self.output(frame));
+        meshes.chain(series.files()).find(|path| path.exists())
+    }
+
     /// The format that the outputs' names say, able to hold what is asked for.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.output(first);
