@@ -339,7 +339,7 @@ pub use reconstruction::{
     Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts,
     Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
 };
-pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source};
+pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Where};
 pub use simulation::{
     Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing,
     Simulation, Summary, Tallied, Trust,

@@ -17,6 +17,7 @@ use crate::grid::units::Isovalue;
 use crate::io::input::InputFormat;
 use crate::surface::mesh::up::UpAxis;
 
+pub use crate::particles::condition::Where;
 pub use faces::Faces;
 use value::Given;
 pub use value::{Iso, MethodName, Source, Taken};
@@ -26,6 +27,17 @@ pub use value::{Iso, MethodName, Source, Taken};
 pub struct Setting(&'static str);
 
 impl Setting {
+    /// A setting by the name of its field.
+    const fn of_field(field: &'static str) -> Self {
+        match field.as_bytes().split_first_chunk::<2>() {
+            Some((b"r#", name)) => Self(match str::from_utf8(name) {
+                Ok(name) => name,
+                Err(_) => field,
+            }),
+            _ => Self(field),
+        }
+    }
+
     /// A setting by its name in snake case.
     #[must_use]
     pub const fn named(name: &'static str) -> Self {
@@ -83,7 +95,7 @@ macro_rules! settings {
 
         impl Settings {
             /// All settings, in the order of the program's help.
-            pub const ALL: &[Setting] = &[$(Setting(stringify!($name))),*];
+            pub const ALL: &[Setting] = &[$(Setting::of_field(stringify!($name))),*];
 
             /// The lines of documentation of each setting, in the same order.
             const DOCS: &[&[&str]] = &[$(&[$($doc),*]),*];
@@ -94,21 +106,21 @@ macro_rules! settings {
             /// # Errors
             /// Those of the source, for a value of another type.
             pub fn set<S: Source>(&mut self, name: &str, source: &S) -> Result<bool, S::Error> {
-                match name {
-                    $(stringify!($name) => self.$name = Taken::taken(source)?,)*
-                    _ => return Ok(false),
-                }
-                Ok(true)
+                $(if name == const { Setting::of_field(stringify!($name)) }.0 {
+                    self.$name = Taken::taken(source)?;
+                    return Ok(true);
+                })*
+                Ok(false)
             }
 
             /// Returns the setting of this name in snake case to its default; `false` if no setting
             /// has the name.
             pub fn clear(&mut self, name: &str) -> bool {
-                match name {
-                    $(stringify!($name) => self.$name = Default::default(),)*
-                    _ => return false,
-                }
-                true
+                $(if name == const { Setting::of_field(stringify!($name)) }.0 {
+                    self.$name = Default::default();
+                    return true;
+                })*
+                false
             }
 
             /// The first setting that is given, differs from another one's, and is one of those
@@ -119,7 +131,7 @@ macro_rules! settings {
                 mut meant: impl FnMut(Setting) -> bool,
             ) -> Option<Setting> {
                 $(
-                    let setting = Setting(stringify!($name));
+                    let setting = const { Setting::of_field(stringify!($name)) };
                     if !self.$name.is_not_given() && self.$name != other.$name && meant(setting) {
                         return Some(setting);
                     }
@@ -164,6 +176,14 @@ settings! {
     /// PartType1 of a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD.
     #[arg(value_name = "NAME", help_heading = "Input", hide_short_help = true)]
     particle_type: Option<String>,
+
+    /// Use only particles that satisfy conditions on their attributes.
+    ///
+    /// Type=1, mk=0,2, phase!=boundary or age<2.5; `and` joins several. Conditions use =, !=, <,
+    /// <=, > and >=, and values of = after commas are alternatives. A component of a vector is
+    /// velocity.y or velocity[1]; x, y and z are the position.
+    #[arg(value_name = "CONDITION", help_heading = "Input")]
+    r#where: Option<Vec<Where>>,
 
     /// A tank with walls [default: unbounded].
     ///
@@ -281,7 +301,7 @@ pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
 }
 
 /// Settings that need the particles: a frame that is sampled keeps those that it was sampled by.
-const OF_PARTICLES: [&str; 13] = [
+const OF_PARTICLES: [&str; 14] = [
     "format",
     "spacing",
     "radius",
@@ -294,6 +314,7 @@ const OF_PARTICLES: [&str; 13] = [
     "mu0",
     "skip_invalid",
     "particle_type",
+    "where",
     "method",
 ];
 
@@ -326,6 +347,7 @@ impl Settings {
         Self {
             spacing: self.spacing_or_radius(),
             radius: None,
+            r#where: Where::joined(self.conditions()).map(|all| vec![all]),
             iso,
             method: self.method.filter(|method| *method != MethodName::Dif),
             attributes: self
@@ -334,6 +356,12 @@ impl Settings {
                 .map(|names| if names.is_empty() { none() } else { names }),
             ..self.clone()
         }
+    }
+
+    /// The conditions that particles have to satisfy.
+    #[must_use]
+    pub fn conditions(&self) -> &[Where] {
+        self.r#where.as_deref().unwrap_or_default()
     }
 
     /// The isovalue, unless it is to be measured.
@@ -396,6 +424,7 @@ mod tests {
             origin: Some([1.0, 2.0, 3.0]),
             format: Some(InputFormat::Csv),
             particle_type: Some("gas".into()),
+            r#where: Some(vec!["Type=1".parse().unwrap()]),
             domain: Some(Faces([Some([0.0, 1.0]), None, Some([-1.0, 2.0])])),
             periodic: Some(Faces([None, Some([0.0, 4.0]), None])),
             indicator: Some(IndicatorKind::Counting),

@@ -19,6 +19,7 @@ pub use crate::grid::units::{UnitError, shown, significant};
 pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
+pub use crate::particles::selection::SelectionFault;
 pub use crate::settings::Setting;
 pub use crate::surface::mesh::compare::CompareError;
 #[cfg(feature = "pictures")]
@@ -68,6 +69,9 @@ pub enum Error {
     /// An input file that cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// A condition that cannot be applied to particles in memory.
+    #[error(transparent)]
+    Selection(SelectionFault),
     /// A Vulkan device that was asked for and cannot be used.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
@@ -201,6 +205,15 @@ impl From<Cancelled> for Error {
     }
 }
 
+impl From<SelectionFault> for Error {
+    fn from(fault: SelectionFault) -> Self {
+        match fault {
+            SelectionFault::Cancelled => Self::Cancelled,
+            fault => Self::Selection(fault),
+        }
+    }
+}
+
 impl Error {
     /// The message, with settings called as `name` says: an option's name for a program, a
     /// keyword's for a binding.
@@ -241,6 +254,7 @@ impl Error {
             | Self::Domain(_)
             | Self::Periodic(_)
             | Self::NoAttribute { .. }
+            | Self::Selection(_)
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
             #[cfg(feature = "pictures")]
@@ -249,9 +263,10 @@ impl Error {
             }
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
-            Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => {
-                Cause::Request
-            }
+            Self::Read(ReadError {
+                fault: ReadFault::UnknownExtension { .. } | ReadFault::Selection(_),
+                ..
+            }) => Cause::Request,
             Self::WholeMesh(WholeMeshError::Scratch(_)) => Cause::Output,
             Self::WholeMesh(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,

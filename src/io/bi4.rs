@@ -11,6 +11,8 @@ use std::path::{Path, PathBuf};
 use crate::grid::units::positive_length;
 use crate::particles::AttributeInfo;
 
+use crate::particles::sieve::Sieve;
+
 use super::bytes::{Bytes, Unpacking, View, open_bytes_within};
 use super::columns::{ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
@@ -229,13 +231,9 @@ impl Fluid {
         if count == 0 || last - first + 1 == count {
             return Ok(Self { first, rows: Rows::All(count) });
         }
-        if u32::try_from(last).is_err() {
-            let what = "more than 2^32 particles, fluid and boundary mixed";
-            return Err(ReadFault::Unsupported(what.into()));
-        }
-        let mut rows = Vec::with_capacity(count);
-        each(&mut |row| rows.push(row as u32))?;
-        Ok(Self { first: 0, rows: Rows::Chosen(rows) })
+        let mut rows = Sieve::none(ids.count);
+        each(&mut |row| Sieve::set(&mut rows, row))?;
+        Ok(Self { first: 0, rows: Rows::Selected(Sieve::new(rows)) })
     }
 }
 

@@ -380,7 +380,7 @@ impl Unpacking<'static> {
 
 impl Unpacking<'_> {
     /// Ends the work where the caller has asked for it.
-    fn go_on(&self) -> Result<(), ReadFault> {
+    pub(super) fn go_on(&self) -> Result<(), ReadFault> {
         let Some(control) = self.control else { return Ok(()) };
         Ok(control.cancel.go_on().map_err(io::Error::from)?)
     }

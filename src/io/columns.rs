@@ -7,6 +7,7 @@ use std::collections::HashSet;
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::particles::sieve::Sieve;
 use crate::particles::{AttributeInfo, Particles, Unread};
 
 use super::windows::{Shelf, Source, Windows};
@@ -14,8 +15,8 @@ use super::windows::{Shelf, Source, Windows};
 /// Bytes whose memory is given back at once.
 const WINDOW: usize = 1 << 20;
 
-/// Rows within which chosen ones are read at once.
-const NEAR: u32 = 1 << 10;
+/// Rows within which selected ones are read at once.
+const NEAR: usize = 1 << 10;
 
 /// How a number is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,13 +83,13 @@ pub struct ColumnStore<B = Source> {
     columns: Vec<Vec<Column>>,
 }
 
-/// The rows of the columns that are particles of the fluid.
+/// The rows of the columns that are particles.
 #[derive(Debug)]
 pub enum Rows {
     /// The first so many.
     All(usize),
-    /// The rows of these numbers, in this order (a .bi4 mixes fluid with boundary).
-    Chosen(Vec<u32>),
+    /// Some rows among others: a .bi4 mixes fluid with boundary, and conditions select.
+    Selected(Sieve),
 }
 
 impl Rows {
@@ -96,7 +97,7 @@ impl Rows {
     pub fn count(&self) -> usize {
         match self {
             Self::All(count) => *count,
-            Self::Chosen(rows) => rows.len(),
+            Self::Selected(sieve) => sieve.count(),
         }
     }
 }
@@ -119,7 +120,7 @@ impl<B: Windows> ColumnStore<B> {
         let (infos, columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();
         let last = match &rows {
             Rows::All(count) => count.checked_sub(1),
-            Rows::Chosen(rows) => rows.iter().max().map(|&row| row as usize),
+            Rows::Selected(sieve) => sieve.last(),
         };
         if let Some(last) = last {
             for column in position.iter().chain(columns.iter().flatten()) {
@@ -194,28 +195,46 @@ impl<B: Windows> ColumnStore<B> {
                     });
                 }
             }
-            Rows::Chosen(rows) => {
-                // Rows near each other lie in one window.
-                let (mut out, mut rows) = (out, &rows[first..first + count]);
-                while let Some(&row) = rows.first() {
-                    let near = |&&other: &&u32| (row..row.saturating_add(NEAR)).contains(&other);
-                    let (these, later) = rows.split_at(rows.iter().take_while(near).count());
-                    let (to, rest) = out.split_at_mut((these.len() * step).min(out.len()));
-                    let start = column.offset + row as usize * column.stride;
-                    let last = these.iter().max().map_or(0, |&last| (last - row) as usize);
+            Rows::Selected(sieve) => {
+                let (mut out, mut near) = (out, Vec::with_capacity(NEAR.min(count)));
+                let mut rows = sieve.rows(first).take(count).peekable();
+                while let Some(&row) = rows.peek() {
+                    // Rows near each other lie in one window.
+                    near.clear();
+                    near.extend(std::iter::from_fn(|| rows.next_if(|&other| other - row < NEAR)));
+                    let (to, rest) = out.split_at_mut((near.len() * step).min(out.len()));
+                    let start = column.offset + row * column.stride;
+                    let last = near.last().map_or(0, |&last| last - row);
                     self.bytes.with(start..start + last * column.stride + K * N, |bytes| {
-                        for (out, &other) in to.chunks_mut(step).zip(these) {
-                            tuple(out, &bytes[(other - row) as usize * column.stride..]);
+                        for (out, &other) in to.chunks_mut(step).zip(&near) {
+                            tuple(out, &bytes[(other - row) * column.stride..]);
                         }
                     });
-                    (out, rows) = (rest, later);
+                    out = rest;
                 }
+                assert!(out.is_empty(), "particles from {first} on of {}", sieve.count());
             }
         }
     }
 }
 
 impl ColumnStore {
+    /// Keeps the particles that a sieve selects, and leaves out all others.
+    pub fn select(&mut self, sieve: Sieve) {
+        self.rows = Rows::Selected(match &self.rows {
+            Rows::All(_) => sieve,
+            Rows::Selected(rows) => rows.within(&sieve),
+        });
+    }
+
+    /// Bytes in memory by which particles are selected.
+    pub fn sieve_bytes(&self) -> u64 {
+        match &self.rows {
+            Rows::All(_) => 0,
+            Rows::Selected(sieve) => sieve.bytes(),
+        }
+    }
+
     /// Bytes of scratch files that the numbers are in.
     pub fn scratch_bytes(&self) -> u64 {
         self.bytes.scratch_bytes()
@@ -250,8 +269,10 @@ impl<B: Windows> Particles for ColumnStore<B> {
     }
 
     fn release(&self, range: Range<usize>) {
-        // Rows that were chosen lie scattered.
-        let Rows::All(_) = self.rows else { return };
+        let range = match &self.rows {
+            Rows::All(_) => range,
+            Rows::Selected(sieve) => sieve.around(range),
+        };
         let columns = self.position.iter().chain(self.columns.iter().flatten());
         let mut windows: Vec<Range<usize>> = columns
             .map(|c| c.offset + range.start * c.stride..c.offset + range.end * c.stride)
@@ -274,6 +295,10 @@ impl<B: Windows> Particles for ColumnStore<B> {
 
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         self.read(&self.columns[index], first, out);
+    }
+
+    fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
+        self.read(&self.columns[index][component..=component], first, out);
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use crate::particles::Unread;
+use crate::particles::selection::SelectionFault;
 use crate::system::reopened::Lost;
 
 /// A file that could not be read.
@@ -75,6 +76,9 @@ pub enum ReadFault {
         /// The number of cells that have an area or a volume.
         faces: u64,
     },
+    /// A condition that cannot be applied to these particles.
+    #[error("{0}")]
+    Selection(SelectionFault),
     /// Valid perhaps, but not something that we read; says what to do instead.
     #[error("{0}")]
     Unsupported(String),

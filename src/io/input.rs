@@ -44,16 +44,21 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
 }
 
 /// Opens a particle file like [`open_particles`], for the particles that are wanted: those of other
-/// types and pieces are not read.
+/// types and pieces are not read, and those that fail a condition are left out.
 ///
 /// # Errors
-/// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
+/// As [`open_particles`], [`ReadFault::Unsupported`] where there is no such type of particles, and
+/// [`ReadFault::Selection`] for a condition that cannot be applied.
 pub fn open_wanted(
     path: &Path,
     wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    read(path, wanted, unpacking).map(ParticleFile::without_ghosts)
+    let file = read(path, wanted, unpacking)?.without_ghosts();
+    match wanted.conditions {
+        [] => Ok(file),
+        conditions => file.selected(conditions, unpacking).map_err(|f| ReadError::new(path, f)),
+    }
 }
 
 fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {

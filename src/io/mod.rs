@@ -67,6 +67,8 @@ pub struct ParticleFile {
     pub unit_metres: Option<f64>,
     /// Number of particles that were left out as copies of those of other pieces.
     pub ghosts: usize,
+    /// Number of particles that were left out as they fail a condition.
+    pub unselected: usize,
     /// Attributes that the file has, and that were not read as nobody wanted them.
     pub unread: Vec<AttributeInfo>,
 }
@@ -83,6 +85,7 @@ impl ParticleFile {
             box_size: None,
             unit_metres: None,
             ghosts: 0,
+            unselected: 0,
             unread: Vec::new(),
         }
     }

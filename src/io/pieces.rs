@@ -8,6 +8,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::particles::sieve::Sieve;
 use crate::particles::{AttributeInfo, Particles, Unread};
 
 use super::columns::ColumnStore;
@@ -149,6 +150,24 @@ impl Pieces {
         (self.spans, self.len) = (spans, len);
     }
 
+    /// Keeps the particles that a sieve selects, and leaves out all others.
+    pub(super) fn select(&mut self, sieve: &Sieve) {
+        let stores = self.stores.iter().map(|store| Sieve::none(store.len()));
+        let mut kept: Vec<Vec<u64>> = stores.collect();
+        self.each_span(0..self.len, |span, count, first| {
+            let selected = (first..first + count).filter(|&particle| sieve.holds(particle));
+            selected.for_each(|p| Sieve::set(&mut kept[span.piece], span.row + (p - first)));
+        });
+        (self.spans, self.len) = (Vec::new(), 0);
+        for (piece, (store, words)) in self.stores.iter_mut().zip(kept).enumerate() {
+            store.select(Sieve::new(words));
+            if !store.is_empty() {
+                self.spans.push(Span { first: self.len, piece, row: 0 });
+                self.len += store.len();
+            }
+        }
+    }
+
     /// Bytes of scratch files that the numbers are in.
     pub fn scratch_bytes(&self) -> u64 {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
@@ -214,6 +233,7 @@ impl Particles for Pieces {
         kept.sum::<u64>()
             + Shelf::resident_bytes(files)
             + (self.spans.len() * size_of::<Span>()) as u64
+            + self.stores.iter().map(ColumnStore::sieve_bytes).sum::<u64>()
     }
 
     fn release(&self, range: Range<usize>) {
@@ -233,6 +253,14 @@ impl Particles for Pieces {
             let number = self.numbers[span.piece][index];
             let out = &mut out[at * components..(at + count) * components];
             self.stores[span.piece].attribute(number, span.row, out);
+        });
+    }
+
+    fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
+        self.each_span(first..first + out.len(), |span, count, at| {
+            let number = self.numbers[span.piece][index];
+            let out = &mut out[at..at + count];
+            self.stores[span.piece].component((number, component), span.row, out);
         });
     }
 }

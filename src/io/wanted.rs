@@ -1,7 +1,10 @@
 //! Parts of an input that are wanted: a type of particles, some of their attributes, and no ghosts.
 
+use crate::particles::condition::Where;
+use crate::particles::selection::{SelectionFault, select};
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
+use super::bytes::Unpacking;
 use super::input_format::InputFormat;
 use super::{ParticleFile, ReadFault};
 
@@ -21,6 +24,8 @@ pub struct Wanted<'a> {
     pub format: Option<InputFormat>,
     /// Attributes that have to be there. A format that reads all at once has others too.
     pub attributes: WantedAttributes<'a>,
+    /// Conditions that the particles have to satisfy, by whose attributes they are selected.
+    pub conditions: &'a [Where],
     /// Pieces that are read, of an input in several files.
     pub pieces: WantedPieces<'a>,
 }
@@ -60,29 +65,36 @@ pub enum WantedAttributes<'a> {
     /// All that there are.
     #[default]
     All,
-    /// The velocity.
-    Velocity,
-    /// Attributes of these names, `velocity` being whatever the particles call so.
-    Named(&'a [String]),
+    /// Some, and those by which particles are selected.
+    Only {
+        /// Names, `velocity` being whatever the particles call so; without them the velocity.
+        names: Option<&'a [String]>,
+        /// Conditions by which particles are selected.
+        conditions: &'a [Where],
+    },
 }
 
 impl WantedAttributes<'_> {
     /// Tells for each of an input's attributes whether it is to be read. All are, where one that is
     /// wanted is not there: whoever wants it will say what is.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
+        let Self::Only { names, conditions } = self else { return vec![true; infos.len()] };
+        let conditions = conditions.iter().flat_map(Where::conditions);
+        let selecting: Vec<usize> = conditions.filter_map(|c| c.attribute(infos)).collect();
         let velocity = velocity_attribute(infos);
         let number = |name: &String| {
             let named = infos.iter().position(|info| info.name == *name);
             named.or(velocity.filter(|_| name == "velocity"))
         };
-        let wanted: Option<Vec<usize>> = match self {
-            Self::All => None,
-            Self::Velocity => Some(velocity.into_iter().collect()),
-            Self::Named(names) => names.iter().map(number).collect(),
+        let wanted: Option<Vec<usize>> = match names {
+            None => Some(velocity.into_iter().collect()),
+            Some(names) => names.iter().map(number).collect(),
         };
         let reads = |(number, info): (usize, &AttributeInfo)| {
             let is_flag = GHOSTS.contains(&info.name.as_str()) || info.name == TAG;
-            is_flag || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
+            is_flag
+                || selecting.contains(&number)
+                || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
         };
         infos.iter().enumerate().map(reads).collect()
     }
@@ -94,6 +106,23 @@ pub(super) fn no_types(name: &str) -> ReadFault {
 }
 
 impl ParticleFile {
+    /// Leaves out the particles that fail a condition.
+    pub(super) fn selected(
+        mut self,
+        conditions: &[Where],
+        unpacking: Unpacking,
+    ) -> Result<Self, ReadFault> {
+        let sieve = select(&self.particles, conditions, || unpacking.go_on().is_ok());
+        let sieve = sieve.map_err(|fault| match fault {
+            SelectionFault::Cancelled => unpacking.go_on().expect_err("was cancelled"),
+            SelectionFault::Unread(fault) => fault.into(),
+            fault => ReadFault::Selection(fault),
+        })?;
+        self.unselected = self.particles.len() - sieve.count();
+        self.particles.select(&sieve);
+        Ok(self)
+    }
+
     /// Leaves out the points that VTK flags as copies or as hidden.
     pub(super) fn without_ghosts(self) -> Self {
         GHOSTS.iter().fold(self, |file, flag| file.without(flag))

@@ -62,4 +62,11 @@ impl<P: Particles + ?Sized> Particles for Metered<'_, P> {
         }
         self.particles.attribute(index, first, out);
     }
+
+    fn component(&self, of: (usize, usize), first: usize, out: &mut [f64]) {
+        if !self.meter.goes_on() {
+            return out.fill(f64::NAN);
+        }
+        self.particles.component(of, first, out);
+    }
 }

@@ -1,8 +1,11 @@
 //! The interface to particles: read by range, from several threads, as often as the pipeline likes.
 
 mod cloud;
+pub mod condition;
 pub mod lattice;
 mod metered;
+pub mod selection;
+pub mod sieve;
 
 use std::io;
 use std::ops::Range;
@@ -96,6 +99,20 @@ pub trait Particles: Sync {
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         let _ = (first, out);
         panic!("there is no attribute number {index}");
+    }
+
+    /// Fills `out` with one component of an attribute, both by their numbers, of the particles from
+    /// `first` on: as stored, where that is more exact than [`attribute`](Self::attribute).
+    ///
+    /// # Panics
+    /// If the range exceeds the particles or there is no such attribute.
+    fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
+        let components = self.attributes()[index].components;
+        let mut values = vec![0.0; out.len() * components];
+        self.attribute(index, first, &mut values);
+        for (out, values) in out.iter_mut().zip(values.chunks(components)) {
+            *out = values[component].into();
+        }
     }
 }
 

@@ -10,12 +10,13 @@ use crate::settings::Settings;
 impl Settings {
     /// Particles and attributes that have to be read of an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
-        let attributes =
-            self.attribute_names().map_or(WantedAttributes::Velocity, WantedAttributes::Named);
+        let (names, conditions) = (self.attribute_names(), self.conditions());
+        let attributes = WantedAttributes::Only { names, conditions };
         Wanted {
             format: self.format,
             particle_type: self.particle_type.as_deref(),
             attributes,
+            conditions,
             ..Wanted::default()
         }
     }

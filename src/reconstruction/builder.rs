@@ -12,7 +12,7 @@ use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
 use crate::grid::units::MemoryBudget;
 use crate::io::UpAxis;
-use crate::settings::{Faces, Iso, MethodName, Settings};
+use crate::settings::{Faces, Iso, MethodName, Settings, Where};
 use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
@@ -170,6 +170,24 @@ impl Reconstruction {
     /// the only one.
     pub fn particle_type(mut self, name: impl Into<String>) -> Self {
         self.settings.particle_type = Some(name.into());
+        self
+    }
+
+    /// Uses only the particles that satisfy conditions on their attributes.
+    ///
+    /// ```
+    /// use meniscus::{Cloud, Reconstruction, Where};
+    ///
+    /// let positions: Vec<[f32; 3]> = (0..512).map(|i| [i / 64, i / 8 % 8, i % 8].map(|n| n as f32)).collect();
+    /// let phase: Vec<f32> = positions.iter().map(|position| f32::from(position[1] > 3.5)).collect();
+    /// let water: Where = "phase=0".parse()?;
+    /// let request = Reconstruction::new().spacing(1.0).select(water);
+    /// let mesh = request.run(&Cloud::new(&positions).with("phase", &phase))?.to_mesh()?;
+    /// assert!(mesh.positions.iter().all(|position| position[1] < 4.0));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn select(mut self, conditions: Where) -> Self {
+        self.settings.r#where.get_or_insert_default().push(conditions);
         self
     }
 

@@ -10,6 +10,7 @@ use crate::frame::{Counted, Engine, FrameError, Sampling};
 use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
 use crate::particles::Particles;
+use crate::particles::selection::{Selected, select};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
@@ -42,6 +43,14 @@ pub(super) struct Sampled {
 
 impl Started {
     pub(super) fn sample(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
+        let selected = self.threads.install(|| self.checked.selected(particles))?;
+        match selected {
+            Some(selected) => self.sample_all(&selected as &dyn Particles),
+            None => self.sample_all(particles),
+        }
+    }
+
+    fn sample_all(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
         checked.refuse_of_indicator()?;
@@ -56,6 +65,19 @@ impl Started {
 }
 
 impl Checked {
+    /// The particles in memory that satisfy the conditions, if there are conditions.
+    pub(crate) fn selected<'a, P: Particles + ?Sized>(
+        &self,
+        particles: &'a P,
+    ) -> Result<Option<Selected<'a, P>>, Error> {
+        let conditions = self.settings.conditions();
+        if conditions.is_empty() {
+            return Ok(None);
+        }
+        let sieve = select(particles, conditions, || self.go_on().is_ok())?;
+        Ok(Some(Selected::new(particles, sieve)))
+    }
+
     /// Samples particles as it was chosen.
     pub(super) fn sampled(
         &self,

@@ -200,8 +200,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let scratch = std::env::temp_dir();
     let unpacking =
         Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
-    // Names of attributes are enough, where their values would have to be unpacked.
-    let wanted = Wanted { attributes: WantedAttributes::Named(&[]), ..settings.wanted() };
+    let wanted = Wanted { attributes: WantedAttributes::All, ..settings.wanted() };
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);

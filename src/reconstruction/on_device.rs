@@ -10,7 +10,7 @@ use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
 /// Settings that need a host, or a mesh that is simplified or written.
-const OF_HOST: [&str; 13] = [
+const OF_HOST: [&str; 14] = [
     "method",
     "periodic",
     "periodic_mesh",
@@ -24,6 +24,7 @@ const OF_HOST: [&str; 13] = [
     "particles_up",
     "format",
     "particle_type",
+    "where",
 ];
 
 impl Reconstruction {

@@ -135,6 +135,15 @@ impl Opened {
         }
     }
 
+    /// The number of particles that were left out as they fail a condition.
+    #[must_use]
+    pub fn unselected(&self) -> usize {
+        match &self.input {
+            Input::Particles { file, .. } => file.unselected,
+            Input::Packed(_) => 0,
+        }
+    }
+
     /// The kind of file, in the words that people use for it.
     #[must_use]
     pub fn format(&self) -> &str {

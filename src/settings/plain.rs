@@ -1,6 +1,6 @@
 //! Values of settings as text or as numbers, for callers that have nothing else: C, files, forms.
 
-use super::{Faces, Source, faces};
+use super::{Faces, Source, Where, faces};
 
 /// The largest count that is taken from a number of 64 bits: it holds all smaller ones exactly.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
@@ -64,6 +64,10 @@ impl Source for &str {
             .map_err(|_: String| format!("{}, or - for both ends of an axis", expected::FACES))
     }
 
+    fn conditions(&self) -> Result<Where, String> {
+        self.parse()
+    }
+
     fn is_word(&self, word: &str) -> bool {
         *self == word
     }
@@ -121,6 +125,10 @@ impl Source for &[f64] {
             [x0, y0, z0, x1, y1, z1] => Ok(Faces::from_corners([[x0, y0, z0], [x1, y1, z1]])),
             _ => Err(expected::FACES.into()),
         }
+    }
+
+    fn conditions(&self) -> Result<Where, String> {
+        Err(expected::TEXT.into())
     }
 
     fn is_word(&self, _: &str) -> bool {

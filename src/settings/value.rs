@@ -8,6 +8,7 @@ use super::Faces;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
 use crate::io::input::InputFormat;
+use crate::particles::condition::Where;
 use crate::surface::mesh::up::UpAxis;
 
 /// How a field is made.
@@ -83,6 +84,8 @@ pub trait Source {
     fn point(&self) -> Result<[f64; 3], Self::Error>;
     /// Takes a box by its lowest and its highest corner.
     fn faces(&self) -> Result<Faces, Self::Error>;
+    /// Takes conditions on particles.
+    fn conditions(&self) -> Result<Where, Self::Error>;
     /// Whether it is this word, and no other value.
     fn is_word(&self, word: &str) -> bool;
 }
@@ -113,6 +116,12 @@ macro_rules! taken {
 }
 
 taken!(f64: number, u32: count, bool: switch, String: text, Vec<String>: names, [f64; 3]: point, Faces: faces);
+
+impl Taken for Vec<Where> {
+    fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+        Ok(vec![source.conditions()?])
+    }
+}
 
 impl Taken for Iso {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
@@ -176,6 +185,9 @@ mod tests {
             Err(())
         }
         fn faces(&self) -> Result<Faces, ()> {
+            Err(())
+        }
+        fn conditions(&self) -> Result<Where, ()> {
             Err(())
         }
         fn is_word(&self, _: &str) -> bool {

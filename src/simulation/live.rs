@@ -102,13 +102,21 @@ impl LiveSimulation {
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;
-        let drawn = threads.install(|| match self.drawn(particles) {
+        let drawn = threads.install(|| match self.ready.checked.selected(particles)? {
+            Some(selected) => self.drawn_or_empty(&selected as &dyn Particles),
+            None => self.drawn_or_empty(particles),
+        })?;
+        Ok(Surface::new(drawn, &self.ready.checked, &threads, UpAxis::Y))
+    }
+
+    /// Draws a frame, or an empty mesh of a frame without particles.
+    fn drawn_or_empty(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
+        match self.drawn(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
                 self.empty(particles, self.facts(census)?)
             }
             drawn => drawn,
-        })?;
-        Ok(Surface::new(drawn, &self.ready.checked, &threads, UpAxis::Y))
+        }
     }
 
     fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {

@@ -9,7 +9,7 @@ use meniscus::files::{
     AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, files,
     info_by, is_packed,
 };
-use meniscus::{Error, Settings};
+use meniscus::{Error, Settings, Where};
 
 use crate::advice::say_error;
 use crate::notes::{Verdict, corners, point, print, print_json};
@@ -26,6 +26,9 @@ pub struct Options {
     /// The format of particle files, whatever their extension says [default: by the extension].
     #[arg(long, value_enum, value_name = "NAME")]
     format: Option<InputFormat>,
+    /// Look only at particles that satisfy conditions on their attributes, such as Type=1.
+    #[arg(long, value_name = "CONDITION")]
+    r#where: Option<Vec<Where>>,
     /// Print JSON, for programs: a list with an entry for each file.
     #[arg(long)]
     json: bool,
@@ -33,9 +36,13 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let Options { format, particle_type, .. } = options;
-    let settings =
-        Settings { format: *format, particle_type: particle_type.clone(), ..Settings::default() };
+    let Options { format, particle_type, r#where, .. } = options;
+    let settings = Settings {
+        format: *format,
+        particle_type: particle_type.clone(),
+        r#where: r#where.clone(),
+        ..Settings::default()
+    };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
     for file in files(&options.files, is_told)? {
         match info_by(&file, &settings) {

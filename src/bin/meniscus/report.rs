@@ -29,6 +29,10 @@ pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
             opened.ghosts()
         ));
     }
+    if opened.unselected() > 0 {
+        let all = opened.particles() + opened.unselected();
+        notes.say(format!("{} of {all} particles left out by --where", opened.unselected()));
+    }
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
     }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use bytesize::ByteSize;
-use meniscus::{Faces, Source};
+use meniscus::{Faces, Source, Where};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -130,6 +130,15 @@ impl Source for Given<'_, '_> {
             .try_into()
             .map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
         ends.try_into().map_err(|what: String| refused(&what))
+    }
+
+    /// Takes a text, or a list of texts whose conditions all hold.
+    fn conditions(&self) -> PyResult<Where> {
+        let text = match self.text() {
+            Ok(text) => text,
+            Err(_) => self.names().map_err(|_| self.wants("a str or a list of str"))?.join(" and "),
+        };
+        text.parse().map_err(|what| InputError::new_err(format!("{}: {what}", self.name)))
     }
 
     fn is_word(&self, word: &str) -> bool {

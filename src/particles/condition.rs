@@ -1,0 +1,270 @@
+//! Conditions on the attributes of particles, such as `Type=1,2 and age<2.5`.
+
+use std::fmt::{self, Display, Formatter};
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// Conditions that particles have to satisfy, all of them.
+///
+/// Written as `NAME=VALUE`, with `=`, `!=`, `<`, `<=`, `>` or `>=`, and joined by `and`. Several
+/// values of `=` are alternatives: `mk=0,2`. A component of a vector is `velocity.y` or
+/// `velocity[1]`; `x`, `y` and `z` are the position. Names and values may stand in quotes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Where(Vec<Condition>);
+
+/// A condition on one attribute.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Condition {
+    /// The name of the attribute, with a component or without.
+    pub name: String,
+    /// The comparison of its value.
+    pub comparison: Comparison,
+    /// The values that it is compared with: one, or alternatives.
+    pub values: Vec<String>,
+}
+
+/// A comparison of an attribute with a value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Comparison {
+    Equal,
+    NotEqual,
+    Less,
+    LessOrEqual,
+    Greater,
+    GreaterOrEqual,
+}
+
+/// Comparisons as they are written, the longer ones first.
+const WRITTEN: [(&str, Comparison); 7] = [
+    ("!=", Comparison::NotEqual),
+    ("<=", Comparison::LessOrEqual),
+    (">=", Comparison::GreaterOrEqual),
+    ("==", Comparison::Equal),
+    ("=", Comparison::Equal),
+    ("<", Comparison::Less),
+    (">", Comparison::Greater),
+];
+
+impl Comparison {
+    /// Whether it asks which value is larger.
+    #[must_use]
+    pub fn is_of_order(self) -> bool {
+        !matches!(self, Self::Equal | Self::NotEqual)
+    }
+
+    /// Whether it holds between a stored number and one of some values.
+    ///
+    /// A number that is stored in f32 equals the decimal that it was rounded from. NaN differs from
+    /// everything.
+    #[must_use]
+    pub fn holds(self, stored: f64, values: &[f64]) -> bool {
+        let rounded = |value: f64| value.fract() != 0.0 && f64::from(value as f32) == stored;
+        let equal = |value: f64| stored == value || rounded(value);
+        match (self, values) {
+            (Self::Equal, _) => values.iter().any(|&value| equal(value)),
+            (Self::NotEqual, _) => !values.iter().any(|&value| equal(value)),
+            (Self::Less, &[value]) => stored < value && !equal(value),
+            (Self::LessOrEqual, &[value]) => stored < value || equal(value),
+            (Self::Greater, &[value]) => stored > value && !equal(value),
+            (Self::GreaterOrEqual, &[value]) => stored > value || equal(value),
+            _ => false,
+        }
+    }
+}
+
+impl Where {
+    /// The conditions.
+    #[must_use]
+    pub fn conditions(&self) -> &[Condition] {
+        &self.0
+    }
+
+    /// All conditions of several.
+    #[must_use]
+    pub fn joined(several: &[Self]) -> Option<Self> {
+        let all: Vec<_> = several.iter().flat_map(|some| some.0.iter().cloned()).collect();
+        (!all.is_empty()).then_some(Self(all))
+    }
+}
+
+/// The pieces of a text between separators that stand outside of quotes.
+fn split<'a>(text: &'a str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&'a str> {
+    let (mut pieces, mut start, mut quote) = (Vec::new(), 0, None);
+    let mut at = 0;
+    while let Some(character) = text[at..].chars().next() {
+        match quote {
+            Some(open) if character == open => quote = None,
+            None if matches!(character, '"' | '\'') => quote = Some(character),
+            None => {
+                if let Some(length) = separator(&text[at..]) {
+                    pieces.push(&text[start..at]);
+                    at += length;
+                    start = at;
+                    continue;
+                }
+            }
+            Some(_) => {}
+        }
+        at += character.len_utf8();
+    }
+    pieces.push(&text[start..]);
+    pieces
+}
+
+/// The length of an `and` between blanks, or of a `&&`, at the start of a text.
+fn and(text: &str) -> Option<usize> {
+    if text.starts_with("&&") {
+        return Some(2);
+    }
+    let rest = text.trim_start();
+    let word = rest.get(..3).filter(|word| word.eq_ignore_ascii_case("and"))?;
+    let after = &rest[word.len()..];
+    let blanks = text.len() - rest.len();
+    let ends = after.is_empty() || after.starts_with(char::is_whitespace);
+    (blanks > 0 && ends).then_some(blanks + word.len())
+}
+
+/// A name or a value without the quotes around it.
+fn unquoted(text: &str) -> &str {
+    let text = text.trim();
+    let within = |quote| text.strip_prefix(quote).and_then(|rest| rest.strip_suffix(quote));
+    within('"').or_else(|| within('\'')).unwrap_or(text)
+}
+
+impl FromStr for Condition {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected =
+            || format!("expected a condition as Type=1, mk=0,2 or age<2.5, got {:?}", text.trim());
+        let length = |text: &str| {
+            WRITTEN.iter().find(|(written, _)| text.starts_with(written)).map(|(w, _)| w.len())
+        };
+        let sides = split(text, length);
+        let [name, values] = sides[..] else { return Err(expected()) };
+        let written = &text[name.len()..text.len() - values.len()];
+        let comparison = WRITTEN.iter().find(|(known, _)| *known == written);
+        let (name, (_, comparison)) = (unquoted(name), comparison.ok_or_else(expected)?);
+        let values: Vec<String> = split(values, |text| text.starts_with(',').then_some(1))
+            .into_iter()
+            .map(|value| unquoted(value).to_owned())
+            .collect();
+        if name.is_empty() || values.iter().any(String::is_empty) {
+            return Err(expected());
+        }
+        if comparison.is_of_order() {
+            let number = |value: &String| value.parse::<f64>().is_ok_and(|value| !value.is_nan());
+            if values.len() > 1 || !values.iter().all(number) {
+                return Err(format!("expected one number after {written} in {:?}", text.trim()));
+            }
+        }
+        Ok(Self { name: name.to_owned(), comparison: *comparison, values })
+    }
+}
+
+impl FromStr for Where {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        split(text, and).into_iter().map(str::parse).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+impl TryFrom<String> for Where {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Where> for String {
+    fn from(conditions: Where) -> Self {
+        conditions.to_string()
+    }
+}
+
+/// A name or a value as it has to be written.
+fn quoted(text: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "_.-+[]:/".contains(c);
+    let quote = if text.contains('"') { '\'' } else { '"' };
+    if text.chars().all(plain) { text.to_owned() } else { format!("{quote}{text}{quote}") }
+}
+
+impl Display for Condition {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let written = WRITTEN.iter().rev().find(|(_, known)| *known == self.comparison);
+        let values: Vec<_> = self.values.iter().map(|value| quoted(value)).collect();
+        let written = written.map_or("", |(written, _)| written);
+        write!(f, "{}{written}{}", quoted(&self.name), values.join(","))
+    }
+}
+
+impl Display for Where {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let all: Vec<_> = self.0.iter().map(ToString::to_string).collect();
+        f.write_str(&all.join(" and "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conditions_are_written_as_they_are_read() {
+        for (text, plain) in [
+            ("Type=3", "Type=3"),
+            (" mk = 0, 2 ", "mk=0,2"),
+            ("phase != boundary AND age<2.5", "phase!=boundary and age<2.5"),
+            ("a==1&&b>=-2e3", "a=1 and b>=-2e3"),
+            ("'Point ID'=7", "\"Point ID\"=7"),
+            ("\"a<b and c\"!='x,y',\"z\"", "\"a<b and c\"!=\"x,y\",z"),
+            ("velocity.y<=0 and velocity[0]>1", "velocity.y<=0 and velocity[0]>1"),
+            ("android=1", "android=1"),
+        ] {
+            let read: Where = text.parse().unwrap();
+            assert_eq!(read.to_string(), plain);
+            assert_eq!(plain.parse(), Ok(read), "{plain}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_condition_is_refused() {
+        for text in [
+            "", "Type", "=3", "Type=", "Type=1,", "a<1,2", "a<b", "a<nan", "a=1 and", "a=1=2",
+            "a!1",
+        ] {
+            assert!(text.parse::<Where>().is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn stored_numbers_compare_with_the_decimals_they_were_rounded_from() {
+        use Comparison::{Equal, Greater, GreaterOrEqual, Less, LessOrEqual, NotEqual};
+        let tenth = f64::from(0.1_f32);
+        for (comparison, stored, values, holds) in [
+            (Equal, tenth, &[0.1][..], true),
+            (NotEqual, tenth, &[0.1], false),
+            (Greater, tenth, &[0.1], false),
+            (GreaterOrEqual, tenth, &[0.1], true),
+            (LessOrEqual, tenth, &[0.1], true),
+            (Less, f64::from(0.7_f32), &[0.7], false),
+            (Equal, 16_777_216.0, &[16_777_217.0], false),
+            (Equal, 2.0, &[0.0, 2.0], true),
+            (NotEqual, 2.0, &[0.0, 2.0], false),
+            (Equal, f64::NAN, &[f64::NAN], false),
+            (NotEqual, f64::NAN, &[1.0], true),
+            (Less, f64::NAN, &[1.0], false),
+        ] {
+            assert_eq!(
+                comparison.holds(stored, values),
+                holds,
+                "{stored} {comparison:?} {values:?}"
+            );
+        }
+    }
+}

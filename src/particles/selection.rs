@@ -1,0 +1,256 @@
+//! The particles that satisfy conditions on their attributes.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+use thiserror::Error;
+
+use super::condition::{Comparison, Condition, Where};
+use super::sieve::{GROUP, Sieve};
+use super::{AttributeInfo, Particles, Unread};
+
+/// Names of the components of vectors, and of the axes of positions.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// A condition that cannot be applied to some particles.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum SelectionFault {
+    /// An attribute that the particles do not have.
+    #[error(
+        "particles are selected by {name:?}, which is no attribute; there are: {}",
+        listed(known)
+    )]
+    NoAttribute {
+        /// The name in the condition.
+        name: String,
+        /// The names of the attributes that there are.
+        known: Vec<String>,
+    },
+    /// A vector where a number is needed, or a component that it does not have.
+    #[error(
+        "particles are selected by {name:?}; the attribute has {components} components, {}",
+        example(attribute, *components)
+    )]
+    Component {
+        /// The name in the condition.
+        name: String,
+        /// The name of the attribute.
+        attribute: String,
+        /// The number of its components.
+        components: usize,
+    },
+    /// A text that is compared with numbers.
+    #[error("particles are selected by {name:?}, whose values are numbers, not {value:?}")]
+    Text {
+        /// The name in the condition.
+        name: String,
+        /// The text.
+        value: String,
+    },
+    /// Particles that could not be read.
+    #[error("{0}")]
+    Unread(#[from] Unread),
+    /// The caller's request to end.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+fn listed(names: &[String]) -> String {
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+/// An example of how to name a component, for people.
+fn example(attribute: &str, components: usize) -> String {
+    match components {
+        1 => format!("which is {attribute}"),
+        2 | 3 => format!("such as {attribute}.y"),
+        _ => format!("such as {attribute}[0]"),
+    }
+}
+
+/// A number of every particle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Number {
+    /// A component of an attribute.
+    Component(usize, usize),
+    /// A coordinate.
+    Position(usize),
+}
+
+/// A condition on numbers.
+#[derive(Debug)]
+struct Test {
+    number: Number,
+    comparison: Comparison,
+    values: Vec<f64>,
+}
+
+/// Splits the name of a component as `velocity.y` or `velocity[1]`.
+fn component(name: &str) -> Option<(&str, usize)> {
+    if let Some((attribute, axis)) = name.rsplit_once('.') {
+        return Some((attribute, AXES.iter().position(|known| *known == axis)?));
+    }
+    let (attribute, index) = name.strip_suffix(']')?.rsplit_once('[')?;
+    Some((attribute, index.parse().ok()?))
+}
+
+/// The number of the attribute of a name: spelled so, else the only one that differs in case alone.
+fn attribute(infos: &[AttributeInfo], name: &str) -> Option<usize> {
+    let exact = infos.iter().position(|info| info.name == name);
+    exact.or_else(|| {
+        let mut alike = infos.iter().enumerate().filter(|(_, i)| i.name.eq_ignore_ascii_case(name));
+        alike.next().filter(|_| alike.next().is_none()).map(|(index, _)| index)
+    })
+}
+
+impl Condition {
+    /// The number of the attribute that it is on; `None` where that is the position, or missing.
+    pub(crate) fn attribute(&self, infos: &[AttributeInfo]) -> Option<usize> {
+        let of_component = || component(&self.name).and_then(|(name, _)| attribute(infos, name));
+        attribute(infos, &self.name).or_else(of_component)
+    }
+
+    fn number(&self, infos: &[AttributeInfo]) -> Result<Number, SelectionFault> {
+        let name = self.name.clone();
+        let Some(index) = self.attribute(infos) else {
+            let axis = AXES.iter().position(|axis| name.eq_ignore_ascii_case(axis));
+            let known = || infos.iter().map(|info| info.name.clone()).collect();
+            let missing = || SelectionFault::NoAttribute { name, known: known() };
+            return axis.map(Number::Position).ok_or_else(missing);
+        };
+        let info = &infos[index];
+        let named = attribute(infos, &name).is_none().then(|| component(&name)).flatten();
+        let component = named.map_or(0, |(_, component)| component);
+        if named.is_none() && info.components != 1 || component >= info.components {
+            let (attribute, components) = (info.name.clone(), info.components);
+            return Err(SelectionFault::Component { name, attribute, components });
+        }
+        Ok(Number::Component(index, component))
+    }
+
+    fn test(&self, infos: &[AttributeInfo]) -> Result<Test, SelectionFault> {
+        let (name, number) = (&self.name, self.number(infos)?);
+        let value = |text: &String| {
+            let fault = || SelectionFault::Text { name: name.clone(), value: text.clone() };
+            text.parse().map_err(|_| fault())
+        };
+        let values = self.values.iter().map(value).collect::<Result<_, _>>()?;
+        Ok(Test { number, comparison: self.comparison, values })
+    }
+}
+
+impl Test {
+    /// Clears the bits of those particles from `first` on that fail.
+    fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
+        let mut numbers = vec![0.0; range.len()];
+        match self.number {
+            Number::Component(index, component) => {
+                particles.component((index, component), range.start, &mut numbers)
+            }
+            Number::Position(axis) => {
+                let mut positions = vec![[0.0; 3]; range.len()];
+                particles.positions(range.start, &mut positions);
+                numbers.iter_mut().zip(positions).for_each(|(to, position)| *to = position[axis]);
+            }
+        }
+        for (word, numbers) in words.iter_mut().zip(numbers.chunks(64)) {
+            let holds = numbers.iter().map(|&number| self.comparison.holds(number, &self.values));
+            *word &= holds.enumerate().fold(0, |bits, (bit, holds)| bits | u64::from(holds) << bit);
+        }
+    }
+}
+
+/// Selects the particles that satisfy all conditions, as long as `goes_on` says so.
+///
+/// # Errors
+/// [`SelectionFault`].
+pub fn select(
+    particles: &(impl Particles + ?Sized),
+    conditions: &[Where],
+    goes_on: impl Fn() -> bool + Sync,
+) -> Result<Sieve, SelectionFault> {
+    let infos = particles.attributes();
+    let conditions = conditions.iter().flat_map(Where::conditions);
+    let tests = conditions.map(|condition| condition.test(infos));
+    let tests = tests.collect::<Result<Vec<_>, _>>()?;
+    let mut words = Sieve::none(particles.len());
+    let groups = words.par_chunks_mut(GROUP / 64).enumerate();
+    groups.try_for_each(|(group, words)| {
+        let first = group * GROUP;
+        let range = first..particles.len().min(first + GROUP);
+        words.fill(u64::MAX);
+        for test in &tests {
+            test.apply(particles, range.clone(), words);
+        }
+        particles.release(range);
+        if goes_on() { Ok(()) } else { Err(SelectionFault::Cancelled) }
+    })?;
+    particles.check()?;
+    Ok(Sieve::new(words))
+}
+
+/// Some of other particles, selected by a sieve.
+#[derive(Debug)]
+pub struct Selected<'a, P: ?Sized> {
+    particles: &'a P,
+    sieve: Sieve,
+}
+
+impl<'a, P: Particles + ?Sized> Selected<'a, P> {
+    /// Keeps those of the particles that a sieve selects.
+    pub fn new(particles: &'a P, sieve: Sieve) -> Self {
+        Self { particles, sieve }
+    }
+
+    /// Calls `take` with each range of particles that are neighbours, and the number of its first
+    /// one among `count` selected ones from `first` on.
+    fn each_run(&self, first: usize, count: usize, mut take: impl FnMut(Range<usize>, usize)) {
+        let mut rows = self.sieve.rows(first).take(count).peekable();
+        let mut at = 0;
+        while let Some(start) = rows.next() {
+            let mut end = start + 1;
+            while rows.next_if_eq(&end).is_some() {
+                end += 1;
+            }
+            take(start..end, at);
+            at += end - start;
+        }
+        assert!(at == count, "particles from {first} on of {}", self.sieve.count());
+    }
+}
+
+impl<P: Particles + ?Sized> Particles for Selected<'_, P> {
+    fn len(&self) -> usize {
+        self.sieve.count()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.each_run(first, out.len(), |run, at| {
+            self.particles.positions(run.start, &mut out[at..at + run.len()]);
+        });
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.particles.check()
+    }
+
+    fn resident_bytes(&self) -> u64 {
+        self.particles.resident_bytes() + self.sieve.bytes()
+    }
+
+    fn release(&self, range: Range<usize>) {
+        self.particles.release(self.sieve.around(range));
+    }
+
+    fn attributes(&self) -> &[AttributeInfo] {
+        self.particles.attributes()
+    }
+
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        let components = self.attributes()[index].components;
+        self.each_run(first, out.len() / components, |run, at| {
+            let out = &mut out[at * components..(at + run.len()) * components];
+            self.particles.attribute(index, run.start, out);
+        });
+    }
+}
