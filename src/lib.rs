@@ -225,7 +225,8 @@ pub mod files {
     pub use crate::io::stamp::is_same_file;
     pub use crate::io::whole::Replace;
     pub use crate::io::{ParticleFile, UpAxis};
-    pub use crate::particles::{AttributeInfo, velocity_attribute};
+    pub use crate::particles::occurring::{Occurring, Value};
+    pub use crate::particles::{AttributeInfo, Label, velocity_attribute};
     pub use crate::reconstruction::{
         FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_by,
         open_particles, usual_up,
@@ -334,6 +335,8 @@ pub use frame::{Coincident, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
 pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
+pub use particles::condition::{Comparison, Condition};
+pub use particles::mixture::Mixture;
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
     Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts,

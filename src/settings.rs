@@ -171,17 +171,13 @@ settings! {
     #[arg(value_enum, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
     format: Option<InputFormat>,
 
-    /// The type of particles, of an input that holds several [default: gas, or fluid].
-    ///
-    /// PartType1 of a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD.
-    #[arg(value_name = "NAME", help_heading = "Input", hide_short_help = true)]
-    particle_type: Option<String>,
-
     /// Use only particles that satisfy conditions on their attributes.
     ///
     /// Type=1, mk=0,2, phase!=boundary or age<2.5; `and` joins several. Conditions use =, !=, <,
     /// <=, > and >=, and values of = after commas are alternatives. A component of a vector is
-    /// velocity.y or velocity[1]; x, y and z are the position.
+    /// velocity.y or velocity[1]; x, y and z are the position. Where a file holds several types of
+    /// particles, type names one: type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, a
+    /// species of openPMD [default: gas, or fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
@@ -301,7 +297,7 @@ pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
 }
 
 /// Settings that need the particles: a frame that is sampled keeps those that it was sampled by.
-const OF_PARTICLES: [&str; 14] = [
+const OF_PARTICLES: [&str; 13] = [
     "format",
     "spacing",
     "radius",
@@ -313,7 +309,6 @@ const OF_PARTICLES: [&str; 14] = [
     "indicator",
     "mu0",
     "skip_invalid",
-    "particle_type",
     "where",
     "method",
 ];
@@ -423,7 +418,6 @@ mod tests {
             cell: Some(0.5),
             origin: Some([1.0, 2.0, 3.0]),
             format: Some(InputFormat::Csv),
-            particle_type: Some("gas".into()),
             r#where: Some(vec!["Type=1".parse().unwrap()]),
             domain: Some(Faces([Some([0.0, 1.0]), None, Some([-1.0, 2.0])])),
             periodic: Some(Faces([None, Some([0.0, 4.0]), None])),

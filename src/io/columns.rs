@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
-use crate::particles::{AttributeInfo, Particles, Unread};
+use crate::particles::{AttributeInfo, Label, Particles, Unread};
 
 use super::windows::{Shelf, Source, Windows};
 
@@ -81,6 +81,9 @@ pub struct ColumnStore<B = Source> {
     infos: Vec<AttributeInfo>,
     /// For each attribute, one column per component.
     columns: Vec<Vec<Column>>,
+    labels: Vec<Label>,
+    /// For each label, the column of its texts' numbers.
+    texts: Vec<Column>,
 }
 
 /// The rows of the columns that are particles.
@@ -136,7 +139,8 @@ impl<B: Windows> ColumnStore<B> {
         for (info, columns) in infos.iter().zip(&columns) {
             assert_eq!(info.components, columns.len(), "one column a component");
         }
-        Self { bytes, rows, position, infos, columns }
+        let (labels, texts) = (Vec::new(), Vec::new());
+        Self { bytes, rows, position, infos, columns, labels, texts }
     }
 
     /// Fills the tuples of `out`, each as wide as `columns` are many, from particle `first` on.
@@ -219,6 +223,13 @@ impl<B: Windows> ColumnStore<B> {
 }
 
 impl ColumnStore {
+    /// Adds labels, each with the column of its texts' numbers, which lies as those of attributes.
+    #[must_use]
+    pub fn with_labels(self, labels: impl IntoIterator<Item = (Label, Column)>) -> Self {
+        let (labels, texts) = labels.into_iter().unzip();
+        Self { labels, texts, ..self }
+    }
+
     /// Keeps the particles that a sieve selects, and leaves out all others.
     pub fn select(&mut self, sieve: Sieve) {
         self.rows = Rows::Selected(match &self.rows {
@@ -295,6 +306,16 @@ impl<B: Windows> Particles for ColumnStore<B> {
 
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         self.read(&self.columns[index], first, out);
+    }
+
+    fn labels(&self) -> &[Label] {
+        &self.labels
+    }
+
+    fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        let mut numbers = vec![0.0_f64; out.len()];
+        self.read(&self.texts[index..=index], first, &mut numbers);
+        out.iter_mut().zip(numbers).for_each(|(out, number)| *out = number as u32);
     }
 
     fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
-use super::wanted::{Wanted, no_types};
+use super::wanted::Wanted;
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
 macro_rules! known {
@@ -67,9 +67,6 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
     let format = wanted.format.or_else(|| InputFormat::of(file));
     let reader = reader(format.ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?);
     let bytes = open_bytes_within(file, unpacking)?;
-    if let (Some(name), Reader::OneFile(_) | Reader::Pieces(_)) = (wanted.particle_type, &reader) {
-        return Err(fail(no_types(name)));
-    }
     match reader {
         Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),

@@ -65,6 +65,8 @@ pub struct ParticleFile {
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres, where the file says it; coordinates are in that unit.
     pub unit_metres: Option<f64>,
+    /// The type of the particles, where the file holds several.
+    pub particle_type: Option<String>,
     /// Number of particles that were left out as copies of those of other pieces.
     pub ghosts: usize,
     /// Number of particles that were left out as they fail a condition.
@@ -84,6 +86,7 @@ impl ParticleFile {
             time: None,
             box_size: None,
             unit_metres: None,
+            particle_type: None,
             ghosts: 0,
             unselected: 0,
             unread: Vec::new(),

@@ -9,7 +9,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
-use crate::particles::{AttributeInfo, Particles, Unread};
+use crate::particles::{AttributeInfo, Label, Particles, Unread};
 
 use super::columns::ColumnStore;
 use super::windows::Shelf;
@@ -26,6 +26,8 @@ pub struct Pieces {
     spans: Vec<Span>,
     len: usize,
     infos: Vec<AttributeInfo>,
+    /// Those of the only piece.
+    labels: Vec<Label>,
     /// For every piece the numbers of its own attributes, in the order of `infos`.
     numbers: Vec<Vec<usize>>,
     /// The number of every piece among those of the input, of which some may have no particles.
@@ -54,17 +56,17 @@ struct Span {
 
 impl From<ColumnStore> for Pieces {
     fn from(store: ColumnStore) -> Self {
-        let infos = store.attributes().to_vec();
+        let (infos, labels) = (store.attributes().to_vec(), store.labels().to_vec());
         let numbers = vec![(0..infos.len()).collect()];
         let len = store.len();
         let spans = vec![Span { first: 0, piece: 0, row: 0 }];
-        Self { stores: vec![store], spans, len, infos, numbers, of_input: vec![0] }
+        Self { stores: vec![store], spans, len, infos, labels, numbers, of_input: vec![0] }
     }
 }
 
 impl Pieces {
     /// Joins pieces, whose attributes must be the same but may be in any order and of any type; a
-    /// piece without particles may lack them.
+    /// piece without particles may lack them. Labels are those of a single piece.
     ///
     /// # Errors
     /// The number of the piece that has other attributes than those before, and
@@ -72,7 +74,11 @@ impl Pieces {
     pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
         let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
         let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
-        let mut all = Self { infos, ..Self::default() };
+        let labels = match &parts[..] {
+            [only] => only.labels.clone(),
+            _ => Vec::new(),
+        };
+        let mut all = Self { infos, labels, ..Self::default() };
         for (index, part) in parts.into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
             let order = same_attributes(&all.infos, &part.infos).map_err(|fault| (index, fault))?;
             let (first, piece) = (all.len, all.stores.len());
@@ -253,6 +259,16 @@ impl Particles for Pieces {
             let number = self.numbers[span.piece][index];
             let out = &mut out[at * components..(at + count) * components];
             self.stores[span.piece].attribute(number, span.row, out);
+        });
+    }
+
+    fn labels(&self) -> &[Label] {
+        &self.labels
+    }
+
+    fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        self.each_span(first..first + out.len(), |span, count, at| {
+            self.stores[span.piece].label(index, span.row, &mut out[at..at + count]);
         });
     }
 

@@ -1,6 +1,7 @@
 //! Parts of an input that are wanted: a type of particles, some of their attributes, and no ghosts.
 
 use crate::particles::condition::Where;
+use crate::particles::mixture::is_kind;
 use crate::particles::selection::{SelectionFault, select};
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
@@ -17,8 +18,8 @@ pub(super) const TAG: &str = "tag";
 /// The particles that are wanted of an input that may hold others too, and what of them.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Wanted<'a> {
-    /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that
-    /// there is.
+    /// Name of their type, as the input spells it, where it holds several; without one gas, a
+    /// fluid, or the only type that there is.
     pub particle_type: Option<&'a str>,
     /// Format of the input, where it is not the one that its extension names.
     pub format: Option<InputFormat>,
@@ -91,18 +92,14 @@ impl WantedAttributes<'_> {
             Some(names) => names.iter().map(number).collect(),
         };
         let reads = |(number, info): (usize, &AttributeInfo)| {
-            let is_flag = GHOSTS.contains(&info.name.as_str()) || info.name == TAG;
+            let is_flag =
+                GHOSTS.contains(&info.name.as_str()) || info.name == TAG || is_kind(&info.name);
             is_flag
                 || selecting.contains(&number)
                 || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
         };
         infos.iter().enumerate().map(reads).collect()
     }
-}
-
-/// Refuses a type of particles in a file without such.
-pub(super) fn no_types(name: &str) -> ReadFault {
-    ReadFault::Unsupported(format!("its particles are of one type, and none is called {name}"))
 }
 
 impl ParticleFile {
@@ -112,7 +109,22 @@ impl ParticleFile {
         conditions: &[Where],
         unpacking: Unpacking,
     ) -> Result<Self, ReadFault> {
-        let sieve = select(&self.particles, conditions, || unpacking.go_on().is_ok());
+        let infos = self.particles.attributes();
+        let mut tested = Vec::new();
+        for condition in conditions.iter().flat_map(Where::conditions) {
+            // The reader has chosen a type, unless that is an attribute.
+            match &self.particle_type {
+                Some(own) if condition.is_of_type() && condition.attribute(infos).is_none() => {
+                    let name = condition.name.clone();
+                    let order = || ReadFault::Selection(SelectionFault::Order { name });
+                    if condition.values.len() > 1 || !condition.of_text(own).ok_or_else(order)? {
+                        return Err(ReadFault::Selection(SelectionFault::Types));
+                    }
+                }
+                _ => tested.push(condition),
+            }
+        }
+        let sieve = select(&self.particles, tested, || unpacking.go_on().is_ok());
         let sieve = sieve.map_err(|fault| match fault {
             SelectionFault::Cancelled => unpacking.go_on().expect_err("was cancelled"),
             SelectionFault::Unread(fault) => fault.into(),

@@ -48,6 +48,13 @@ const WRITTEN: [(&str, Comparison); 7] = [
     (">", Comparison::Greater),
 ];
 
+impl Condition {
+    /// Whether it is on the type of particles, of an input that holds several.
+    pub(crate) fn is_of_type(&self) -> bool {
+        self.name == "type"
+    }
+}
+
 impl Comparison {
     /// Whether it asks which value is larger.
     #[must_use]
@@ -80,6 +87,18 @@ impl Where {
     #[must_use]
     pub fn conditions(&self) -> &[Condition] {
         &self.0
+    }
+
+    /// The type of particles that is meant, of an input that holds several.
+    pub(crate) fn particle_type(several: &[Self]) -> Option<&str> {
+        let is_it = |condition: &&Condition| {
+            condition.is_of_type() && condition.comparison == Comparison::Equal
+        };
+        let conditions = several.iter().flat_map(Self::conditions);
+        match &conditions.filter(is_it).next()?.values[..] {
+            [only] => Some(only),
+            _ => None,
+        }
     }
 
     /// All conditions of several.

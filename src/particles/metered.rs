@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::system::control::{Control, Meter, Stage};
 
-use super::{AttributeInfo, Particles, Unread};
+use super::{AttributeInfo, Label, Particles, Unread};
 
 /// Particles as they are, until the work is cancelled: from then on they have no positions, so that
 /// every reading soon comes to its end.
@@ -61,6 +61,14 @@ impl<P: Particles + ?Sized> Particles for Metered<'_, P> {
             return out.fill(f32::NAN);
         }
         self.particles.attribute(index, first, out);
+    }
+
+    fn labels(&self) -> &[Label] {
+        self.particles.labels()
+    }
+
+    fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        self.particles.label(index, first, out);
     }
 
     fn component(&self, of: (usize, usize), first: usize, out: &mut [f64]) {

@@ -4,6 +4,8 @@ mod cloud;
 pub mod condition;
 pub mod lattice;
 mod metered;
+pub mod mixture;
+pub mod occurring;
 pub mod selection;
 pub mod sieve;
 
@@ -26,6 +28,15 @@ pub struct AttributeInfo {
     pub name: String,
     /// Numbers per particle.
     pub components: usize,
+}
+
+/// A text that every particle carries, one of a few.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Label {
+    /// The name of the label, as the file spells it.
+    pub name: String,
+    /// The texts that occur.
+    pub texts: Vec<String>,
 }
 
 impl AttributeInfo {
@@ -99,6 +110,21 @@ pub trait Particles: Sync {
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         let _ = (first, out);
         panic!("there is no attribute number {index}");
+    }
+
+    /// The texts that [`label`](Self::label) serves.
+    fn labels(&self) -> &[Label] {
+        &[]
+    }
+
+    /// Fills `out` with the texts of label number `index` of the particles from `first` on, by their
+    /// numbers among the label's texts.
+    ///
+    /// # Panics
+    /// If the range exceeds the particles or there is no such label.
+    fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        let _ = (first, out);
+        panic!("there is no label number {index}");
     }
 
     /// Fills `out` with one component of an attribute, both by their numbers, of the particles from

@@ -5,9 +5,9 @@ use std::ops::Range;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use super::condition::{Comparison, Condition, Where};
+use super::condition::{Comparison, Condition};
 use super::sieve::{GROUP, Sieve};
-use super::{AttributeInfo, Particles, Unread};
+use super::{AttributeInfo, Label, Particles, Unread};
 
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -47,6 +47,17 @@ pub enum SelectionFault {
         /// The text.
         value: String,
     },
+    /// A text of which larger and smaller are asked.
+    #[error(
+        "particles are selected by {name:?}, whose values are texts; only = and != compare them"
+    )]
+    Order {
+        /// The name in the condition.
+        name: String,
+    },
+    /// Several types where particles of one are read at a time.
+    #[error("particles are selected of several types; name one of this file")]
+    Types,
     /// Particles that could not be read.
     #[error("{0}")]
     Unread(#[from] Unread),
@@ -77,12 +88,13 @@ enum Number {
     Position(usize),
 }
 
-/// A condition on numbers.
+/// A condition on what particles hold.
 #[derive(Debug)]
-struct Test {
-    number: Number,
-    comparison: Comparison,
-    values: Vec<f64>,
+enum Test {
+    /// A comparison of a number with some.
+    Number(Number, Comparison, Vec<f64>),
+    /// A label, and for each of its texts whether it passes.
+    Label(usize, Vec<bool>),
 }
 
 /// Splits the name of a component as `velocity.y` or `velocity[1]`.
@@ -110,6 +122,16 @@ impl Condition {
         attribute(infos, &self.name).or_else(of_component)
     }
 
+    /// Whether it holds for a text; `None` if it asks for an order.
+    pub(crate) fn of_text(&self, text: &str) -> Option<bool> {
+        let is_one = self.values.iter().any(|value| value == text.trim());
+        match self.comparison {
+            Comparison::Equal => Some(is_one),
+            Comparison::NotEqual => Some(!is_one),
+            _ => None,
+        }
+    }
+
     fn number(&self, infos: &[AttributeInfo]) -> Result<Number, SelectionFault> {
         let name = self.name.clone();
         let Some(index) = self.attribute(infos) else {
@@ -128,35 +150,58 @@ impl Condition {
         Ok(Number::Component(index, component))
     }
 
-    fn test(&self, infos: &[AttributeInfo]) -> Result<Test, SelectionFault> {
-        let (name, number) = (&self.name, self.number(infos)?);
+    fn test(&self, infos: &[AttributeInfo], labels: &[Label]) -> Result<Test, SelectionFault> {
+        let name = &self.name;
+        if let Some(index) = labels.iter().position(|label| label.name == *name) {
+            let order = || SelectionFault::Order { name: name.clone() };
+            let passes = |text: &String| self.of_text(text).ok_or_else(order);
+            let texts = labels[index].texts.iter().map(passes).collect::<Result<_, _>>()?;
+            return Ok(Test::Label(index, texts));
+        }
+        let number = self.number(infos)?;
         let value = |text: &String| {
             let fault = || SelectionFault::Text { name: name.clone(), value: text.clone() };
             text.parse().map_err(|_| fault())
         };
         let values = self.values.iter().map(value).collect::<Result<_, _>>()?;
-        Ok(Test { number, comparison: self.comparison, values })
+        Ok(Test::Number(number, self.comparison, values))
     }
 }
 
 impl Test {
     /// Clears the bits of those particles from `first` on that fail.
     fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
-        let mut numbers = vec![0.0; range.len()];
-        match self.number {
-            Number::Component(index, component) => {
-                particles.component((index, component), range.start, &mut numbers)
+        let (first, count) = (range.start, range.len());
+        match self {
+            Self::Number(number, comparison, values) => {
+                let mut numbers = vec![0.0; count];
+                match *number {
+                    Number::Component(index, component) => {
+                        particles.component((index, component), first, &mut numbers)
+                    }
+                    Number::Position(axis) => {
+                        let mut positions = vec![[0.0; 3]; count];
+                        particles.positions(first, &mut positions);
+                        let along = positions.iter().map(|position| position[axis]);
+                        numbers.iter_mut().zip(along).for_each(|(to, along)| *to = along);
+                    }
+                }
+                keep(words, &numbers, |&number| comparison.holds(number, values));
             }
-            Number::Position(axis) => {
-                let mut positions = vec![[0.0; 3]; range.len()];
-                particles.positions(range.start, &mut positions);
-                numbers.iter_mut().zip(positions).for_each(|(to, position)| *to = position[axis]);
+            Self::Label(index, passes) => {
+                let mut texts = vec![0; count];
+                particles.label(*index, first, &mut texts);
+                keep(words, &texts, |&text| passes.get(text as usize).is_some_and(|&pass| pass));
             }
         }
-        for (word, numbers) in words.iter_mut().zip(numbers.chunks(64)) {
-            let holds = numbers.iter().map(|&number| self.comparison.holds(number, &self.values));
-            *word &= holds.enumerate().fold(0, |bits, (bit, holds)| bits | u64::from(holds) << bit);
-        }
+    }
+}
+
+/// Clears the bits of those values that fail.
+fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
+    for (word, values) in words.iter_mut().zip(values.chunks(64)) {
+        let bits = values.iter().map(&holds).enumerate();
+        *word &= bits.fold(0, |bits, (bit, holds)| bits | u64::from(holds) << bit);
     }
 }
 
@@ -164,14 +209,13 @@ impl Test {
 ///
 /// # Errors
 /// [`SelectionFault`].
-pub fn select(
+pub fn select<'a>(
     particles: &(impl Particles + ?Sized),
-    conditions: &[Where],
+    conditions: impl IntoIterator<Item = &'a Condition>,
     goes_on: impl Fn() -> bool + Sync,
 ) -> Result<Sieve, SelectionFault> {
-    let infos = particles.attributes();
-    let conditions = conditions.iter().flat_map(Where::conditions);
-    let tests = conditions.map(|condition| condition.test(infos));
+    let (infos, labels) = (particles.attributes(), particles.labels());
+    let tests = conditions.into_iter().map(|condition| condition.test(infos, labels));
     let tests = tests.collect::<Result<Vec<_>, _>>()?;
     let mut words = Sieve::none(particles.len());
     let groups = words.par_chunks_mut(GROUP / 64).enumerate();
@@ -244,6 +288,16 @@ impl<P: Particles + ?Sized> Particles for Selected<'_, P> {
 
     fn attributes(&self) -> &[AttributeInfo] {
         self.particles.attributes()
+    }
+
+    fn labels(&self) -> &[Label] {
+        self.particles.labels()
+    }
+
+    fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        self.each_run(first, out.len(), |run, at| {
+            self.particles.label(index, run.start, &mut out[at..at + run.len()]);
+        });
     }
 
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {

@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::io::output::MeshFormat;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::particles::{AttributeInfo, velocity_attribute};
-use crate::settings::Settings;
+use crate::settings::{Settings, Where};
 
 impl Settings {
     /// Particles and attributes that have to be read of an input.
@@ -14,7 +14,7 @@ impl Settings {
         let attributes = WantedAttributes::Only { names, conditions };
         Wanted {
             format: self.format,
-            particle_type: self.particle_type.as_deref(),
+            particle_type: Where::particle_type(self.conditions()),
             attributes,
             conditions,
             ..Wanted::default()

@@ -165,15 +165,9 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the type of particles that is meant, where an input holds several: `PartType1` of a
-    /// snapshot, an array of PySPH's, a species of openPMD's. Without this it is gas, `fluid`, or
-    /// the only one.
-    pub fn particle_type(mut self, name: impl Into<String>) -> Self {
-        self.settings.particle_type = Some(name.into());
-        self
-    }
-
-    /// Uses only the particles that satisfy conditions on their attributes.
+    /// Uses only the particles that satisfy conditions on their attributes. Where an input holds
+    /// several types of particles, `type` names one: `PartType1` of a snapshot, an array of PySPH, a
+    /// species of openPMD; without it that is gas, `fluid`, or the only one.
     ///
     /// ```
     /// use meniscus::{Cloud, Reconstruction, Where};

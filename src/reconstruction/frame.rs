@@ -20,7 +20,7 @@ use super::output::PackedOutput;
 use super::surface::Surface;
 use super::warning::{Warning, of_frame, with_doubts};
 use super::{Cells, ChosenSampling, Packed, Source};
-use crate::settings::Settings;
+use crate::settings::{Settings, Where};
 
 /// A frame that was sampled: its discrete indicator function, and whatever its surface has to know
 /// of the particles.
@@ -74,7 +74,9 @@ impl Checked {
         if conditions.is_empty() {
             return Ok(None);
         }
-        let sieve = select(particles, conditions, || self.go_on().is_ok())?;
+        let sieve = select(particles, conditions.iter().flat_map(Where::conditions), || {
+            self.go_on().is_ok()
+        })?;
         Ok(Some(Selected::new(particles, sieve)))
     }
 

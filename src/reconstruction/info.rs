@@ -18,6 +18,7 @@ use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
+use crate::particles::occurring::{Occurring, occurring};
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::measure::measure;
 use crate::system::memory::default_memory;
@@ -55,6 +56,12 @@ pub struct ParticlesInfo {
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The attributes beside positions.
     pub attributes: Vec<AttributeInfo>,
+    /// The attributes of few values, and how often each value occurs.
+    pub values: Vec<Occurring>,
+    /// The type of the particles, where the file holds several.
+    pub particle_type: Option<String>,
+    /// The number of particles that fail the conditions.
+    pub unselected: usize,
     /// The number of particles that are left out, as copies of those of other pieces.
     pub ghosts: usize,
     /// Edges of the simulation's box by the file, which does not say whether it is periodic.
@@ -221,6 +228,9 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         not_finite: particles.len() - bounds.map_or(0, |b| b.finite),
         bounds: bounds.map(|b| [b.lo.to_array(), b.hi.to_array()]),
         attributes: particles.attributes().iter().chain(&file.unread).cloned().collect(),
+        values: occurring(particles),
+        particle_type: file.particle_type.clone(),
+        unselected: file.unselected,
         ghosts: file.ghosts,
         box_size: file.box_size,
         unit_metres: file.unit_metres,

@@ -10,7 +10,7 @@ use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
 /// Settings that need a host, or a mesh that is simplified or written.
-const OF_HOST: [&str; 14] = [
+const OF_HOST: [&str; 13] = [
     "method",
     "periodic",
     "periodic_mesh",
@@ -23,7 +23,6 @@ const OF_HOST: [&str; 14] = [
     "up",
     "particles_up",
     "format",
-    "particle_type",
     "where",
 ];
 

@@ -16,6 +16,7 @@ use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic};
 use crate::io::scene::spacing_beside;
 use crate::particles::Particles;
+use crate::particles::mixture::mixture;
 
 use super::cells::{CellSize, Cells, Slab, Source};
 use super::lattice::on_sound_grid;
@@ -159,11 +160,26 @@ impl SamplingRequest {
         Ok(self.cells_while(particles, from, read)?.0)
     }
 
+    /// Chooses the cells for particles like [`cells_by`](Self::cells_by), with a doubt where a
+    /// boundary is among them.
+    fn cells_while<T>(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+        read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
+    ) -> Result<(Cells, Option<T>), Error> {
+        let (mut cells, done) = self.cells_by(particles, from, read)?;
+        if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
+            cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
+        }
+        Ok((cells, done))
+    }
+
     /// Chooses the cells for particles, and uses the caller's `read` where there are so many of
     /// them that a reading of its own would take long. `read` gets the cell size, as far as it is
     /// known, and a function that it calls with the positions of all particles. It returns `None`
     /// if it failed. The last value that it returned is returned with the cells.
-    fn cells_while<T>(
+    fn cells_by<T>(
         &self,
         particles: &(impl Particles + ?Sized),
         from: Source<'_>,

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use crate::field::spacing::{Estimate, Evidence, Neighbours, evidence, look_at};
 use crate::grid::units::{shown, significant};
 use crate::particles::Particles;
+use crate::particles::mixture::Mixture;
 
 /// Writes a path down as it is shown: not every one is text.
 fn as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
@@ -83,6 +84,8 @@ pub enum Doubt {
         /// The spacing that is taken: their mean distance.
         taken: f64,
     },
+    /// Some of the particles lie around the others as a boundary does around a fluid.
+    Mixed(Mixture),
     /// The coordinates, stored in single precision, are too coarse for the spacing.
     SinglePrecision {
         /// The step of the coordinates.
@@ -277,6 +280,12 @@ impl fmt::Display for Doubt {
                 }
                 Ok(())
             }
+            Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
+                f,
+                "the {} particles whose {attribute} is {} lie around the {} whose {attribute} is {}, as a boundary does around a \
+                 fluid: all are one surface",
+                boundary.1, boundary.0, fluid.1, fluid.0
+            ),
             Self::Thin { taken, counted, nearest } => {
                 let taken = about(*taken);
                 match counted {

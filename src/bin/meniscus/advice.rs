@@ -6,7 +6,9 @@ use meniscus::error::{
     BinError, Error, FrameError, PartsError, ReadFault, Remedy, SimulationError, TooFine, Unread,
     Untold, WriteFault, shown, significant,
 };
-use meniscus::{Doubt, Emptiness, Mistake, SpacingSource, TooSmall, Warning};
+use meniscus::{
+    Comparison, Condition, Doubt, Emptiness, Mistake, Mixture, SpacingSource, TooSmall, Warning,
+};
 
 use crate::options::Options;
 
@@ -146,6 +148,15 @@ pub fn doubted(doubt: &Doubt) -> String {
         }
         Doubt::SinglePrecision { .. } => {
             format!("{doubt}; store them in double precision, or nearer to the origin")
+        }
+        Doubt::Mixed(Mixture { attribute, fluid: (value, _), .. }) => {
+            let values = vec![value.to_string()];
+            let fluid =
+                Condition { name: attribute.clone(), comparison: Comparison::Equal, values };
+            let fluid = fluid.to_string();
+            let is_plain = fluid.chars().all(|c| c.is_alphanumeric() || "_-.,=".contains(c));
+            let quote = if is_plain { "" } else { "'" };
+            format!("{doubt}; --where {quote}{fluid}{quote} selects the fluid")
         }
         Doubt::TwoResolutions { .. } => format!("{doubt}; --spacing says another"),
         _ => format!("{doubt}; give --spacing if you know it"),

@@ -6,8 +6,8 @@ use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::{shown, significant};
 use meniscus::files::{
-    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, files,
-    info_by, is_packed,
+    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, Occurring, ParticlesInfo,
+    files, info_by, is_packed,
 };
 use meniscus::{Error, Settings, Where};
 
@@ -20,9 +20,6 @@ pub struct Options {
     /// the number.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// The type of particles, of files that hold several [default: gas, or fluid].
-    #[arg(long, value_name = "NAME")]
-    particle_type: Option<String>,
     /// The format of particle files, whatever their extension says [default: by the extension].
     #[arg(long, value_enum, value_name = "NAME")]
     format: Option<InputFormat>,
@@ -36,13 +33,8 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let Options { format, particle_type, r#where, .. } = options;
-    let settings = Settings {
-        format: *format,
-        particle_type: particle_type.clone(),
-        r#where: r#where.clone(),
-        ..Settings::default()
-    };
+    let Options { format, r#where, .. } = options;
+    let settings = Settings { format: *format, r#where: r#where.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
     for file in files(&options.files, is_told)? {
         match info_by(&file, &settings) {
@@ -89,6 +81,9 @@ fn describe(info: &Info) -> String {
             slab,
             memory_bytes,
             ghosts,
+            values,
+            particle_type,
+            unselected,
             box_size,
             unit_metres,
             ..
@@ -107,7 +102,17 @@ fn describe(info: &Info) -> String {
             if let Some(metres) = unit_metres {
                 line("unit", format!("of length {metres:?} m, by the file"));
             }
+            if let Some(kind) = particle_type {
+                line("type", kind.clone());
+            }
+            if *unselected > 0 {
+                line("left out", format!("{unselected} particles that fail the conditions"));
+            }
             line("attributes", names(attributes));
+            for Occurring { name, values } in values {
+                let listed = values.iter().map(|(value, count)| format!("{value} ({count})"));
+                line(name, listed.collect::<Vec<_>>().join(", "));
+            }
             let source = spacing_source.as_deref().unwrap_or_default();
             let unknown = || {
                 let why =

@@ -24,7 +24,7 @@ use std::path::Path;
 use crate::surface::mesh::Mesh;
 
 use super::bytes::{Bytes, Unpacking};
-use super::wanted::{Wanted, no_types};
+use super::wanted::Wanted;
 use super::{ParticleFile, ReadError, ReadFault};
 
 use file::File;
@@ -81,9 +81,6 @@ pub fn open_particles(
         return Err(fail(ReadFault::Unsupported(format!(
             "it holds one frame, and no step {step}"
         ))));
-    }
-    if let (Layout::VtkHdf | Layout::Table, Some(name)) = (&layout, wanted.particle_type) {
-        return Err(fail(no_types(name)));
     }
     match layout {
         Layout::VtkHdf => vtkhdf::read_particles(file, step, wanted.attributes).map_err(fail),

@@ -67,10 +67,12 @@ pub fn read_particles(
     let path = path.unwrap_or_else(|_| "particles/".to_owned());
     let all = checked(iteration.group(path.trim_matches('/')))?;
     let (known, _) = checked(all.member_names())?;
-    let species = checked(all.group(&chosen_type(&known, wanted.particle_type, None)?))?;
+    let kind = chosen_type(&known, wanted.particle_type, None)?;
+    let species = checked(all.group(&kind))?;
     Ok(ParticleFile {
         time,
         unit_metres: Some(1.0),
+        particle_type: Some(kind),
         ..particles(&species, &file, wanted.attributes)?
     })
 }

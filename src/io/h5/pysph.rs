@@ -22,7 +22,7 @@ pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFa
     let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
     let arrays = Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
-    Ok(ParticleFile { time, ..file.without(TAG) })
+    Ok(ParticleFile { time, particle_type: Some(kind), ..file.without(TAG) })
 }
 
 /// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.

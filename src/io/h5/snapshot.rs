@@ -150,7 +150,7 @@ pub fn open_particles(
         check_total(&header, &kind, read.particles.len()).map_err(fail)?;
     }
     let Header { time, box_size, unit_metres, .. } = header;
-    Ok(ParticleFile { time, box_size, unit_metres, ..read })
+    Ok(ParticleFile { time, box_size, unit_metres, particle_type: Some(kind), ..read })
 }
 
 /// Refuses files that hold other particles together than each of them says.

@@ -1,0 +1,272 @@
+//! Fluid and boundary among the same particles, told apart by an attribute.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Particles;
+use super::occurring::{Source, Value, values_of};
+
+/// Names of attributes that tell what a particle is made of, in lower case and without `_`.
+const KINDS: [&str; 26] = [
+    "type",
+    "ptype",
+    "particletype",
+    "kind",
+    "phase",
+    "phaseid",
+    "mk",
+    "mkvalue",
+    "material",
+    "materialid",
+    "mat",
+    "matid",
+    "group",
+    "groupid",
+    "label",
+    "boundary",
+    "isboundary",
+    "bound",
+    "fluid",
+    "isfluid",
+    "solid",
+    "wall",
+    "body",
+    "bodyid",
+    "objectid",
+    "species",
+];
+
+/// Values of such an attribute, at most; more are no fluid and its boundary.
+const MOST: usize = 3;
+/// Cells along each axis in which the inside of the fluid is looked for, at most.
+const FINEST: f64 = 32.0;
+/// Particles of the fluid in such a cell, on average.
+const IN_CELL: f64 = 8.0;
+/// Share of a boundary that may be within the fluid.
+const WITHIN: f64 = 0.02;
+/// Particles that are looked at together.
+const CHUNK: usize = 1 << 12;
+
+/// Whether an attribute's name says that it tells what a particle is made of.
+pub fn is_kind(name: &str) -> bool {
+    let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
+    KINDS.contains(&plain.to_ascii_lowercase().as_str())
+}
+
+/// Particles that lie around others as a boundary lies around a fluid.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Mixture {
+    /// The attribute that tells them apart.
+    pub attribute: String,
+    /// Its value on the boundary, and the number of particles there.
+    pub boundary: (Value, usize),
+    /// Its value within, and the number of particles there.
+    pub fluid: (Value, usize),
+}
+
+/// The box around some particles.
+#[derive(Clone, Copy)]
+struct Extent([DVec3; 2]);
+
+impl Extent {
+    const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
+
+    fn joined(self, other: Self) -> Self {
+        let (Self([lo, hi]), Self([other_lo, other_hi])) = (self, other);
+        Self([lo.min(other_lo), hi.max(other_hi)])
+    }
+
+    /// Whether it lies beyond another on all sides but one at the most: a tank may be open.
+    fn is_around(self, inner: Self) -> bool {
+        let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
+        let beyond =
+            lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
+        beyond >= 5
+    }
+}
+
+/// Finds a boundary around a fluid, by an attribute whose name and values suggest it.
+pub fn mixture(particles: &(impl Particles + ?Sized)) -> Option<Mixture> {
+    let scalars = particles.attributes().iter().enumerate();
+    let scalars = scalars.filter(|(_, info)| info.components == 1 && is_kind(&info.name));
+    let labels = particles.labels().iter().enumerate().filter(|(_, label)| is_kind(&label.name));
+    let sources = scalars.map(|(index, info)| (Source::Attribute(index), &info.name));
+    let mut sources = sources.chain(labels.map(|(index, l)| (Source::Label(index), &l.name)));
+    sources.find_map(|(source, name)| by(particles, source, name))
+}
+
+/// Calls `take` with the places and the numbers of some thousand particles after the other.
+fn each<T: Send>(
+    particles: &(impl Particles + ?Sized),
+    source: Source,
+    take: impl Fn(&[[f64; 3]], &[u64]) -> T + Sync,
+    joined: impl Fn(T, T) -> T + Send + Sync,
+    none: impl Fn() -> T + Sync,
+) -> T {
+    let all = particles.len();
+    let chunks = (0..all.div_ceil(CHUNK)).into_par_iter().map(|chunk| {
+        let (first, count) = (chunk * CHUNK, CHUNK.min(all - chunk * CHUNK));
+        let mut positions = vec![[0.0; 3]; count];
+        particles.positions(first, &mut positions);
+        let keys = source.keys(particles, first, count);
+        particles.release(first..first + count);
+        take(&positions, &keys)
+    });
+    chunks.reduce(&none, joined)
+}
+
+fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Option<Mixture> {
+    let values =
+        values_of(particles, source).filter(|values| (2..=MOST).contains(&values.len()))?;
+    let finite = |position: &[f64; 3]| DVec3::from(*position).is_finite();
+    let place = |key: u64| values.iter().position(|(known, ..)| *known == key);
+    let extents = each(
+        particles,
+        source,
+        |positions, keys| {
+            let mut extents = [Extent::NONE; MOST];
+            for (position, key) in positions.iter().zip(keys).filter(|(p, _)| finite(p)) {
+                if let Some(place) = place(*key) {
+                    extents[place] = extents[place].joined(Extent([DVec3::from(*position); 2]));
+                }
+            }
+            extents
+        },
+        |one, other| std::array::from_fn(|i| one[i].joined(other[i])),
+        || [Extent::NONE; MOST],
+    );
+    let pairs =
+        (0..values.len()).flat_map(|outer| (0..values.len()).map(move |inner| (outer, inner)));
+    pairs.filter(|&(outer, inner)| extents[outer].is_around(extents[inner])).find_map(
+        |(outer, inner)| {
+            let ((boundary, of_boundary, around), (fluid, of_fluid, within)) =
+                (&values[outer], &values[inner]);
+            let cells = Cells::of(extents[inner], *within);
+            let visit = |key: u64, visit: &(dyn Fn(usize) + Sync)| {
+                let take = |positions: &[[f64; 3]], keys: &[u64]| {
+                    let those =
+                        positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
+                    those.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
+                };
+                each(particles, source, take, |(), ()| (), || ());
+            };
+            let counts: Vec<AtomicU32> = (0..cells.len()).map(|_| AtomicU32::new(0)).collect();
+            visit(*fluid, &|cell| _ = counts[cell].fetch_add(1, Ordering::Relaxed));
+            let wet: Vec<bool> = counts.into_iter().map(|count| count.into_inner() > 0).collect();
+            let inside = AtomicU32::new(0);
+            visit(*boundary, &|cell| {
+                if cells.is_inside(&wet, cell) {
+                    inside.fetch_add(1, Ordering::Relaxed);
+                }
+            });
+            let is_apart = f64::from(inside.into_inner()) <= WITHIN * *around as f64;
+            is_apart.then(|| Mixture {
+                attribute: name.to_owned(),
+                boundary: (of_boundary.clone(), *around),
+                fluid: (of_fluid.clone(), *within),
+            })
+        },
+    )
+}
+
+/// Cells in the box around the fluid.
+struct Cells {
+    lo: DVec3,
+    scale: DVec3,
+    count: i32,
+}
+
+impl Cells {
+    fn of(Extent([lo, hi]): Extent, particles: usize) -> Self {
+        let count = (particles as f64 / IN_CELL).cbrt().clamp(1.0, FINEST).floor();
+        Self {
+            lo,
+            scale: count / (hi - lo).max(DVec3::splat(f64::MIN_POSITIVE)),
+            count: count as i32,
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.count.pow(3) as usize
+    }
+
+    fn number(&self, cell: IVec3) -> Option<usize> {
+        let is_in = cell.cmpge(IVec3::ZERO).all() && cell.cmplt(IVec3::splat(self.count)).all();
+        is_in.then(|| ((cell.z * self.count + cell.y) * self.count + cell.x) as usize)
+    }
+
+    fn index(&self, position: DVec3) -> Option<usize> {
+        let cell = ((position - self.lo) * self.scale).floor();
+        // The upper faces belong to the last cells.
+        let last = DVec3::splat(f64::from(self.count));
+        let cell = DVec3::select(cell.cmpeq(last), last - 1.0, cell);
+        let is_in = cell.cmpge(DVec3::ZERO).all() && cell.cmplt(last).all();
+        is_in.then(|| self.number(cell.as_ivec3())).flatten()
+    }
+
+    /// Whether fluid is in a cell and in all around it.
+    fn is_inside(&self, wet: &[bool], cell: usize) -> bool {
+        let (cell, count) = (cell as i32, self.count);
+        let at = IVec3::new(cell % count, cell / count % count, cell / (count * count));
+        let steps = || -1..=1;
+        let around = steps()
+            .flat_map(|z| steps().flat_map(move |y| steps().map(move |x| IVec3::new(x, y, z))));
+        around.into_iter().all(|step| self.number(at + step).is_some_and(|cell| wet[cell]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::particles::Cloud;
+
+    /// Points of a lattice around the origin, and a number of each.
+    fn lattice(half: i32, number: impl Fn(IVec3) -> Option<f32>) -> (Vec<[f64; 3]>, Vec<f32>) {
+        let axis = || -half..=half;
+        let points =
+            axis().flat_map(|z| axis().flat_map(move |y| axis().map(move |x| IVec3::new(x, y, z))));
+        points.filter_map(|p| Some((p.as_dvec3().to_array(), number(p)?))).unzip()
+    }
+
+    fn found(name: &str, (positions, numbers): &(Vec<[f64; 3]>, Vec<f32>)) -> Option<Mixture> {
+        mixture(&Cloud::new(positions).with(name, numbers))
+    }
+
+    #[test]
+    fn a_shell_around_a_fluid_is_its_boundary() {
+        let tank = lattice(12, |p| {
+            let is_wall = p.abs().max_element() > 10;
+            (is_wall && p.z < 12 || !is_wall && p.z < 3).then(|| if is_wall { 7.0 } else { 2.0 })
+        });
+        let Mixture { attribute, boundary, fluid } = found("Mk", &tank).unwrap();
+        assert_eq!(
+            (attribute.as_str(), boundary.0, fluid.0),
+            ("Mk", Value::Number(7.0), Value::Number(2.0))
+        );
+        assert_eq!(boundary.1 + fluid.1, tank.0.len());
+        assert_eq!(found("temperature", &tank), None);
+        // A round tank, whose walls are within the box around the fluid.
+        let round = lattice(12, |p| {
+            let r = p.as_dvec3().truncate().length();
+            let is_wall = r > 10.5 || p.z < -10;
+            (r < 12.0).then(|| f32::from(is_wall))
+        });
+        assert_eq!(found("phase", &round).unwrap().boundary.0, Value::Number(1.0));
+    }
+
+    #[test]
+    fn layers_and_mixed_fluids_are_no_boundary() {
+        let layers = lattice(10, |p| Some(f32::from(p.z > 0)));
+        let mixed =
+            lattice(10, |p| Some((p.x * 7 + p.y * 13 + p.z * 29).rem_euclid(3).min(1) as f32));
+        let drop = lattice(10, |p| Some(f32::from(p.length_squared() < 30)));
+        for one in [layers, mixed] {
+            assert_eq!(found("phase", &one), None);
+        }
+        // Water around a drop of oil is around it indeed.
+        assert!(found("phase", &drop).is_some());
+    }
+}

@@ -1,0 +1,161 @@
+//! Values that occur among particles, and how often, for attributes of few values.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Particles;
+
+/// Most values of an attribute that are listed.
+const MOST: usize = 8;
+/// Particles that are looked at together.
+const CHUNK: usize = 1 << 12;
+
+/// An attribute of few values.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Occurring {
+    /// The name of the attribute or label.
+    pub name: String,
+    /// The values, in order, each with the number of its particles.
+    pub values: Vec<(Value, usize)>,
+}
+
+/// A value of an attribute.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Value {
+    /// A number.
+    Number(f64),
+    /// A text.
+    Text(String),
+}
+
+impl std::fmt::Display for Value {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Text(text) => f.write_str(text),
+        }
+    }
+}
+
+/// Finds the attributes of one number and the labels that have no more than a few values.
+pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<Occurring> {
+    let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
+    let sources = scalars.map(|(index, info)| (Source::Attribute(index), &info.name));
+    let labels = particles.labels().iter().enumerate();
+    let sources = sources.chain(labels.map(|(index, l)| (Source::Label(index), &l.name)));
+    let found = sources.filter_map(|(source, name)| {
+        let values = values_of(particles, source)?;
+        let values = values.into_iter().map(|(_, value, count)| (value, count)).collect();
+        Some(Occurring { name: name.clone(), values })
+    });
+    found.collect()
+}
+
+/// The number of every particle that tells it apart from others.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Source {
+    /// An attribute of one number.
+    Attribute(usize),
+    /// A label.
+    Label(usize),
+}
+
+impl Source {
+    /// Keys of so many particles from `first` on, in the order of their values.
+    pub(super) fn keys(
+        self,
+        particles: &(impl Particles + ?Sized),
+        first: usize,
+        count: usize,
+    ) -> Vec<u64> {
+        match self {
+            Self::Attribute(index) => {
+                let mut numbers = vec![0.0; count];
+                particles.component((index, 0), first, &mut numbers);
+                numbers.into_iter().map(ordered).collect()
+            }
+            Self::Label(index) => {
+                let mut texts = vec![0; count];
+                particles.label(index, first, &mut texts);
+                texts.into_iter().map(u64::from).collect()
+            }
+        }
+    }
+
+    fn value(self, particles: &(impl Particles + ?Sized), key: u64) -> Value {
+        let text = |index: usize| particles.labels()[index].texts.get(key as usize).cloned();
+        match self {
+            Self::Attribute(_) => Value::Number(number(key)),
+            Self::Label(index) => Value::Text(text(index).unwrap_or_default()),
+        }
+    }
+}
+
+/// The values that occur, each with its key and the number of its particles; `None` where they are
+/// more than a few, or hardly any occurs twice.
+pub(super) fn values_of(
+    particles: &(impl Particles + ?Sized),
+    source: Source,
+) -> Option<Vec<(u64, Value, usize)>> {
+    let counts = counted(particles, source)?;
+    let values = counts.into_iter().map(|(key, n)| (key, source.value(particles, key), n));
+    Some(values.collect())
+}
+
+/// How often each key occurs; `None` where more than a few do, or hardly any occurs twice.
+fn counted(particles: &(impl Particles + ?Sized), source: Source) -> Option<BTreeMap<u64, usize>> {
+    let all = particles.len();
+    let counts = (0..all.div_ceil(CHUNK)).into_par_iter().map(|chunk| {
+        let first = chunk * CHUNK;
+        let count = CHUNK.min(all - first);
+        let mut counts = BTreeMap::new();
+        for key in source.keys(particles, first, count) {
+            *counts.entry(key).or_insert(0) += 1;
+            if counts.len() > MOST {
+                return None;
+            }
+        }
+        particles.release(first..first + count);
+        Some(counts)
+    });
+    let joined = counts.try_reduce(BTreeMap::new, |mut counts, others| {
+        others.into_iter().for_each(|(key, count)| *counts.entry(key).or_insert(0) += count);
+        (counts.len() <= MOST).then_some(counts)
+    })?;
+    (joined.len() * 2 <= all).then_some(joined)
+}
+
+/// The bits of a number, in the order of numbers; zeros are one.
+fn ordered(number: f64) -> u64 {
+    let bits = (number + 0.0).to_bits();
+    if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }
+}
+
+/// The number that [`ordered`] made so.
+fn number(key: u64) -> f64 {
+    f64::from_bits(if key >> 63 == 1 { key & !(1 << 63) } else { !key })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::particles::Cloud;
+
+    #[test]
+    fn values_that_occur_are_listed_in_order_with_their_counts() {
+        let count = 3 * CHUNK;
+        let positions = vec![[0.0_f64; 3]; count];
+        let phase: Vec<f32> = (0..count).map(|i| [-1.0, 2.5, -0.0, 0.0][i % 4]).collect();
+        let ids: Vec<f32> = (0..count).map(|i| i as f32).collect();
+        let late: Vec<f32> = (0..count).map(|i| (i / (count / 9)) as f32).collect();
+        let cloud = Cloud::new(&positions).with("phase", &phase).with("id", &ids);
+        let cloud = cloud.with("late", &late);
+        let quarter = count / 4;
+        let values = [(-1.0, quarter), (0.0, 2 * quarter), (2.5, quarter)];
+        let values = values.map(|(number, count)| (Value::Number(number), count)).to_vec();
+        assert_eq!(occurring(&cloud), [Occurring { name: "phase".into(), values }]);
+    }
+}
