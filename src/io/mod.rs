@@ -43,6 +43,7 @@ pub mod windows;
 pub mod xyz;
 
 use crate::particles::AttributeInfo;
+use crate::particles::selection::SelectionFault;
 
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
@@ -71,6 +72,8 @@ pub struct ParticleFile {
     pub ghosts: usize,
     /// Number of particles that were left out as they fail a condition.
     pub unselected: usize,
+    /// The reason why there are none, if all fail a condition.
+    pub none_selected: Option<SelectionFault>,
     /// Attributes that the file has, and that were not read as nobody wanted them.
     pub unread: Vec<AttributeInfo>,
 }
@@ -89,6 +92,7 @@ impl ParticleFile {
             particle_type: None,
             ghosts: 0,
             unselected: 0,
+            none_selected: None,
             unread: Vec::new(),
         }
     }

@@ -131,8 +131,19 @@ impl ParticleFile {
             fault => ReadFault::Selection(fault),
         })?;
         self.unselected = self.particles.len() - sieve.count();
+        if sieve.count() == 0 && self.unselected > 0 {
+            self.none_selected = Some(SelectionFault::none(&self.particles, conditions));
+        }
         self.particles.select(&sieve);
         Ok(self)
+    }
+
+    /// Refuses a file all of whose particles fail a condition.
+    ///
+    /// # Errors
+    /// [`ReadFault::Selection`].
+    pub fn with_some(mut self) -> Result<Self, ReadFault> {
+        self.none_selected.take().map_or(Ok(self), |fault| Err(ReadFault::Selection(fault)))
     }
 
     /// Leaves out the points that VTK flags as copies or as hidden.

@@ -5,7 +5,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use super::condition::{Comparison, Condition};
+use super::condition::{Comparison, Condition, Where};
+use super::occurring::{Occurring, occurring};
 use super::sieve::{GROUP, Sieve};
 use super::{AttributeInfo, Label, Particles, Unread};
 
@@ -13,7 +14,7 @@ use super::{AttributeInfo, Label, Particles, Unread};
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// A condition that cannot be applied to some particles.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[derive(Debug, Clone, PartialEq, Error)]
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
     #[error(
@@ -58,6 +59,16 @@ pub enum SelectionFault {
     /// Several types where particles of one are read at a time.
     #[error("particles are selected of several types; name one of this file")]
     Types,
+    /// No particle satisfies all conditions.
+    #[error("none of {of} particles satisfies {conditions}{}", occur(values))]
+    None {
+        /// The number of particles.
+        of: usize,
+        /// The conditions.
+        conditions: String,
+        /// The values that occur, of attributes of few values that are in conditions.
+        values: Vec<Occurring>,
+    },
     /// Particles that could not be read.
     #[error("{0}")]
     Unread(#[from] Unread),
@@ -68,6 +79,14 @@ pub enum SelectionFault {
 
 fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+fn occur(values: &[Occurring]) -> String {
+    let one = |of: &Occurring| {
+        let listed = of.values.iter().map(|(value, count)| format!("{value} ({count})"));
+        format!("; {} is {}", of.name, listed.collect::<Vec<_>>().join(", "))
+    };
+    values.iter().map(one).collect()
 }
 
 /// An example of how to name a component, for people.
@@ -231,6 +250,19 @@ pub fn select<'a>(
     })?;
     particles.check()?;
     Ok(Sieve::new(words))
+}
+
+impl SelectionFault {
+    /// The fault of particles none of which satisfies the conditions.
+    pub(crate) fn none(particles: &(impl Particles + ?Sized), conditions: &[Where]) -> Self {
+        let conditions = Where::joined(conditions);
+        let names = conditions.iter().flat_map(Where::conditions).map(|c| c.name.as_str());
+        let names: Vec<&str> = names.collect();
+        let mut values = occurring(particles);
+        values.retain(|of| names.contains(&of.name.as_str()));
+        let conditions = conditions.as_ref().map(ToString::to_string).unwrap_or_default();
+        Self::None { of: particles.len(), conditions, values }
+    }
 }
 
 /// Some of other particles, selected by a sieve.

@@ -7,10 +7,10 @@ use crate::error::Error;
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::estimate::Estimate;
 use crate::frame::{Counted, Engine, FrameError};
-use crate::io::ParticleFile;
 use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::MeshFormat;
+use crate::io::{ParticleFile, ReadError};
 use crate::particles::{Metered, Particles};
 use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::control::Stage;
@@ -74,6 +74,7 @@ impl Started {
             }
             checked.refuse_of_indicator()?;
             let file = open_wanted(path, checked.settings.wanted(), checked.unpacking())?;
+            let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
             let chosen = checked.choose_and_plan(&file.particles, source);

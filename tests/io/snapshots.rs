@@ -250,12 +250,15 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
     };
     let asked = ["ParticleIDs".to_owned()];
     let wrong = ["nobody".to_owned()];
+    let conditions = ["ParticleIDs>=0".parse().unwrap()];
+    let only = |names, conditions| WantedAttributes::Only { names, conditions };
     let mut bytes = Vec::new();
     for (attributes, read, unread) in [
-        (WantedAttributes::Velocity, vec!["Velocities"], vec!["ParticleIDs"]),
-        (WantedAttributes::Named(&asked), vec!["ParticleIDs"], vec!["Velocities"]),
-        (WantedAttributes::Named(&[]), vec![], vec!["ParticleIDs", "Velocities"]),
-        (WantedAttributes::Named(&wrong), vec!["ParticleIDs", "Velocities"], vec![]),
+        (only(None, &[][..]), vec!["Velocities"], vec!["ParticleIDs"]),
+        (only(Some(&asked[..]), &[]), vec!["ParticleIDs"], vec!["Velocities"]),
+        (only(Some(&[]), &[]), vec![], vec!["ParticleIDs", "Velocities"]),
+        (only(Some(&wrong), &[]), vec!["ParticleIDs", "Velocities"], vec![]),
+        (only(Some(&[]), &conditions), vec!["ParticleIDs"], vec!["Velocities"]),
         (WantedAttributes::All, vec!["ParticleIDs", "Velocities"], vec![]),
     ] {
         let wanted = Wanted { attributes, ..Wanted::default() };
@@ -272,13 +275,14 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
     }
     // Nine of f64 and fifteen of f32; 12 bytes of velocity and 8 of identifiers for each.
     let positions = 9 * 24 + 15 * 12;
-    assert_eq!(bytes, [12, 8, 0, 20, 20].map(|wide| positions + 24 * wide));
+    assert_eq!(bytes, [12, 8, 0, 20, 8, 20].map(|wide| positions + 24 * wide));
 }
 
 #[test]
 fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
     let nowhere = Unpacking { in_memory: 0, scratch: Path::new("nowhere"), control: None };
-    let wanted = Wanted { attributes: WantedAttributes::Velocity, ..Wanted::default() };
+    let attributes = WantedAttributes::Only { names: None, conditions: &[] };
+    let wanted = Wanted { attributes, ..Wanted::default() };
     for name in ["steps.vtkhdf#2", "steps.vtkhdf#1"] {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");

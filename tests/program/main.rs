@@ -6,3 +6,4 @@ mod command_line;
 mod common;
 mod options;
 mod requests;
+mod selection;

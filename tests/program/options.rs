@@ -45,7 +45,7 @@ const OPTIONS: [(&str, &[&str]); 33] = [
     ("--particles-up", &["y", "z"]),
     ("--skip-invalid", &[""]),
     ("--format", &["xyz", "csv"]),
-    ("--particle-type", &["gas"]),
+    ("--where", &["x>-1e9"]),
     ("--threads", &["1", "3", "0", "4096"]),
     ("--memory", &["64MiB", "1GiB", "1", "20MiB"]),
     ("--backend", &["cpu", "auto"]),

@@ -49,7 +49,7 @@ for name, rows in [
 for step, rows in [(0, count), (1, 8), (2, count)]:
     check(f"steps.vtkhdf#{step}", values[:rows] + 10 * step, tolerance=1e-6)
 check("swift_0003.hdf5", values, velocity="Velocities", box_size=[EDGE] * 3, unit_metres=3.0856776e22)
-check("swift_0003.hdf5", values[:5] / 2, velocity="Velocities", options=["--particle-type", "PartType1"])
+check("swift_0003.hdf5", values[:5] / 2, velocity="Velocities", options=["--where", "type=PartType1"])
 for piece in range(3):
     name = f"gadget_005.{piece}.hdf5"
     check(name, values, velocity="Velocities", tolerance=1e-6, box_size=[EDGE] * 3, unit_metres=1)
@@ -57,7 +57,7 @@ check("gadget_005.hdf5", values, velocity="Velocities", tolerance=1e-6, box_size
 check("openpmd.h5#100", values, tolerance=1e-12)
 check("openpmd.h5#200", values + 10, tolerance=1e-12)
 check("pysph_40.hdf5", values, 2)
-check("pysph_40.hdf5", values[:3], options=["--particle-type", "wall"])
+check("pysph_40.hdf5", values[:3], options=["--where", "type=wall"])
 
 # Meshes: the particles of a frame as VTK and h5py see what was written, and as the .vtp beside it has them.
 for ending in ["vtp", "pvtp", "vtkhdf"]:

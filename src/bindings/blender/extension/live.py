@@ -96,7 +96,7 @@ def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
         spacing=_typed(settings.spacing) or None,
         cell=_typed(cell),
         attributes=names or None,
-        particle_type=settings.particle_type.strip() or None,
+        where=settings.where.strip() or None,
         domain=tuple(_typed(value) for value in (*settings.tank_low, *settings.tank_high)) if settings.tank else None,
     )
 

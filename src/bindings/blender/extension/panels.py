@@ -48,7 +48,7 @@ class MENISCUS_PT_surface(_Panel, bpy.types.Panel):
             layout.prop(settings, "object")
         else:
             layout.prop(settings, "path")
-            layout.prop(settings, "particle_type")
+            layout.prop(settings, "where")
         if status.file and not status.error:
             made = f"{len(context.mesh.polygons):,} triangles in {status.seconds:.2f} s"
             _sentence(layout, context, f"{bpy.path.basename(status.file)}: {made}", "FILE_TICK")

@@ -47,9 +47,9 @@ class MeniscusSurface(bpy.types.PropertyGroup):
         type=bpy.types.Object,
         update=_changed,
     )
-    particle_type: StringProperty(
-        name="Type",
-        description="The type of particles, in files that hold several: PartType1, fluid and the like",
+    where: StringProperty(
+        name="Where",
+        description="Use only particles that satisfy conditions: Type=1, mk=0,2, age<2.5; type=PartType1 where a file holds several types",
         update=_changed,
     )
     start: IntProperty(name="Start", description="The scene's frame that shows the first number", default=1, update=_changed)

@@ -117,7 +117,7 @@ static void keys_and_values_are_refused(void) {
   OPTION("step: expected a whole number from 1, got \"0\"", "step", "0");
   OPTION("frames: expected two numbers in order, as 100..199, got \"5..3\"", "frames", "5..3");
   OPTION("device is not UTF-8", "device", "\xff");
-  OPTION("particle-type is not UTF-8", "particle-type", "\xff");
+  OPTION("where is not UTF-8", "where", "\xff");
   OPTION("attributes is not UTF-8", "attributes", "\xe9t\xe9");
 
   MeniscusOptions *options = meniscus_options_new();

@@ -223,7 +223,7 @@ static MeniscusOptions *some_options(const char *folder) {
   if (rarely(12)) set_numbers(options, "origin", (double[]){number(0.1), number(1), 0}, 3);
   if (rarely(2)) set_box(options, "domain");
   if (rarely(4)) set_box(options, "periodic");
-  if (rarely(20)) set(options, "particle-type", words[pick(8)]);
+  if (rarely(20)) set(options, "where", words[pick(8)]);
   if (rarely(12)) set_number(options, "mu0", number(1));
   if (rarely(5)) set_number(options, "smooth", number(1.5));
   if (rarely(12)) set_number(options, "sigma", number(1.5));

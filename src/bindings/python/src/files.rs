@@ -63,8 +63,9 @@ impl ParticleData {
 ///     The file; ``sim.h5part#12`` is a step of one that holds several.
 /// format : str, optional
 ///     The format, whatever the extension says, such as "csv".
-/// particle_type : str, optional
-///     The type of particles, of a file that holds several; gas or fluid by default.
+/// where : str or list of str, optional
+///     Conditions on attributes of the particles that are used, such as "Type=1" or "age<2.5";
+///     ``type`` is the type of particles, of a file that holds several.
 ///
 /// Returns
 /// -------
@@ -77,13 +78,13 @@ impl ParticleData {
 /// meniscus.InputError
 ///     For an unknown extension; a ValueError.
 #[pyfunction]
-#[pyo3(signature = (path, *, **keywords), text_signature = "(path, *, format=None, particle_type=None)")]
+#[pyo3(signature = (path, *, **keywords), text_signature = "(path, *, format=None, where=None)")]
 pub fn read_particles(
     py: Python<'_>,
     path: PathBuf,
     keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<ParticleData> {
-    let keywords = Keywords::of("read_particles", keywords, &[Known::Files])?;
+    let keywords = Keywords::of("read_particles", keywords, &[Known::Files, Known::Where])?;
     let settings = keywords.request.settings();
     let read = || {
         let file = open_particles(&path, settings)?;

@@ -50,7 +50,7 @@ impl Frame {
         let request = Keywords::of(
             function,
             Some(&all),
-            &[Known::Sampling, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
+            &[Known::Sampling, Known::Where, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
         )?
         .request;
         Ok(match &self.named {
@@ -72,7 +72,7 @@ impl Frame {
     #[new]
     #[pyo3(
         signature = (positions, *, velocity=None, attributes=None, progress=None, **keywords),
-        text_signature = "(positions, *, velocity=None, attributes=None, spacing=None, radius=None, cell=None, cell_size=None, \
+        text_signature = "(positions, *, velocity=None, attributes=None, where=None, spacing=None, radius=None, cell=None, cell_size=None, \
             origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
@@ -88,7 +88,7 @@ impl Frame {
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
         let keywords =
-            Keywords::of("Frame", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
+            Keywords::of("Frame", keywords, &[Known::Sampling, Known::Where, Known::Surface, Known::Machine])?;
         let arrays = Arrays::take(positions, velocity, attributes)?;
         let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
         let named = arrays.named();
@@ -118,15 +118,16 @@ impl Frame {
     ///     The attributes of the particles that vertices carry; their velocity by default.
     /// format : str, optional
     ///     The format, whatever the extension says, such as "csv".
-    /// particle_type : str, optional
-    ///     The type of particles, of a file that holds several.
+    /// where : str or list of str, optional
+    ///     Conditions on attributes of the particles that are used, such as "Type=1" or "age<2.5";
+    ///     ``type`` is the type of particles, of a file that holds several.
     ///
     /// Further keywords are those of ``reconstruct``. Of a frame that was saved, those that say how
     /// particles are sampled are refused.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
-        text_signature = "(path, *, attributes=None, format=None, particle_type=None, spacing=None, radius=None, cell=None, cell_size=None, \
+        text_signature = "(path, *, attributes=None, format=None, where=None, spacing=None, radius=None, cell=None, cell_size=None, \
             origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
@@ -142,7 +143,7 @@ impl Frame {
         let request = Keywords::of(
             "load",
             keywords,
-            &[Known::Sampling, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
+            &[Known::Sampling, Known::Where, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
         )?;
         let request = request.on_machine(None)?;
         let work = Work::new();

@@ -21,6 +21,8 @@ pub enum Known {
     Machine,
     /// Keywords of files of particles.
     Files,
+    /// The conditions that particles have to satisfy.
+    Where,
     /// The names of attributes to carry.
     Attributes,
     /// Keywords of simulations.
@@ -34,6 +36,9 @@ impl Known {
         }
         if FILES.contains(&name) {
             return Some(Self::Files);
+        }
+        if name == "where" {
+            return Some(Self::Where);
         }
         if name == "attributes" {
             return Some(Self::Attributes);
@@ -50,7 +55,7 @@ impl Known {
 const MACHINE: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
 
 /// The keywords of files of particles.
-const FILES: [&str; 2] = ["format", "particle_type"];
+const FILES: [&str; 1] = ["format"];
 
 /// A request by its keywords, but for the backend, which depends on how large the input is.
 pub struct Keywords {

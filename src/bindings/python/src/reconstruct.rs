@@ -23,6 +23,8 @@ use crate::work::{Work, with_progress};
 ///     Velocities, which the vertices carry as ``attributes["velocity"]``.
 /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
 ///     Further values, which the vertices carry. What is called ``v`` or the like is ``velocity`` there.
+/// where : str or list of str, optional
+///     Conditions on ``attributes`` of the particles that are used, such as "Type=1" or "age<2.5 and z>0".
 /// spacing, radius : float, optional
 ///     Distance between neighbouring particles, or half of it. Estimated, if neither is given.
 /// cell, cell_size : float, optional
@@ -97,7 +99,7 @@ use crate::work::{Work, with_progress};
 #[pyfunction]
 #[pyo3(
     signature = (positions, *, velocity=None, attributes=None, progress=None, **keywords),
-    text_signature = "(positions, *, velocity=None, attributes=None, spacing=None, radius=None, cell=None, cell_size=None, \
+    text_signature = "(positions, *, velocity=None, attributes=None, where=None, spacing=None, radius=None, cell=None, cell_size=None, \
         origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, skip_invalid=None, \
         smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, smallest_drop=None, \
         compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, memory=None, scratch=None, \
@@ -112,7 +114,7 @@ pub fn reconstruct(
     keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Mesh> {
     let keywords =
-        Keywords::of("reconstruct", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
+        Keywords::of("reconstruct", keywords, &[Known::Sampling, Known::Where, Known::Surface, Known::Machine])?;
     let arrays = Arrays::take(positions, velocity, attributes)?;
     let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
     if let Some(names) = arrays.named() {

@@ -55,8 +55,9 @@ pub const SIMULATION: [&str; 9] =
 ///     The attributes that vertices carry; their velocity by default.
 /// format : str, optional
 ///     The format of the files, whatever their extension says, such as "csv".
-/// particle_type : str, optional
-///     The type of particles, of files that hold several.
+/// where : str or list of str, optional
+///     Conditions on attributes of the particles that are used, such as "Type=1" or "age<2.5";
+///     ``type`` is the type of particles, of a file that holds several.
 ///
 /// Further keywords are those of ``reconstruct``.
 ///
@@ -100,7 +101,7 @@ impl Simulation {
     #[pyo3(
         signature = (inputs=None, output=None, **keywords),
         text_signature = "(inputs=None, output=None, *, start=None, end=None, step=None, frames=None, resume=None, \
-            overwrite=None, watch=None, fps=None, preview=None, attributes=None, format=None, particle_type=None, spacing=None, radius=None, \
+            overwrite=None, watch=None, fps=None, preview=None, attributes=None, format=None, where=None, spacing=None, radius=None, \
             cell=None, cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
@@ -120,7 +121,7 @@ impl Simulation {
                 _ => None,
             };
         let known = &[
-            Known::Sampling,
+            Known::Sampling, Known::Where,
             Known::Surface,
             Known::Machine,
             Known::Files,
@@ -286,8 +287,7 @@ fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if !value.is_none()
-            && (["format", "particle_type"].contains(&name.as_str())
-                || SIMULATION.contains(&name.as_str()))
+            && (name == "format" || SIMULATION.contains(&name.as_str()))
         {
             return Err(InputError::new_err(format!("{name}: it is for inputs and an output")));
         }

@@ -19,7 +19,6 @@ OF_FILES = {
     "overwrite": "Mesh.write() takes it, too",
     "preview": "Mesh.write() takes it; Simulation has it for a sheet of its frames",
     "format": "arrays have none; read_particles(), Frame.load() and Simulation have it",
-    "particle_type": "arrays are of one type; read_particles(), Frame.load() and Simulation have it",
     "start": "Simulation has it",
     "end": "Simulation has it",
     "step": "Simulation has it",
@@ -144,7 +143,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
 def test_a_frame_that_is_sampled_has_the_keywords_of_its_surface(options: set[str]) -> None:
     of_surface = keywords(meniscus.Frame.surface) - {"progress"}
     assert {"smooth", "simplify", "normals"} <= of_surface <= options
-    assert keywords(meniscus.Frame.load) == keywords(meniscus.Frame) - {"velocity"} | {"format", "particle_type"}
+    assert keywords(meniscus.Frame.load) == keywords(meniscus.Frame) - {"velocity"} | {"format"}
 
 
 def test_the_stub_has_the_keywords_of_each_function() -> None:
@@ -192,7 +191,7 @@ def test_every_keyword_is_read_and_refuses_nonsense_by_its_name(name: str, ball:
             call(object())
 
 
-@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "attributes", "format", "particle_type", "resume", "preview"])
+@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "attributes", "format", "resume", "preview"])
 def test_every_keyword_of_simulations_is_read(name: str, tmp_path: Any) -> None:
     with pytest.raises(TypeError, match=f"^{name}: "):
         meniscus.Simulation("in_{}.bgeo", tmp_path / "out_{}.ply", **{name: object()})

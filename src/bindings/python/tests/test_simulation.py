@@ -74,7 +74,7 @@ def test_a_frame_that_fails_does_not_end_the_simulation(pool: Any) -> None:
 
 
 def test_requests_are_refused_when_it_is_made(tmp_path: Path) -> None:
-    for keywords in [{"spacing": -1.0}, {"sigma": 1.0}, {"start": 3}, {"resume": True}, {"particle_type": "gas"}]:
+    for keywords in [{"spacing": -1.0}, {"sigma": 1.0}, {"start": 3}, {"resume": True}, {"format": "csv"}]:
         with pytest.raises(meniscus.InputError):
             meniscus.Simulation(**keywords)  # type: ignore[arg-type]
     with pytest.raises(meniscus.InputError, match="go together"):

@@ -25,7 +25,7 @@ class Sampling:
     spacing: float | None = None
     cell: float | None = None
     attributes: tuple[str, ...] | None = None
-    particle_type: str | None = None
+    where: str | None = None
     #: The lowest and the highest corner of a tank.
     domain: tuple[float, ...] | None = None
 
@@ -91,7 +91,7 @@ class FromPoints:
     @property
     def _asked(self) -> Sampling:
         """What is of files says nothing of these."""
-        return replace(self.sampling, attributes=None, particle_type=None)
+        return replace(self.sampling, attributes=None, where=None)
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ class _Sampling(TypedDict, total=False):
     mu0: float | None
     method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None
     skip_invalid: bool | None
+    where: str | Iterable[str] | None
 
 class _Surface(TypedDict, total=False):
     """Keywords of a surface, for which the particles are not needed again."""
@@ -84,7 +85,6 @@ class _OfFiles(_OfArrays, total=False):
 
     attributes: Iterable[str] | None
     format: _Format | None
-    particle_type: str | None
 
 class _OfFrames(_OfFiles, total=False):
     """Keywords of a simulation's frames."""
@@ -108,7 +108,7 @@ def reconstruct(
     **options: Unpack[_OfArrays],
 ) -> Mesh: ...
 def list_frames(inputs: _Path | Sequence[_Path]) -> list[tuple[int, pathlib.Path]]: ...
-def read_particles(path: _Path, *, format: _Format | None = None, particle_type: str | None = None) -> Particles: ...
+def read_particles(path: _Path, *, format: _Format | None = None, where: str | Iterable[str] | None = None) -> Particles: ...
 
 @final
 class Mesh:

@@ -1,0 +1,168 @@
+//! Particles chosen by conditions on their attributes: the surface is that of the chosen ones alone.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::common::fill;
+use crate::common::program::{command, run};
+
+/// A fluid, and a thick shell around it that is open at the top: positions and types.
+fn tank() -> Vec<([f64; 3], u32)> {
+    let all = fill(7.0, 1.0, 0.2, 5, |p| p.y < 5.0);
+    let is_wall = |p: [f64; 3]| p[0].abs() > 4.0 || p[2].abs() > 4.0 || p[1] < -4.0;
+    all.into_iter()
+        .filter(|p| is_wall(*p) || p[1] < 2.0)
+        .map(|p| (p, u32::from(is_wall(p))))
+        .collect()
+}
+
+fn csv(particles: &[([f64; 3], u32)]) -> String {
+    let rows = particles.iter().map(|([x, y, z], kind)| format!("{x},{y},{z},{kind},0.1\n"));
+    format!("x,y,z,Type,age\n{}", rows.collect::<String>())
+}
+
+fn ply(particles: &[([f64; 3], u32)]) -> String {
+    let rows = particles.iter().map(|([x, y, z], kind)| format!("{kind} {x} {y} {z}\n"));
+    format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty uchar Type\nproperty double x\nproperty double y\n\
+         property double z\nend_header\n{}",
+        particles.len(),
+        rows.collect::<String>()
+    )
+}
+
+fn vtk(particles: &[([f64; 3], u32)]) -> String {
+    let count = particles.len();
+    let mut text =
+        format!("# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS {count} double\n");
+    particles.iter().for_each(|([x, y, z], _)| writeln!(text, "{x} {y} {z}").unwrap());
+    write!(text, "POINT_DATA {count}\nSCALARS Type int\nLOOKUP_TABLE default\n").unwrap();
+    particles.iter().for_each(|(_, kind)| writeln!(text, "{kind}").unwrap());
+    text
+}
+
+/// A folder with the tank in three formats, and with its fluid alone.
+fn scenes() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
+    let tank = tank();
+    write("tank.csv", csv(&tank));
+    write("tank.ply", ply(&tank));
+    write("tank.vtk", vtk(&tank));
+    let fluid: Vec<_> = tank.into_iter().filter(|(_, kind)| *kind == 0).collect();
+    write("fluid.csv", csv(&fluid));
+    folder
+}
+
+fn reconstruct(folder: &Path, arguments: &[&str], code: i32) -> String {
+    let usual = ["reconstruct", "--backend", "cpu", "--spacing", "1"];
+    run(folder, &[&usual[..], arguments].concat(), code)
+}
+
+#[test]
+fn the_surface_is_that_of_the_chosen_particles_in_every_format() {
+    let folder = scenes();
+    let folder = folder.path();
+    let read = |name: &str| fs::read(folder.join(name)).unwrap();
+    reconstruct(folder, &["fluid.csv", "-o", "fluid.obj"], 0);
+    for (number, (file, conditions)) in [
+        ("tank.csv", &["--where", "Type=0"][..]),
+        ("tank.ply", &["--where", "Type!=1"]),
+        ("tank.vtk", &["--where", "type<0.5"]),
+        ("tank.csv", &["--where", "Type=0,7 and age<=0.1", "--where", "y<1e3"]),
+        ("tank.csv", &["--where", "x>=-4 and x<=4 and z>=-4 and z<=4 and y>=-4"]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let mesh = format!("{number}.obj");
+        let said = reconstruct(folder, &[&[file, "-o", &mesh], conditions].concat(), 0);
+        assert_eq!(read(&mesh), read("fluid.obj"), "{file} {conditions:?}: {said}");
+        assert!(said.contains(" particles left out"), "{said}");
+    }
+}
+
+#[test]
+fn packed_frames_parts_and_sequences_hold_the_chosen_particles() {
+    let folder = scenes();
+    let folder = folder.path();
+    let read = |name: &str| fs::read(folder.join(name)).unwrap();
+    reconstruct(folder, &["fluid.csv", "-o", "fluid.obj"], 0);
+    let chosen = ["--where", "Type=0"];
+    run(
+        folder,
+        &[&["pack", "tank.csv", "-o", "tank.mnf", "--spacing", "1"], &chosen[..]].concat(),
+        0,
+    );
+    run(folder, &["reconstruct", "tank.mnf", "-o", "packed.obj"], 0);
+    assert_eq!(read("packed.obj"), read("fluid.obj"));
+    run(folder, &[&["reconstruct", "tank.mnf", "-o", "again.obj"], &chosen[..]].concat(), 2);
+
+    reconstruct(folder, &["fluid.csv", "-o", "fluid.ply"], 0);
+    let parts = [&["tank.csv", "-o", "parts.ply", "--parts", "2"], &chosen[..]].concat();
+    for step in [&["--plan"][..], &["--part", "0"], &["--part", "1"], &["--merge"]] {
+        reconstruct(folder, &[&parts[..], step].concat(), 0);
+    }
+    assert_eq!(read("parts.ply"), read("fluid.ply"));
+
+    for (name, from) in [("tank", "tank.csv"), ("fluid", "fluid.csv")] {
+        fs::create_dir(folder.join(name)).unwrap();
+        (1..3).for_each(|n| {
+            fs::copy(folder.join(from), folder.join(format!("{name}/{n}.csv"))).map(drop).unwrap()
+        });
+    }
+    reconstruct(folder, &[&["tank/{}.csv", "-o", "tanks/{}.obj"], &chosen[..]].concat(), 0);
+    reconstruct(folder, &["fluid/{}.csv", "-o", "fluids/{}.obj"], 0);
+    assert_eq!(read("tanks/2.obj"), read("fluids/2.obj"));
+    // Meshes of other particles are not gone on with.
+    let other = ["tank/{}.csv", "-o", "tanks/{}.obj", "--resume", "--where", "Type=1"];
+    assert!(reconstruct(folder, &other, 2).contains("where"));
+}
+
+#[test]
+fn conditions_that_cannot_be_applied_are_refused_with_what_there_is() {
+    let folder = scenes();
+    let folder = folder.path();
+    for (condition, facts) in [
+        ("Typ=0", &["Typ", "Type, age"][..]),
+        ("Type=wall", &["wall", "numbers"]),
+        ("Type=5", &["Type=5", "0 (", "1 ("]),
+        ("Type.y=5", &["Type.y", "1 components"]),
+    ] {
+        let said = reconstruct(folder, &["tank.csv", "-o", "none.ply", "--where", condition], 2);
+        assert!(facts.iter().all(|fact| said.contains(fact)), "{condition}: {said}");
+        assert!(said.contains("tank.csv") && !folder.join("none.ply").exists(), "{said}");
+    }
+    let said = reconstruct(folder, &["tank.csv", "-o", "none.ply", "--where", "Type"], 2);
+    assert!(said.contains("--where") && said.contains("Type=1"), "{said}");
+}
+
+#[test]
+fn a_boundary_around_the_fluid_is_noticed_and_its_values_are_listed() {
+    let folder = scenes();
+    let folder = folder.path();
+    for file in ["tank.csv", "tank.ply", "tank.vtk"] {
+        let said = reconstruct(folder, &[file, "-o", "all.ply", "--overwrite"], 0);
+        assert!(said.contains("--where Type=0"), "{file}: {said}");
+        let said =
+            reconstruct(folder, &[file, "-o", "all.ply", "--overwrite", "--where", "Type=0"], 0);
+        assert!(!said.contains("warning"), "{file}: {said}");
+    }
+    let walls = tank().iter().filter(|(_, kind)| *kind == 1).count() as u64;
+    let values = &info(folder, &[])["values"][0];
+    assert_eq!(
+        (values["name"].as_str(), values["values"][1][1].as_u64()),
+        (Some("Type"), Some(walls))
+    );
+    assert_eq!(info(folder, &["--where", "Type=0"])["unselected"].as_u64(), Some(walls));
+}
+
+fn info(folder: &Path, arguments: &[&str]) -> Value {
+    let output = command(folder, &[&["info", "--json", "tank.csv"], arguments].concat()).output();
+    let told: Value = serde_json::from_slice(&output.unwrap().stdout).unwrap();
+    told[0].clone()
+}
