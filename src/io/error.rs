@@ -113,6 +113,14 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
     ReadFault::Malformed { at: at as u64, what: what.into() }
 }
 
+/// Refuses to take several frames of a file for one.
+pub(super) fn a_sequence(first: u64, last: u64) -> ReadFault {
+    let what = format!(
+        "steps {first} to {last}: several frames; append #{first} to the name for one of them"
+    );
+    ReadFault::Unsupported(what)
+}
+
 /// A file that could not be written. Nothing is left of it.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]

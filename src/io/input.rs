@@ -6,14 +6,16 @@ use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::wanted::Wanted;
-use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
+use super::{
+    ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply, text_format, vtk, vtp,
+};
 
 macro_rules! known {
     ($hdf5:literal, $vtkhdf:literal) => {
         concat!(
-            ".bgeo, .bhclassic, .bi4, .csv, ",
+            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, ",
             $hdf5,
-            ".npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
+            ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
             ".vtp, .vtu, .xyz, and .gz after any of them"
         )
@@ -79,7 +81,9 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
 pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     let cut = path.to_str().and_then(|text| {
         let (file, step) = text.rsplit_once('#')?;
-        let holds_steps = InputFormat::of(Path::new(file)) == Some(InputFormat::Hdf5);
+        use InputFormat::{Csv, Hdf5, Lammps, Xyz};
+        let format = InputFormat::of(Path::new(file))?;
+        let holds_steps = matches!(format, Csv | Hdf5 | Lammps | Xyz);
         Some((Path::new(file), step.parse().ok().filter(|_| holds_steps)?))
     });
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
@@ -90,7 +94,10 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
 /// # Errors
 /// [`ReadError`] where the file may hold several and cannot be read.
 pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
+    use InputFormat::{Csv, Lammps, Xyz};
     match InputFormat::of(path) {
+        Some(format @ (Csv | Lammps | Xyz)) => text_format::steps(open_bytes(path)?, format)
+            .map_err(|fault| ReadError::new(path, fault)),
         #[cfg(feature = "hdf5")]
         Some(InputFormat::Hdf5) => {
             super::h5::steps(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
@@ -159,19 +166,21 @@ pub(super) fn no_hdf5() -> ReadFault {
 }
 
 fn reader(format: InputFormat) -> Reader {
-    use InputFormat::{Bgeo, Bi4, Csv, Hdf5, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz};
+    use InputFormat::{
+        Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz,
+    };
     match format {
         Bgeo => Reader::OneFile(|bytes, _| bgeo::read_particles(bytes)),
         Bi4 => Reader::Pieces(bi4::open_particles),
-        Csv => Reader::OneFile(xyz::read_text),
+        Csv | Lammps | Xyz => Reader::Steps(text_format::open_particles),
         Hdf5 => Reader::Steps(HDF5),
+        Json => Reader::OneFile(json::read_particles),
         Npy => Reader::OneFile(|bytes, _| npy::read_particles(bytes)),
         Npz => Reader::OneFile(npz::read_particles),
         Ply => Reader::OneFile(ply::read_particles),
         Pvtp => Reader::Pieces(vtp::parallel::open_particles),
         Vtk => Reader::OneFile(vtk::read_particles),
         Vtp => Reader::OneFile(vtp::read_particles),
-        Xyz => Reader::OneFile(xyz::read_particles),
     }
 }
 

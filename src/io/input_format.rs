@@ -13,10 +13,14 @@ pub enum InputFormat {
     Bgeo,
     /// DualSPHysics' .bi4.
     Bi4,
-    /// Tables of text, as in .csv and .txt.
+    /// Tables of text, as in .csv, .txt and .dat, also of Tecplot.
     Csv,
     /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
     Hdf5,
+    /// A list of positions in JSON.
+    Json,
+    /// LAMMPS dumps in text.
+    Lammps,
     /// An array of NumPy.
     Npy,
     /// Arrays of NumPy in one file.
@@ -29,7 +33,7 @@ pub enum InputFormat {
     Vtk,
     /// VTK's XML, .vtp and .vtu.
     Vtp,
-    /// Floats of 32 bits without a header, three for each particle.
+    /// XYZ, or floats of 32 bits without a header, three for each particle.
     Xyz,
 }
 
@@ -41,8 +45,10 @@ impl InputFormat {
             // `.bgeo.sc` is recognised to say what to do instead.
             "bgeo" | "bhclassic" | "sc" => Self::Bgeo,
             "bi4" => Self::Bi4,
-            "csv" | "txt" => Self::Csv,
+            "csv" | "dat" | "txt" => Self::Csv,
+            "dump" | "lammpstrj" => Self::Lammps,
             "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => Self::Hdf5,
+            "json" => Self::Json,
             "npy" => Self::Npy,
             "npz" => Self::Npz,
             "ply" => Self::Ply,

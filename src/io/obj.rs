@@ -12,6 +12,7 @@ use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
 use super::encode::{write_triangles, write_vertices};
+use super::number::Number;
 use super::scan::Scanner;
 use super::{CoordinateWidth, ReadFault};
 
@@ -101,7 +102,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
 }
 
 /// Three numbers on the rest of this line.
-pub(super) fn vector<T: std::str::FromStr>(scan: &mut Scanner) -> Result<[T; 3], ReadFault> {
+pub(super) fn vector<T: Number>(scan: &mut Scanner) -> Result<[T; 3], ReadFault> {
     let mut next = || {
         scan.skip_blanks();
         scan.number()

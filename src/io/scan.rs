@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use super::bytes::{Slice, View};
+use super::number::Number;
 use super::{ReadFault, malformed};
 
 /// No line of a header is longer, so that binary data taken for text is found out early.
@@ -105,10 +106,10 @@ impl<'a> Scanner<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Line`] if there is none.
-    pub fn number<T: std::str::FromStr>(&mut self) -> Result<T, ReadFault> {
+    pub fn number<T: Number>(&mut self) -> Result<T, ReadFault> {
         let start = self.at;
         let word = self.word();
-        std::str::from_utf8(word).ok().and_then(|word| word.parse().ok()).ok_or_else(|| {
+        T::of(word).ok_or_else(|| {
             let found = match (word.is_empty(), start == self.bytes.len()) {
                 (true, true) => "the file ends".to_owned(),
                 (true, false) => "the line ends".to_owned(),

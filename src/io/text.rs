@@ -1,14 +1,25 @@
 //! Text decoded piece by piece on all threads, so that neither it nor what it says need be in
 //! memory whole.
 
+use std::borrow::Cow;
 use std::ops::{ControlFlow, Range};
 
+use memchr::{memchr, memchr_iter};
 use rayon::prelude::*;
 
-use super::ReadFault;
-use super::bytes::{Slice, Unpacked};
+use super::bytes::{Bytes, Slice, Unpacked, Unpacking, View};
+use super::{ReadFault, malformed};
 use super::scan::Scanner;
 use super::windows::{Source, Windows};
+
+/// Bytes that are read at once where lines are passed.
+const WINDOW: usize = 1 << 18;
+/// Bytes of the longest line of a header.
+const LONGEST_LINE: usize = 1 << 16;
+/// Marks of a text's encoding.
+const UTF8: &[u8] = b"\xef\xbb\xbf";
+const UTF16: [([u8; 2], fn([u8; 2]) -> u16); 2] =
+    [([0xff, 0xfe], u16::from_le_bytes), ([0xfe, 0xff], u16::from_be_bytes)];
 
 /// Bytes of a piece, at the least.
 const PIECE: usize = 1 << 16;
@@ -115,4 +126,141 @@ pub(super) fn decode_numbers(
         out.push(&numbers?)?;
         Ok(ControlFlow::Continue(()))
     })
+}
+
+/// Decodes a text in UTF-16 that begins with a byte order mark; any other is left as it is.
+///
+/// # Errors
+/// [`ReadFault::Malformed`] for half a character at the end, and those of reading and of the
+/// scratch file.
+pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+    let view = bytes.view();
+    let mark = view.read(0..view.len().min(2))?;
+    let Some((_, unit)) = UTF16.iter().find(|(known, _)| mark[..] == known[..]) else {
+        drop(mark);
+        return Ok(bytes);
+    };
+    if !view.len().is_multiple_of(2) {
+        return Err(malformed(view.len() - 1, "half a character of UTF-16"));
+    }
+    let mut text = Unpacked::new(unpacking);
+    let mut units: Vec<u16> = Vec::new();
+    for at in (2..view.len()).step_by(WINDOW) {
+        let end = view.len().min(at + WINDOW);
+        units.extend(view.read(at..end)?.as_chunks().0.iter().map(|&bytes| unit(bytes)));
+        // The first half of a pair waits for the second.
+        let waits = end < view.len() && matches!(units.last(), Some(0xd800..0xdc00));
+        let half = if waits { units.pop() } else { None };
+        let decoded: String = char::decode_utf16(units.drain(..))
+            .map(|character| character.unwrap_or(char::REPLACEMENT_CHARACTER))
+            .collect();
+        text.push(decoded.as_bytes())?;
+        units.extend(half);
+    }
+    view.check()?;
+    text.finish().map(Bytes::Kept)
+}
+
+/// The lines of a text, one after the other, read by windows.
+pub(super) struct TextLines<'a> {
+    view: View<'a>,
+    /// Where the last line ends that is not blank.
+    end: usize,
+    at: usize,
+    passed: u64,
+    window: Cow<'a, [u8]>,
+    window_at: usize,
+}
+
+impl<'a> TextLines<'a> {
+    /// Starts at the first line, behind a byte order mark.
+    pub fn new(view: View<'a>) -> Result<Self, ReadFault> {
+        let marked = *view.read(0..view.len().min(UTF8.len()))? == *UTF8;
+        let at = if marked { UTF8.len() } else { 0 };
+        let tail = view.len().saturating_sub(LONGEST_LINE).max(at);
+        let end = tail + view.read(tail..view.len())?.trim_ascii_end().len();
+        Ok(Self { view, end, at, passed: 0, window: Cow::Borrowed(&[]), window_at: at })
+    }
+
+    /// The place in bytes from the start of the file.
+    pub fn at(&self) -> usize {
+        self.at
+    }
+
+    /// The number of lines that were passed, which is that of the last line counted from 1.
+    pub fn passed(&self) -> u64 {
+        self.passed
+    }
+
+    /// A fault of the line that was passed last.
+    pub fn fault(&self, what: impl Into<String>) -> ReadFault {
+        ReadFault::Line { line: self.passed.max(1), what: what.into() }
+    }
+
+    fn ahead(&mut self) -> Result<&[u8], ReadFault> {
+        if self.at >= self.window_at + self.window.len() {
+            self.window_at = self.at;
+            self.window = self.view.read(self.at..self.end.min(self.at + WINDOW))?;
+        }
+        Ok(&self.window[self.at - self.window_at..])
+    }
+
+    /// Passes a line, and returns it without its end and the blanks around it; None where only
+    /// blank lines are left.
+    ///
+    /// # Errors
+    /// [`ReadFault::Line`] for one too long for a header, and those of reading.
+    pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
+        let mut line = Vec::new();
+        let start = self.at;
+        loop {
+            let ahead = self.ahead()?;
+            let end = memchr(b'\n', ahead);
+            let count = end.unwrap_or(ahead.len());
+            line.extend_from_slice(&ahead[..count]);
+            let is_last = ahead.is_empty();
+            self.at += count + usize::from(end.is_some());
+            if line.len() > LONGEST_LINE {
+                self.passed += 1;
+                return Err(self.fault(format!("a line of more than {LONGEST_LINE} bytes")));
+            }
+            if end.is_some() || is_last {
+                if self.at == start {
+                    return Ok(None);
+                }
+                self.passed += 1;
+                return Ok(Some(String::from_utf8_lossy(line.trim_ascii()).into_owned()));
+            }
+        }
+    }
+
+    /// Passes as many lines as there are, `count` at the most, and returns how many.
+    ///
+    /// # Errors
+    /// Those of reading.
+    pub fn skip(&mut self, count: u64) -> Result<u64, ReadFault> {
+        let mut skipped = 0;
+        // Whether a line has begun that has no end yet.
+        let mut begun = false;
+        while skipped < count {
+            let ahead = self.ahead()?;
+            let length = ahead.len();
+            if length == 0 {
+                skipped += u64::from(begun);
+                break;
+            }
+            let mut passed = length;
+            begun = ahead.last() != Some(&b'\n');
+            for end in memchr_iter(b'\n', ahead) {
+                skipped += 1;
+                if skipped == count {
+                    passed = end + 1;
+                    break;
+                }
+            }
+            self.at += passed;
+        }
+        self.passed += skipped;
+        Ok(skipped)
+    }
 }

@@ -144,7 +144,7 @@ macro_rules! taken_by_name {
 taken_by_name! {
     IndicatorKind: "cloud" => Cloud, "counting" => Counting, "symmetry" => Symmetry;
     MethodName: "dif" => Dif, "mueller" => Mueller, "zhu-bridson" => ZhuBridson, "yu-turk" => YuTurk;
-    InputFormat: "bgeo" => Bgeo, "bi4" => Bi4, "csv" => Csv, "hdf5" => Hdf5, "npy" => Npy, "npz" => Npz, "ply" => Ply,
+    InputFormat: "bgeo" => Bgeo, "bi4" => Bi4, "csv" => Csv, "hdf5" => Hdf5, "json" => Json, "lammps" => Lammps, "npy" => Npy, "npz" => Npz, "ply" => Ply,
         "pvtp" => Pvtp, "vtk" => Vtk, "vtp" => Vtp, "xyz" => Xyz;
     UpAxis: "y" => Y, "z" => Z;
     PeriodicMesh: "cut" => Cut, "overlap" => Overlap;

@@ -3,6 +3,7 @@
 
 use hdf5_reader::group::Group;
 
+pub(super) use crate::io::error::a_sequence;
 use crate::io::names::{Quantity, quantities};
 use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -38,14 +39,6 @@ pub fn read_particles(
     let table = table(&group)?;
     drop((group, root));
     Ok(ParticleFile { time, ..table.read(file, "HDF5", wanted)? })
-}
-
-/// Refuses to take several steps for one frame.
-pub fn a_sequence(first: u64, last: u64) -> ReadFault {
-    let what = format!(
-        "steps {first} to {last}: several frames; append #{first} to the name for one of them"
-    );
-    ReadFault::Unsupported(what)
 }
 
 /// The columns of a group.

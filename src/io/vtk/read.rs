@@ -6,6 +6,7 @@ use std::ops::Range;
 use crate::io::bytes::{Bytes, Unpacked, Unpacking, View};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints};
+use crate::io::number::Number;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -178,7 +179,7 @@ fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertic
 fn number(bytes: View, ascii: bool, array: &Array) -> Result<Option<f64>, ReadFault> {
     let stored = bytes.read(array.at..array.end)?;
     if ascii {
-        return Ok(std::str::from_utf8(&stored).ok().and_then(|text| text.trim().parse().ok()));
+        return Ok(f64::of(stored.trim_ascii()));
     }
     Ok(match array.scalar {
         Scalar::F64 => stored.first_chunk().map(|&bytes| f64::from_be_bytes(bytes)),

@@ -14,6 +14,7 @@ use flate2::read::ZlibDecoder;
 use crate::io::bytes::{Kept, Passing, Slice, Unpacked, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::Scanner;
+use crate::io::number::Number;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
 use crate::io::{ReadFault, malformed};
@@ -192,7 +193,7 @@ fn no_integers(array: &Array) -> ReadFault {
 }
 
 /// The numbers of a text from byte `at` on.
-fn numbers<T: std::str::FromStr>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
+fn numbers<T: Number>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
     let mut scan = Scanner::new(text, at);
     let mut numbers = Vec::new();
     loop {

@@ -31,7 +31,7 @@ _Array: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64] | _DLPack 
 _Path: TypeAlias = str | os.PathLike[str]
 _Point: TypeAlias = Sequence[float] | npt.NDArray[Any]
 _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | npt.NDArray[Any]
-_Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "npy", "npz", "ply", "pvtp", "vtk", "vtp", "xyz"]
+_Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "json", "lammps", "npy", "npz", "ply", "pvtp", "vtk", "vtp", "xyz"]
 _Progress: TypeAlias = Callable[[str, float], object]
 
 # Keywords, which are the program's options, each said once.

@@ -1,0 +1,81 @@
+//! JSON: a list of positions, each a list of x, y and z, as splashsurf reads it.
+
+use std::fmt;
+
+use serde::de::{DeserializeSeed, Deserializer, SeqAccess, Visitor};
+
+use super::bytes::{Bytes, Unpacked, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::{ParticleFile, ReadFault};
+
+/// Bytes of a position.
+const TRIPLE: usize = 3 * size_of::<f64>();
+/// Bytes that are passed on at once.
+const CHUNK: usize = 1 << 16;
+
+/// Reads a list of positions.
+///
+/// # Errors
+/// [`ReadFault::Line`] for what is no JSON, and no list of triples of numbers;
+/// [`ReadFault::Scratch`] where the scratch file fails.
+pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let text = bytes.read_whole(unpacking)?;
+    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
+    let mut rows = Unpacked::new(unpacking);
+    let mut json = serde_json::Deserializer::from_slice(text);
+    let mut scratch = Ok(());
+    let positions = Positions { rows: &mut rows, scratch: &mut scratch };
+    let read = positions.deserialize(&mut json).and_then(|()| json.end());
+    scratch?;
+    read.map_err(|fault| {
+        let what = format!("{fault}; expected a list of positions, as [[0, 0, 0], [1, 0, 0]]");
+        ReadFault::Line { line: fault.line().max(1) as u64, what }
+    })?;
+    let rows = rows.finish()?;
+    let count = rows.len() / TRIPLE;
+    let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F64, endian: Endian::Little };
+    let position = [0, 1, 2].map(|axis| x.component(axis));
+    let store: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, Vec::new());
+    Ok(ParticleFile::new(store, "JSON"))
+}
+
+/// Takes positions as they come, so that no list of all is made.
+struct Positions<'a, 'u> {
+    rows: &'a mut Unpacked<'u>,
+    scratch: &'a mut Result<(), ReadFault>,
+}
+
+impl Positions<'_, '_> {
+    fn push<E: serde::de::Error>(&mut self, chunk: &mut Vec<u8>) -> Result<(), E> {
+        *self.scratch = self.rows.push(chunk);
+        chunk.clear();
+        if self.scratch.is_ok() { Ok(()) } else { Err(E::custom("the scratch file failed")) }
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for Positions<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, list: D) -> Result<(), D::Error> {
+        list.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Positions<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a list of positions")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(mut self, mut list: A) -> Result<(), A::Error> {
+        let mut chunk = Vec::new();
+        while let Some(position) = list.next_element::<[f64; 3]>()? {
+            chunk.extend_from_slice(position.map(f64::to_le_bytes).as_flattened());
+            if chunk.len() >= CHUNK {
+                self.push(&mut chunk)?;
+            }
+        }
+        self.push(&mut chunk)
+    }
+}

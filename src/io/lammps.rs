@@ -1,0 +1,253 @@
+//! LAMMPS dumps in text: steps, each with its box and a row for every atom.
+//!
+//! The position is `x y z`, else `xu yu zu`, else `xs ys zs` or `xsu ysu zsu`: the latter two are
+//! fractions of the edges of the box, which may be a parallelepiped (LAMMPS' documentation of the
+//! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
+
+use super::bytes::{Bytes, Unpacking, View};
+use super::error::a_sequence;
+use super::table::{Cell, Named, Separator, Syntax, Table, excerpt, names_of};
+use super::text::TextLines;
+use super::wanted::WantedAttributes;
+use super::{ParticleFile, ReadFault};
+
+/// Beginning of a section's first line.
+const ITEM: &str = "ITEM:";
+
+/// Names of the columns of a position, the likeliest first, and whether they are fractions of the
+/// box.
+const POSITIONS: [([&str; 3], bool); 4] = [
+    (["x", "y", "z"], false),
+    (["xu", "yu", "zu"], false),
+    (["xs", "ys", "zs"], true),
+    (["xsu", "ysu", "zsu"], true),
+];
+
+/// A step of a dump.
+struct Step {
+    number: u64,
+    time: Option<f64>,
+    cell: Option<Cell>,
+    names: Vec<String>,
+    atoms: u64,
+    /// Rows that are there.
+    rows: u64,
+    start: usize,
+    end: usize,
+    lines_above: u64,
+}
+
+/// Whether a text begins like a dump.
+pub(super) fn is_dump(head: &[u8]) -> bool {
+    let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
+    head.starts_with(ITEM.as_bytes())
+}
+
+/// Reads a step, or the only one.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a line that does not parse, and for a step that ends too early;
+/// [`ReadFault::Unsupported`] where a step has to be chosen or is not there, and for columns
+/// without a position.
+pub(super) fn read(
+    bytes: Bytes,
+    step: Option<u64>,
+    wanted: WantedAttributes,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
+    let view = bytes.view();
+    let mut lines = TextLines::new(view)?;
+    let found = match step {
+        Some(number) => loop {
+            match Step::next(&mut lines)? {
+                Some(step) if step.number == number => break step,
+                Some(_) => {}
+                None => return Err(ReadFault::Unsupported(format!("there is no step {number}"))),
+            }
+        },
+        None => {
+            let only = Step::next(&mut lines)?;
+            let only = only.ok_or_else(|| lines.fault("expected `ITEM: TIMESTEP`"))?;
+            if Step::next(&mut lines)?.is_some() {
+                let steps = steps(view)?;
+                let (first, last) = (steps.first(), steps.last());
+                return Err(a_sequence(*first.unwrap_or(&0), *last.unwrap_or(&0)));
+            }
+            only
+        }
+    };
+    view.check()?;
+    found.read(bytes, wanted, unpacking)
+}
+
+/// The numbers of the steps, in order. A step that is there twice, as after a restart, is one.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a line between steps that does not parse.
+pub(super) fn steps(view: View) -> Result<Vec<u64>, ReadFault> {
+    let mut lines = TextLines::new(view)?;
+    let mut steps = Vec::new();
+    while let Some(step) = Step::next(&mut lines)? {
+        steps.push(step.number);
+    }
+    steps.sort_unstable();
+    steps.dedup();
+    Ok(steps)
+}
+
+impl Step {
+    /// Passes a step; None at the end of the file.
+    fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
+        let (mut number, mut atoms, mut time, mut cell) = (None, None, None, None);
+        loop {
+            let Some(line) = lines.line()? else {
+                return match number {
+                    None => Ok(None),
+                    Some(step) => Err(lines.fault(format!("the file ends within step {step}"))),
+                };
+            };
+            if line.is_empty() {
+                continue;
+            }
+            let Some(item) = line.strip_prefix(ITEM).map(str::trim) else {
+                let found = excerpt(line.as_bytes());
+                return Err(lines.fault(format!("expected a line that begins with {ITEM}: {found}")));
+            };
+            let (name, rest) = item.split_once(' ').unwrap_or((item, ""));
+            match (name, item) {
+                ("TIMESTEP", _) => number = Some(value(lines)?),
+                ("UNITS", _) => drop(lines.line()?),
+                ("TIME", _) => time = Some(value(lines)?),
+                (_, "NUMBER OF ATOMS") => atoms = Some(value(lines)?),
+                ("BOX", _) => cell = Some(bounds(lines, rest)?),
+                ("ATOMS", _) => {
+                    let (Some(number), Some(atoms)) = (number, atoms) else {
+                        let what = "ATOMS before the TIMESTEP and the NUMBER OF ATOMS";
+                        return Err(lines.fault(what));
+                    };
+                    let (start, lines_above) = (lines.at(), lines.passed());
+                    let rows = lines.skip(atoms)?;
+                    let names = names_of(rest.as_bytes(), Separator::Blanks);
+                    let end = lines.at();
+                    return Ok(Some(Self {
+                        number, time, cell, names, atoms, rows, start, end, lines_above,
+                    }));
+                }
+                _ => {
+                    let what = format!("a dump of {}, not of atoms", item.to_lowercase());
+                    return Err(ReadFault::Unsupported(what));
+                }
+            }
+        }
+    }
+
+    fn read(
+        self,
+        bytes: Bytes,
+        wanted: WantedAttributes,
+        unpacking: Unpacking,
+    ) -> Result<ParticleFile, ReadFault> {
+        let Self { number, mut names, .. } = self;
+        if self.rows < self.atoms {
+            let line = self.lines_above + self.rows;
+            let what =
+                format!("step {number} ends after {} of {} atoms", self.rows, self.atoms);
+            return Err(ReadFault::Line { line, what });
+        }
+        let column = |name: &&str| names.iter().position(|other| other == name);
+        let found = POSITIONS.iter().find_map(|(axes, are_fractions)| {
+            let columns: Vec<_> = axes.iter().filter_map(column).collect();
+            (columns.len() == 3).then_some((columns, *are_fractions))
+        });
+        let Some((columns, are_fractions)) = found else {
+            let what = format!(
+                "no columns x, y and z (nor xu, xs or xsu and so on) among {:?}",
+                names.join(" ")
+            );
+            return Err(ReadFault::Line { line: self.lines_above, what });
+        };
+        for (number, name) in names.iter_mut().enumerate() {
+            match columns.iter().position(|&column| column == number) {
+                Some(axis) => ["x", "y", "z"][axis].clone_into(name),
+                // Of another kind than the position.
+                None if matches!(&**name, "x" | "y" | "z") => name.push('_'),
+                None => {}
+            }
+        }
+        let cell = match (are_fractions, self.cell) {
+            (true, None) => {
+                let what = format!("step {number} has scaled coordinates and no box");
+                return Err(ReadFault::Line { line: self.lines_above, what });
+            }
+            (are_fractions, cell) => cell.filter(|_| are_fractions),
+        };
+        let table = Table {
+            rows: self.start..self.end,
+            lines_above: self.lines_above,
+            syntax: Syntax::BLANKS,
+            columns: Named::of(names).expect("x, y and z are there"),
+            count: Some(self.atoms),
+            cell,
+        };
+        let file = table.read(bytes, wanted, unpacking, "LAMMPS dump")?;
+        let box_size = self.cell.and_then(|cell| cell.sizes());
+        Ok(ParticleFile { time: self.time, box_size, ..file })
+    }
+}
+
+/// The value on the next line.
+fn value<T: std::str::FromStr>(lines: &mut TextLines) -> Result<T, ReadFault> {
+    let line = lines.line()?.unwrap_or_default();
+    line.parse().map_err(|_| lines.fault(format!("{} is no such number", excerpt(line.as_bytes()))))
+}
+
+/// The box that three lines describe under `BOX BOUNDS` and these words.
+fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
+    let mut rows = Vec::new();
+    for _ in 0..3 {
+        let line = lines.line()?.unwrap_or_default();
+        let numbers = line.split_ascii_whitespace().map(|word| word.parse::<f64>().ok());
+        let row = numbers.collect::<Option<Vec<_>>>();
+        let fault = || lines.fault(format!("{} are no bounds of a box", excerpt(line.as_bytes())));
+        rows.push(row.filter(|row| (2..=4).contains(&row.len())).ok_or_else(fault)?);
+    }
+    Ok(match (words, &rows[0][..], &rows[1][..], &rows[2][..]) {
+        // Edges of any direction, and the origin.
+        (words, &[ax, ay, az, ox], &[bx, by, bz, oy], &[cx, cy, cz, oz])
+            if words.contains("abc") =>
+        {
+            Cell { origin: [ox, oy, oz], edges: [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] }
+        }
+        // The box around a parallelepiped, and the tilts of that.
+        (_, &[xlo, xhi, xy], &[ylo, yhi, xz], &[zlo, zhi, yz]) => {
+            let of = |pick: fn(f64, f64) -> f64, tilts: [f64; 3]| {
+                tilts.into_iter().fold(0.0, pick)
+            };
+            let (low, high) = ([xy, xz, xy + xz], [yz, yz, yz]);
+            let xlo = xlo - of(f64::min, low);
+            let xhi = xhi - of(f64::max, low);
+            let ylo = ylo - of(f64::min, high);
+            let yhi = yhi - of(f64::max, high);
+            Cell {
+                origin: [xlo, ylo, zlo],
+                edges: [[xhi - xlo, 0.0, 0.0], [xy, yhi - ylo, 0.0], [xz, yz, zhi - zlo]],
+            }
+        }
+        (_, &[xlo, xhi], &[ylo, yhi], &[zlo, zhi]) => Cell {
+            origin: [xlo, ylo, zlo],
+            edges: [[xhi - xlo, 0.0, 0.0], [0.0, yhi - ylo, 0.0], [0.0, 0.0, zhi - zlo]],
+        },
+        _ => return Err(lines.fault("bounds of a box that are neither 2, 3 nor 4 numbers each")),
+    })
+}
+
+impl Cell {
+    /// The lengths of the edges of a box along the axes.
+    pub(super) fn sizes(&self) -> Option<[f64; 3]> {
+        let along = |edge: usize| {
+            let others = (0..3).filter(|axis| *axis != edge);
+            others.map(|axis| self.edges[edge][axis]).all(|part| part == 0.0)
+        };
+        (0..3).all(along).then(|| [0, 1, 2].map(|axis| self.edges[axis][axis]))
+    }
+}

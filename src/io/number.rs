@@ -1,0 +1,189 @@
+//! Numbers in text, in the spellings of C, Fortran, Python and Microsoft's C library.
+
+/// Characters of the longest number that is rewritten before it is parsed: one with a decimal
+/// comma, or with an exponent as only Fortran writes it.
+const LONGEST: usize = 64;
+
+/// The character before a number's fraction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Decimal {
+    /// As in 0.5.
+    Point,
+    /// As in 0,5.
+    Comma,
+}
+
+/// A number that a word of text spells.
+pub trait Number: Sized {
+    /// The number, or None where the word is no number.
+    fn of(word: &[u8]) -> Option<Self>;
+}
+
+macro_rules! parsed {
+    ($($type:ident),*) => {
+        $(impl Number for $type {
+            fn of(word: &[u8]) -> Option<Self> {
+                std::str::from_utf8(word).ok()?.parse().ok()
+            }
+        })*
+    };
+}
+
+parsed!(i64, u64, usize, f32);
+
+impl Number for f64 {
+    fn of(word: &[u8]) -> Option<Self> {
+        // What C and Python write. All else is rare, and its spellings do not overlap.
+        let plain = std::str::from_utf8(word).ok()?.parse().ok();
+        plain.or_else(|| not_finite(word)).or_else(|| fortran(word))
+    }
+}
+
+/// The number that a word with this decimal character spells.
+pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
+    if decimal == Decimal::Point || !word.contains(&b',') {
+        // Where commas are decimal, a point separates thousands.
+        return f64::of(word).filter(|number| {
+            decimal == Decimal::Point || !number.is_finite() || !word.contains(&b'.')
+        });
+    }
+    if word.contains(&b'.') {
+        return None;
+    }
+    let mut buffer = [0; LONGEST];
+    let rewritten = buffer.get_mut(..word.len())?;
+    rewritten.copy_from_slice(word);
+    // A second comma becomes a second point, which no number has.
+    rewritten.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
+    f64::of(rewritten)
+}
+
+/// Whether a word is the asterisks that Fortran writes for a number wider than its field.
+pub fn is_overflow(word: &[u8]) -> bool {
+    !word.is_empty() && word.iter().all(|&byte| byte == b'*')
+}
+
+/// NaN and infinity in the spellings that [`str::parse`] does not know.
+fn not_finite(word: &[u8]) -> Option<f64> {
+    let (negative, rest) = match word {
+        [b'-', rest @ ..] => (true, rest),
+        [b'+', rest @ ..] => (false, rest),
+        rest => (false, rest),
+    };
+    let mut buffer = [0; LONGEST];
+    let upper = buffer.get_mut(..rest.len())?;
+    upper.copy_from_slice(rest);
+    upper.make_ascii_uppercase();
+    let infinity = if negative { f64::NEG_INFINITY } else { f64::INFINITY };
+    if let Some(payload) = upper.strip_prefix(b"NAN") {
+        // `nan(ind)` and `nan(0x7)` of C, NANQ and NANS of IBM's compilers.
+        let known = matches!(payload, b"Q" | b"S")
+            || matches!(payload, [b'(', inside @ .., b')'] if inside.iter().all(is_of_payload));
+        return known.then_some(f64::NAN);
+    }
+    // Microsoft's library before 2015 formats a digit 1 and a name as its fraction, rounded to the
+    // digits asked for and padded with zeros: 1.#QNAN, 1.#INF00e+000, 1.#IO.
+    let name = upper.strip_prefix(b"1.")?;
+    let name = match name.iter().position(|&byte| byte == b'E') {
+        Some(at) if is_exponent(&name[at + 1..]) => &name[..at],
+        _ => name,
+    };
+    let end = name.iter().rposition(|&byte| byte != b'0').map_or(0, |last| last + 1);
+    match &name[..end] {
+        b"#INF" => Some(infinity),
+        b"#QNAN" | b"#SNAN" | b"#IND" | b"#NAN" => Some(f64::NAN),
+        // Rounded, NaN and infinity may look alike.
+        b"#QNB" | b"#SNB" | b"#QO" | b"#SO" | b"#IO" | b"#R" | b"#T" | b"#J" | b"$" => {
+            Some(f64::NAN)
+        }
+        _ => None,
+    }
+}
+
+fn is_of_payload(byte: &u8) -> bool {
+    byte.is_ascii_alphanumeric() || *byte == b'_'
+}
+
+fn is_exponent(digits: &[u8]) -> bool {
+    let digits = digits.strip_prefix(b"+").or(digits.strip_prefix(b"-")).unwrap_or(digits);
+    !digits.is_empty() && digits.iter().all(u8::is_ascii_digit)
+}
+
+/// Fortran's exponents: D or Q for E, and no letter where the exponent has three digits.
+fn fortran(word: &[u8]) -> Option<f64> {
+    let sign = usize::from(matches!(word.first(), Some(b'+' | b'-')));
+    let at = sign + word[sign..].iter().position(|b| !b.is_ascii_digit() && *b != b'.')?;
+    let (mantissa, exponent) = word.split_at(at);
+    let exponent = match exponent {
+        [b'D' | b'd' | b'Q' | b'q', exponent @ ..] if is_exponent(exponent) => exponent,
+        // `1.5-10` may as well be two numbers run together.
+        [b'+' | b'-', digits @ ..] if digits.len() == 3 && mantissa.contains(&b'.') => exponent,
+        _ => return None,
+    };
+    if !is_exponent(exponent) {
+        return None;
+    }
+    let mut buffer = [0; LONGEST];
+    let rewritten = buffer.get_mut(..mantissa.len() + 1 + exponent.len())?;
+    rewritten[..at].copy_from_slice(mantissa);
+    rewritten[at] = b'E';
+    rewritten[at + 1..].copy_from_slice(exponent);
+    std::str::from_utf8(rewritten).ok()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nan_and_infinity_are_read_in_every_spelling() {
+        for word in [
+            "nan", "-NaN", "NaN", "+nan", "-nan(ind)", "nan(snan)", "nan(0x8000)", "NaNQ",
+            "1.#QNAN", "-1.#QNAN", "1.#SNAN", "-1.#IND", "-1.#IND00", "1.#QNAN0e+000", "1.#IO",
+            "1.#QO", "-1.#J", "1.#R", "1.$",
+        ] {
+            assert!(f64::of(word.as_bytes()).is_some_and(f64::is_nan), "{word}");
+        }
+        for word in ["inf", "+Inf", "Infinity", "+INFINITY", "1.#INF", "1.#INF00", "1.#INF000e+000"]
+        {
+            assert_eq!(f64::of(word.as_bytes()), Some(f64::INFINITY), "{word}");
+        }
+        assert_eq!(f64::of(b"-1.#INF"), Some(f64::NEG_INFINITY));
+        for word in ["nano", "nan(", "nan()x", "1.#", "1.#FOO", "2.#INF", "1#INF", "inf0"] {
+            assert_eq!(f64::of(word.as_bytes()), None, "{word}");
+        }
+    }
+
+    #[test]
+    fn exponents_of_fortran_are_read_and_numbers_run_together_are_not() {
+        let same = [
+            ("1.5D-01", 0.15),
+            ("1.5d+3", 1500.0),
+            ("-.5D0", -0.5),
+            ("2D2", 200.0),
+            ("0.14-270", 0.14e-270),
+            ("-0.14+100", -0.14e100),
+            ("1.5Q2", 150.0),
+        ];
+        for (word, number) in same {
+            assert_eq!(f64::of(word.as_bytes()), Some(number), "{word}");
+        }
+        for word in
+            ["1.5-10", "0.5-0.25", "2024-001", "1.5D", "1.5D+", "D5", "1.5DD5", "1.5-1e0", "*****"]
+        {
+            assert_eq!(f64::of(word.as_bytes()), None, "{word}");
+        }
+    }
+
+    #[test]
+    fn a_decimal_comma_excludes_points_and_thousands() {
+        let comma = |word: &str| with_decimal(word.as_bytes(), Decimal::Comma);
+        assert_eq!(comma("-0,25e1"), Some(-2.5));
+        assert_eq!(comma("3"), Some(3.0));
+        assert!(comma("1.#QNAN").is_some_and(f64::is_nan) && comma("1,#IND").is_some());
+        for word in ["0.5", "1.000,5", "1,000,000", ","] {
+            assert_eq!(comma(word), None, "{word}");
+        }
+        assert_eq!(with_decimal(b"0,5", Decimal::Point), None);
+    }
+}

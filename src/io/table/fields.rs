@@ -1,0 +1,238 @@
+//! Lines of a table and the fields of a line: separators, quotes, comments, and cells without a
+//! value.
+
+use memchr::memchr;
+
+use crate::io::number::{Decimal, with_decimal};
+
+/// How the fields of a row are separated and its numbers written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Syntax {
+    pub separator: Separator,
+    pub decimal: Decimal,
+}
+
+/// The separator between the fields of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Separator {
+    Byte(u8),
+    /// Any number of spaces and tabs.
+    Blanks,
+}
+
+impl Syntax {
+    /// Fields between blanks, numbers with decimal points: what simulations write.
+    pub const BLANKS: Self = Self { separator: Separator::Blanks, decimal: Decimal::Point };
+
+    /// All that are read, the likeliest first. A comma separates rather than being decimal.
+    pub const ALL: [Self; 7] = [
+        Self { separator: Separator::Byte(b';'), decimal: Decimal::Point },
+        Self { separator: Separator::Byte(b';'), decimal: Decimal::Comma },
+        Self { separator: Separator::Byte(b','), decimal: Decimal::Point },
+        Self { separator: Separator::Byte(b'\t'), decimal: Decimal::Point },
+        Self { separator: Separator::Byte(b'\t'), decimal: Decimal::Comma },
+        Self::BLANKS,
+        Self { separator: Separator::Blanks, decimal: Decimal::Comma },
+    ];
+
+    /// The number in a field: None where it has another value, NaN where it has none.
+    pub fn number(self, field: &[u8]) -> Option<f64> {
+        if let number @ Some(_) = with_decimal(field, self.decimal) {
+            return number;
+        }
+        let field = unquoted(field);
+        if is_missing(field) { Some(f64::NAN) } else { with_decimal(field, self.decimal) }
+    }
+
+    /// Whether a field has a value, and that is a number.
+    pub fn is_number(self, field: &[u8]) -> bool {
+        !is_missing(unquoted(field)) && self.number(field).is_some()
+    }
+}
+
+impl Separator {
+    /// The separator that a line shows by holding it.
+    pub fn of(line: &[u8]) -> Self {
+        [b';', b','].into_iter().find(|byte| line.contains(byte)).map_or(Self::Blanks, Self::Byte)
+    }
+}
+
+/// Whether a field is one of the words for a value that is missing.
+fn is_missing(field: &[u8]) -> bool {
+    field.is_empty()
+        || ["NA", "N/A", "null", "none"].iter().any(|w| field.eq_ignore_ascii_case(w.as_bytes()))
+}
+
+/// A field without the quotes around it.
+pub fn unquoted(field: &[u8]) -> &[u8] {
+    match field {
+        [b'"', inside @ .., b'"'] | [b'\'', inside @ .., b'\''] => inside.trim_ascii(),
+        _ => field,
+    }
+}
+
+/// Whether a line is a comment.
+pub fn is_comment(line: &[u8]) -> bool {
+    matches!(line.trim_ascii_start(), [b'#' | b'%' | b'!', ..] | [b'/', b'/', ..])
+}
+
+/// The lines that are not blank: number from 1, first byte, content without spaces at its ends.
+/// Tabs there may separate empty cells.
+pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
+    let mut start = 0;
+    let lines = text.split_inclusive(|&byte| byte == b'\n').zip(1..).map(move |(content, line)| {
+        let begin = start;
+        start += content.len();
+        (line, begin, trimmed(content))
+    });
+    lines.filter(|(.., content)| content.iter().any(|byte| !byte.is_ascii_whitespace()))
+}
+
+/// A line without its end and the spaces around it.
+fn trimmed(line: &[u8]) -> &[u8] {
+    let is_cut = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
+    let end = line.iter().rposition(|byte| !is_cut(byte)).map_or(0, |last| last + 1);
+    let start = line[..end].iter().position(|byte| !is_cut(byte)).unwrap_or(end);
+    &line[start..end]
+}
+
+/// The fields of a line, trimmed, up to a comment.
+///
+/// Quotes around a field hide separators in it. A comment begins with `#` after a blank, or where a
+/// field begins behind the last one that is expected: before that, `#` may be a cell's value. A
+/// separator at the end of the line opens a further field only if one is missing.
+pub struct Fields<'a> {
+    line: &'a [u8],
+    at: usize,
+    separator: Separator,
+    /// Fields that are still expected.
+    missing: usize,
+    /// Whether the last field ended with a separator.
+    open: bool,
+    /// Whether `#` occurs.
+    marked: bool,
+}
+
+impl<'a> Fields<'a> {
+    pub fn new(line: &'a [u8], separator: Separator, expected: usize) -> Self {
+        let line = match separator {
+            // The first and the last cell may be empty.
+            Separator::Byte(b'\t') => line,
+            _ => line.trim_ascii(),
+        };
+        let marked = memchr(b'#', line).is_some();
+        Self { line, at: 0, separator, missing: expected, open: false, marked }
+    }
+
+    fn is_blank(&self, byte: u8) -> bool {
+        byte.is_ascii_whitespace() && self.separator != Separator::Byte(byte)
+    }
+
+    fn skip_blanks(&mut self) {
+        while self.line.get(self.at).is_some_and(|&byte| self.is_blank(byte)) {
+            self.at += 1;
+        }
+    }
+
+    /// The byte after the quote that closes the field, if it begins with one.
+    fn quoted_end(&self) -> Option<usize> {
+        let quote = self.line[self.at];
+        let mut at = self.at + 1;
+        loop {
+            at += memchr(quote, self.line.get(at..)?)? + 1;
+            // A quote in quotes is doubled.
+            if self.line.get(at) == Some(&quote) {
+                at += 1;
+                continue;
+            }
+            let after = self.line[at..].iter().find(|&&byte| !self.is_blank(byte));
+            let closes = match self.separator {
+                Separator::Byte(separator) => after.is_none_or(|&byte| byte == separator),
+                Separator::Blanks => self.line.get(at).is_none_or(u8::is_ascii_whitespace),
+            };
+            return closes.then_some(at);
+        }
+    }
+}
+
+impl<'a> Iterator for Fields<'a> {
+    type Item = &'a [u8];
+
+    fn next(&mut self) -> Option<&'a [u8]> {
+        self.skip_blanks();
+        let Some(&first) = self.line.get(self.at) else {
+            let has_empty = std::mem::take(&mut self.open) && self.missing > 0;
+            self.missing = self.missing.saturating_sub(1);
+            return has_empty.then_some(&[]);
+        };
+        if first == b'#'
+            && (self.missing == 0 || self.at == 0 || self.is_blank(self.line[self.at - 1]))
+        {
+            return None;
+        }
+        let start = self.at;
+        let from = match first {
+            b'"' | b'\'' => self.quoted_end().unwrap_or(start),
+            _ => start,
+        };
+        let rest = &self.line[from..];
+        let end = match self.separator {
+            Separator::Byte(separator) if self.marked => {
+                let ends = |at: usize| {
+                    rest[at] == separator
+                        || rest[at] == b'#' && at > 0 && self.is_blank(rest[at - 1])
+                };
+                (0..rest.len()).find(|&at| ends(at))
+            }
+            Separator::Byte(separator) => rest.iter().position(|&byte| byte == separator),
+            Separator::Blanks => rest.iter().position(u8::is_ascii_whitespace),
+        };
+        let end = end.map_or(self.line.len(), |end| from + end);
+        self.open = self.line.get(end).is_some_and(|&byte| byte != b'#');
+        self.at = end + usize::from(self.open);
+        self.open &= self.separator != Separator::Blanks;
+        self.missing = self.missing.saturating_sub(1);
+        Some(self.line[start..end].trim_ascii())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fields(line: &str, separator: u8, expected: usize) -> Vec<&str> {
+        let separator = match separator {
+            b' ' => Separator::Blanks,
+            byte => Separator::Byte(byte),
+        };
+        Fields::new(line.as_bytes(), separator, expected)
+            .map(|field| std::str::from_utf8(field).unwrap())
+            .collect()
+    }
+
+    #[test]
+    fn a_comment_begins_where_a_field_begins_and_nowhere_else() {
+        assert_eq!(fields("1,2,1.#QNAN", b',', 3), ["1", "2", "1.#QNAN"]);
+        assert_eq!(fields("1, 2, 3 # a, b", b',', 3), ["1", "2", "3"]);
+        assert_eq!(fields("1;2;3;# end", b';', 3), ["1", "2", "3"]);
+        assert_eq!(fields("1,#,3", b',', 3), ["1", "#", "3"]);
+        assert_eq!(fields("1 2 a#b #c", b' ', 3), ["1", "2", "a#b"]);
+    }
+
+    #[test]
+    fn quotes_hide_separators_and_an_unclosed_quote_is_a_value() {
+        assert_eq!(fields("\"a, \"\"b\"\"\", 2,3", b',', 3), ["\"a, \"\"b\"\"\"", "2", "3"]);
+        assert_eq!(fields("1,\",3", b',', 3), ["1", "\"", "3"]);
+        assert_eq!(fields("'a b' 2 3", b' ', 3), ["'a b'", "2", "3"]);
+        assert_eq!(fields("5' 2 '3", b' ', 3), ["5'", "2", "'3"]);
+    }
+
+    #[test]
+    fn the_last_separator_opens_a_field_if_one_is_missing() {
+        assert_eq!(fields("1;2;3;", b';', 3), ["1", "2", "3"]);
+        assert_eq!(fields("1,2,", b',', 3), ["1", "2", ""]);
+        assert_eq!(fields("1,,", b',', 4), ["1", "", ""]);
+        assert_eq!(fields("\t1\t\t3", b'\t', 4), ["", "1", "", "3"]);
+        assert_eq!(fields("1 2 ", b' ', 3), ["1", "2"]);
+    }
+}

@@ -1,0 +1,411 @@
+//! The head of a table: where its rows start, how their fields are separated, and what the columns
+//! are.
+
+use crate::io::ReadFault;
+use crate::io::bytes::View;
+use crate::io::names::{Quantity, quantities};
+use crate::io::number::{Decimal, is_overflow};
+
+use super::fields::{Fields, Separator, Syntax, is_comment, lines, unquoted};
+use super::excerpt;
+
+/// Lines, blank ones and comments not counted, within which the columns must be named.
+const HEADER_LINES: usize = 32;
+/// Bytes in which the head is looked for, and twice as many where these hold fewer lines.
+pub const HEAD: usize = 64 << 10;
+/// Fields of a line; more are no table of particles.
+pub const MOST_FIELDS: usize = 4096;
+/// Rows of which the first column is looked at.
+const SAMPLED_ROWS: usize = 256;
+
+/// What the head of a table says.
+#[derive(Debug)]
+pub struct Heading {
+    /// The first byte of the first row.
+    pub start: usize,
+    /// The number of lines above it.
+    pub lines_above: u64,
+    pub syntax: Syntax,
+    pub columns: Named,
+}
+
+/// The columns of a table and the quantities that they are.
+#[derive(Debug)]
+pub struct Named {
+    /// Names of all columns.
+    pub names: Vec<String>,
+    pub position: Quantity,
+    pub attributes: Vec<Quantity>,
+}
+
+/// A line that is no row of numbers.
+struct Title {
+    line: u64,
+    names: Vec<String>,
+}
+
+/// A row of a table without names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Unnamed {
+    syntax: Syntax,
+    /// The column of x.
+    first: usize,
+    fields: usize,
+}
+
+impl Named {
+    /// Columns of these names; None where no position is among them.
+    pub fn of(names: Vec<String>) -> Option<Self> {
+        let (position, attributes) = quantities(&names)?;
+        Some(Self { names, position, attributes })
+    }
+
+    /// Columns without names, of which three from `first` on are the position.
+    pub fn unnamed(first: usize, fields: usize) -> Self {
+        let mut names: Vec<String> = (1..=fields).map(|column| column.to_string()).collect();
+        for (name, axis) in names[first..].iter_mut().zip(["x", "y", "z"]) {
+            axis.clone_into(name);
+        }
+        let position = Quantity { name: String::new(), columns: (first..first + 3).collect() };
+        Self { names, position, attributes: Vec::new() }
+    }
+
+    /// Leaves out attributes in whose columns the first rows hold text and no number.
+    pub fn without_text(mut self, rows: &[u8], syntax: Syntax) -> Self {
+        let mut numbers = vec![false; self.names.len()];
+        let mut texts = numbers.clone();
+        for fields in rows_of(rows, syntax, self.names.len()) {
+            for (column, field) in fields.enumerate().take(self.names.len()) {
+                numbers[column] |= syntax.is_number(field) || is_overflow(field);
+                texts[column] |= syntax.number(field).is_none();
+            }
+        }
+        self.attributes.retain(|a| !a.columns.iter().any(|&c| texts[c] && !numbers[c]));
+        self
+    }
+}
+
+impl Heading {
+    /// Finds the head of a text, of which no more is read than it is in.
+    pub fn of(text: View, start: usize) -> Result<Self, ReadFault> {
+        let mut looked_at = HEAD;
+        loop {
+            let end = text.len().min(start.saturating_add(looked_at));
+            let head = text.read(start..end)?;
+            let known = lines(&head).filter(|(.., content)| !is_comment(content));
+            // The last line may be cut off.
+            if end == text.len() || known.count() > HEADER_LINES + 2 {
+                let whole = end == text.len();
+                let cut = head.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+                let head = if whole { &head[..] } else { &head[..cut] };
+                let found = Self::find(head)?;
+                return Ok(Self { start: start + found.start, ..found });
+            }
+            looked_at = looked_at.saturating_mul(2);
+        }
+    }
+
+    fn find(text: &[u8]) -> Result<Self, ReadFault> {
+        let (mut comment, mut named) = (None, None);
+        let mut titles: Vec<Title> = Vec::new();
+        let mut first = None;
+        let mut units = 1;
+        let mut left = HEADER_LINES;
+        for (line, start, content) in lines(text) {
+            if is_comment(content) {
+                let content = content.trim_ascii_start();
+                let marks = content.iter().take_while(|byte| b"#%!/".contains(byte)).count();
+                comment =
+                    Named::of(names_of(&content[marks..], separator_of(content))).or(comment);
+                continue;
+            }
+            if named.is_some() {
+                if units > 0 && is_units(content) {
+                    units -= 1;
+                    continue;
+                }
+                first = Some((line, start, content));
+                break;
+            }
+            let row = is_row(content) || is_row_of_words(content, &text[start..]);
+            if row && titles.is_empty() {
+                first = Some((line, start, content));
+                break;
+            }
+            if row {
+                // Under a title that names no position: perhaps the first row, perhaps more of the
+                // title.
+                first = first.or(Some((line, start, content)));
+            } else {
+                let names = names_of(content, separator_of(content));
+                if quantities(&names).is_some() {
+                    named = Some((names, content));
+                    first = None;
+                } else if first.is_none() {
+                    titles.push(Title { line, names });
+                }
+            }
+            left -= 1;
+            if left == 0 {
+                break;
+            }
+        }
+        let Some((line, start, row)) = first else {
+            let names = named.and_then(|(names, _)| Named::of(names)).or(comment);
+            return match (names, titles.first()) {
+                (None, Some(title)) => Err(title.refused()),
+                (names, _) => Ok(Self {
+                    start: text.len(),
+                    lines_above: 0,
+                    syntax: Syntax::BLANKS,
+                    columns: names.unwrap_or_else(|| Named::unnamed(0, 3)),
+                }),
+            };
+        };
+        let rows = &text[start..];
+        let at = |syntax: Syntax, columns: Named| {
+            let syntax = with_decimals(syntax, rows, &columns);
+            Self { start, lines_above: line - 1, syntax, columns }
+        };
+        if let Some((names, content)) = named {
+            let columns = Named::of(names).expect("they name a position");
+            let found = Syntax::of_row(row, &columns).map(|syntax| (syntax, columns));
+            // Tabs may align names that blanks separate.
+            let aligned = || {
+                let columns = Named::of(names_of(content, Separator::Blanks))?;
+                Some((Syntax::of_row(row, &columns)?, columns))
+            };
+            let (syntax, columns) = match found.or_else(aligned) {
+                Some(found) => found,
+                None => {
+                    let separator = separator_of(content);
+                    let columns = Named::of(names_of(content, separator)).expect("as above");
+                    let shown = Separator::of(row);
+                    let separator = if row.contains(&b'\t') { separator } else { shown };
+                    (Syntax { separator, decimal: Decimal::Point }, columns)
+                }
+            };
+            return Ok(at(syntax, columns));
+        }
+        if let Some(columns) = comment
+            && let Some(syntax) = Syntax::of_row(row, &columns)
+        {
+            refuse_rows_above(&titles, columns.names.len())?;
+            return Ok(at(syntax, columns));
+        }
+        let Some(unnamed) = unnamed(row) else {
+            let fields = Fields::new(row, Separator::of(row), 0).count();
+            let what = format!("{fields} fields where x, y and z are expected");
+            return Err(ReadFault::Line { line, what });
+        };
+        if let Some(title) = titles.iter().rfind(|title| title.names.len() == unnamed.fields) {
+            return Err(title.refused());
+        }
+        if unnamed.fields > MOST_FIELDS {
+            let what = format!("more than {MOST_FIELDS} fields");
+            return Err(ReadFault::Line { line, what });
+        }
+        refuse_rows_above(&titles, unnamed.fields)?;
+        let first = if counts(rows, unnamed) { 1 } else { unnamed.first };
+        Ok(at(unnamed.syntax, Named::unnamed(first, unnamed.fields)))
+    }
+}
+
+/// The columns of rows that no line names; None where the first is no row.
+///
+/// # Errors
+/// [`ReadFault::Unsupported`] where whole numbers stand before what may be the position.
+pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault> {
+    let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
+    let Some(found) = unnamed(row) else { return Ok(None) };
+    let numbers_only = found.first == 0 && found.fields > 3;
+    let first = match (numbers_only, has_whole_first(rows, found)) {
+        (true, true) if !has_fractions(rows, found) => {
+            let what = "rows of whole numbers, which may be x, y and z or begin with the number \
+                 of an element; name the columns by Properties=";
+            return Err(ReadFault::Unsupported(what.to_owned()));
+        }
+        (true, true) => 1,
+        _ => found.first,
+    };
+    let syntax = with_decimals(found.syntax, rows, &Named::unnamed(first, found.fields));
+    Ok(Some((syntax, Named::unnamed(first, found.fields))))
+}
+
+/// The names that a line holds.
+pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
+    let name = |name| String::from_utf8_lossy(unquoted(name)).into_owned();
+    Fields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
+}
+
+/// The separator of a line of names: tabs where it has any, as names may hold blanks.
+fn separator_of(line: &[u8]) -> Separator {
+    match Separator::of(line) {
+        Separator::Blanks if line.contains(&b'\t') => Separator::Byte(b'\t'),
+        separator => separator,
+    }
+}
+
+impl Syntax {
+    /// The syntax under which a row has a field for each column, and numbers in those of the
+    /// position.
+    fn of_row(row: &[u8], columns: &Named) -> Option<Self> {
+        Self::ALL.into_iter().find(|syntax| {
+            let mut fields = 0;
+            let fits = Fields::new(row, syntax.separator, columns.names.len()).all(|field| {
+                fields += 1;
+                !columns.position.columns.contains(&(fields - 1)) || syntax.number(field).is_some()
+            });
+            fits && fields == columns.names.len()
+        })
+    }
+}
+
+/// The fields of rows that are not comments.
+fn rows_of(
+    rows: &[u8],
+    syntax: Syntax,
+    expected: usize,
+) -> impl Iterator<Item = impl Iterator<Item = &[u8]>> {
+    lines(rows)
+        .filter(|(.., content)| !is_comment(content))
+        .map(move |(.., content)| Fields::new(content, syntax.separator, expected))
+}
+
+/// The syntax with decimal commas, if the first number that shows which has one.
+fn with_decimals(syntax: Syntax, rows: &[u8], columns: &Named) -> Syntax {
+    let comma = Syntax { decimal: Decimal::Comma, ..syntax };
+    if syntax.separator == Separator::Byte(b',') {
+        return syntax;
+    }
+    let is_wanted = |column: &usize| {
+        let attributes = columns.attributes.iter().flat_map(|attribute| &attribute.columns);
+        columns.position.columns.iter().chain(attributes).any(|wanted| wanted == column)
+    };
+    let wanted: Vec<bool> = (0..columns.names.len()).map(|column| is_wanted(&column)).collect();
+    for fields in rows_of(rows, syntax, columns.names.len()) {
+        for (field, _) in fields.zip(&wanted).filter(|(_, wanted)| **wanted) {
+            match (Syntax { decimal: Decimal::Point, ..syntax }.number(field), comma.number(field))
+            {
+                (None, Some(_)) => return comma,
+                (Some(_), None) => return Syntax { decimal: Decimal::Point, ..syntax },
+                _ => {}
+            }
+        }
+    }
+    syntax
+}
+
+/// How the fields of a row without names lie: three numbers come first, or after a word, or after a
+/// whole number and a word.
+fn unnamed(row: &[u8]) -> Option<Unnamed> {
+    let all = Syntax::ALL.map(|syntax| {
+        let fields = Fields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
+        (syntax, fields.collect::<Vec<_>>())
+    });
+    let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
+        all.iter().find_map(|(syntax, fields)| {
+            let first = first(*syntax, fields)?;
+            let position = fields.get(first..first + 3)?;
+            let are_numbers = position.iter().all(|field| syntax.is_number(field));
+            are_numbers.then_some(Unnamed { syntax: *syntax, first, fields: fields.len() })
+        })
+    };
+    found(|_, _| Some(0)).or_else(|| {
+        found(|_, fields| match fields {
+            [word, ..] if is_word(word) => Some(1),
+            [number, word, ..] if is_whole(number) && is_word(word) => Some(2),
+            _ => None,
+        })
+    })
+}
+
+/// Whether a line begins with as many numbers as a position has, or holds nothing but numbers.
+pub fn is_row(line: &[u8]) -> bool {
+    unnamed(line).is_some_and(|row| row.first == 0) || {
+        let syntax = Syntax { separator: Separator::of(line), decimal: Decimal::Point };
+        Fields::new(line, syntax.separator, 0).take(3).all(|field| syntax.is_number(field))
+    }
+}
+
+/// Whether words stand before the numbers of a line as of all that follow: one that stands alone is
+/// a title.
+fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
+    unnamed(line).is_some_and(|row| {
+        row.first > 0 && lines(rows).take(HEADER_LINES).all(|(.., other)| unnamed(other) == Some(row))
+    })
+}
+
+/// Whether no field of a line below names is a number: it holds the units of the columns.
+fn is_units(line: &[u8]) -> bool {
+    Syntax::ALL.iter().all(|syntax| {
+        Fields::new(line, syntax.separator, 0).all(|field| {
+            let field = unquoted(field);
+            !is_overflow(field) && syntax.number(field).is_none_or(|_| field.is_empty())
+        })
+    })
+}
+
+fn is_word(field: &[u8]) -> bool {
+    let field = unquoted(field);
+    field.first().is_some_and(u8::is_ascii_alphabetic) && Syntax::BLANKS.number(field).is_none()
+}
+
+fn is_whole(field: &[u8]) -> bool {
+    !field.is_empty() && field.len() < 20 && field.iter().all(u8::is_ascii_digit)
+}
+
+/// Whether the first column of the first rows holds whole numbers alone.
+fn has_whole_first(rows: &[u8], row: Unnamed) -> bool {
+    rows_of(rows, row.syntax, row.fields)
+        .take(SAMPLED_ROWS)
+        .all(|mut fields| fields.next().is_some_and(is_whole))
+}
+
+/// Whether each of the three columns behind the first has numbers with fractions.
+fn has_fractions(rows: &[u8], row: Unnamed) -> bool {
+    let mut fractions = [false; 3];
+    for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
+        for (field, has) in fields.skip(1).zip(&mut fractions) {
+            *has |= row.syntax.is_number(field) && !is_whole(field);
+        }
+    }
+    fractions == [true; 3]
+}
+
+/// Whether the first column of rows without names counts them, and the next three are the position.
+fn counts(rows: &[u8], row: Unnamed) -> bool {
+    let mut seen = std::collections::HashSet::new();
+    let sample = || rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS);
+    let are_different =
+        sample().all(|mut fields| fields.next().is_some_and(|number| seen.insert(number.to_vec())));
+    row.first == 0
+        && row.fields > 3
+        && sample().count() > 2
+        && are_different
+        && has_whole_first(rows, row)
+        && has_fractions(rows, row)
+}
+
+/// Refuses a line above the first row that is a row as well, with a field that is no number.
+fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
+    let is_number = |name: &String| {
+        is_overflow(name.as_bytes()) || Syntax::BLANKS.is_number(name.as_bytes())
+    };
+    let row = titles
+        .iter()
+        .find(|title| title.names.len() == fields && title.names.iter().any(is_number));
+    row.map_or(Ok(()), |row| Err(row.refused()))
+}
+
+impl Title {
+    fn refused(&self) -> ReadFault {
+        let shown: Vec<_> =
+            self.names.iter().take(8).map(|name| excerpt(name.as_bytes())).collect();
+        let what = format!(
+            "neither three numbers nor the names of columns x, y and z: {}",
+            shown.join(", ")
+        );
+        ReadFault::Line { line: self.line, what }
+    }
+}

@@ -1,0 +1,261 @@
+//! Tables of text: a line for each particle, its fields decoded to little-endian f64, position
+//! first.
+//!
+//! The separator of fields and the decimal character are those of the first rows. A line that names
+//! `x`, `y` and `z` (see [`names`]) says what the columns hold, even as a comment; the lines above
+//! it are passed over, and so is one line of units below it. Without such a line, the first three
+//! columns are the position and the others have no name to be carried under. Fields of columns that
+//! nobody wants are not parsed.
+//!
+//! [`names`]: super::names
+
+mod fields;
+mod heading;
+
+use std::ops::{ControlFlow, Range};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::particles::AttributeInfo;
+
+use super::bytes::{Bytes, Kept, Unpacked, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::names::Quantity;
+use super::number::{Decimal, is_overflow};
+use super::text::decode_windows;
+use super::wanted::WantedAttributes;
+use super::windows::Source;
+use super::{ParticleFile, ReadFault};
+
+use fields::{Fields, is_comment, lines};
+use heading::Heading;
+
+pub(super) use fields::{Separator, Syntax};
+pub(super) use heading::{HEAD, Named, is_row, names_of, unnamed_columns};
+
+/// Bytes of a number.
+const WIDTH: usize = size_of::<f64>();
+
+/// Rows of a text, and what their fields are.
+pub(super) struct Table {
+    /// Bytes that the rows are in, and lines above them.
+    pub rows: Range<usize>,
+    pub lines_above: u64,
+    pub syntax: Syntax,
+    pub columns: Named,
+    /// The number of rows, where the file says it.
+    pub count: Option<u64>,
+    /// The box of which the coordinates are fractions.
+    pub cell: Option<Cell>,
+}
+
+/// An origin, and the three edges of a box from there.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Cell {
+    pub origin: [f64; 3],
+    pub edges: [[f64; 3]; 3],
+}
+
+impl Cell {
+    /// The place that is at these fractions of the edges.
+    fn place(&self, fractions: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| {
+            let along = |edge: usize| fractions[edge] * self.edges[edge][axis];
+            self.origin[axis] + along(0) + along(1) + along(2)
+        })
+    }
+}
+
+/// Reads a table whose head is at byte `start`.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a row with a field too many or too few, for a field that is no number
+/// where one is needed, and for a header that names no position; [`ReadFault::Scratch`] where the
+/// scratch file fails.
+pub(super) fn read(
+    bytes: Bytes,
+    start: usize,
+    wanted: WantedAttributes,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
+    let view = bytes.view();
+    let Heading { start, lines_above, syntax, columns } = Heading::of(view, start)?;
+    let rows = start..view.len();
+    let table = Table { rows, lines_above, syntax, columns, count: None, cell: None };
+    table.read(bytes, wanted, unpacking, "text table")
+}
+
+/// Where a field goes that is parsed.
+#[derive(Debug, Clone, Copy)]
+struct Slot {
+    /// The place among the numbers of a row.
+    place: usize,
+    /// What becomes of a field without a number.
+    otherwise: Otherwise,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Otherwise {
+    Refuse,
+    /// The column is one of text, and no attribute.
+    Drop,
+}
+
+impl Table {
+    /// Decodes the rows.
+    ///
+    /// # Errors
+    /// Those of [`read`], and [`ReadFault::Line`] where there are fewer rows than the file says.
+    pub fn read(
+        self,
+        bytes: Bytes,
+        wanted: WantedAttributes,
+        unpacking: Unpacking,
+        format: &'static str,
+    ) -> Result<ParticleFile, ReadFault> {
+        let view = bytes.view();
+        let head = view.read(self.rows.start..self.rows.end.min(self.rows.start + HEAD))?;
+        let columns = self.columns.without_text(&head, self.syntax);
+        drop(head);
+        let table = Self { columns, ..self };
+        let Named { names, position, attributes } = &table.columns;
+        let info =
+            |q: &Quantity| AttributeInfo { name: q.name.clone(), components: q.columns.len() };
+        let infos: Vec<_> = attributes.iter().map(info).collect();
+        let is_read = wanted.among(&infos);
+        let otherwise = match wanted {
+            WantedAttributes::All => Otherwise::Drop,
+            _ => Otherwise::Refuse,
+        };
+        let read = || attributes.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(a));
+        let attribute_columns = read().flat_map(|a| &a.columns).map(|column| (column, otherwise));
+        let position_columns = position.columns.iter().map(|column| (column, Otherwise::Refuse));
+        let mut slots = vec![None; names.len()];
+        let mut width = 0;
+        for (&column, otherwise) in position_columns.chain(attribute_columns) {
+            slots[column] = Some(Slot { place: width, otherwise });
+            width += 1;
+        }
+        let text: Vec<AtomicBool> = (0..width).map(|_| AtomicBool::new(false)).collect();
+        let source = Source::from(bytes);
+        let rows = table.decode(&source, &slots, &text, unpacking)?;
+        let stride = width * WIDTH;
+        let count = rows.len() / stride;
+        if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
+            let what = format!("{expected} rows are announced, and {count} found");
+            return Err(ReadFault::Line { line: table.lines_above, what });
+        }
+        let first = Column { offset: 0, stride, scalar: Scalar::F64, endian: Endian::Little };
+        let mut places = 3..;
+        let attributes = read().filter_map(|attribute| {
+            let places: Vec<_> = places.by_ref().take(attribute.columns.len()).collect();
+            let is_text = places.iter().any(|&place| text[place].load(Ordering::Relaxed));
+            let columns = places.iter().map(|&place| first.component(place)).collect();
+            (!is_text).then(|| (info(attribute), columns))
+        });
+        let attributes = attributes.collect();
+        let position = [0, 1, 2].map(|axis| first.component(axis));
+        let store: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, attributes);
+        let unread = infos.into_iter().zip(is_read).filter(|(_, read)| !read);
+        let unread = unread.map(|(info, _)| info).collect();
+        Ok(ParticleFile { unread, ..ParticleFile::new(store, format) })
+    }
+
+    /// Decodes all rows, in their order.
+    fn decode(
+        &self,
+        source: &Source,
+        slots: &[Option<Slot>],
+        text: &[AtomicBool],
+        unpacking: Unpacking,
+    ) -> Result<Kept, ReadFault> {
+        let mut rows = Unpacked::new(unpacking);
+        let mut lines_above = self.lines_above;
+        decode_windows(
+            source,
+            self.rows.clone(),
+            |byte| byte == b'\n',
+            |piece| self.decode_piece(piece, slots, text),
+            |piece| {
+                let (piece, lines) = piece
+                    .map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
+                lines_above += lines;
+                rows.push(&piece)?;
+                Ok(ControlFlow::Continue(()))
+            },
+        )?;
+        rows.finish()
+    }
+
+    /// The numbers of whole lines, and how many lines they were; or the line that is wrong, and
+    /// how.
+    fn decode_piece(
+        &self,
+        piece: &[u8],
+        slots: &[Option<Slot>],
+        text: &[AtomicBool],
+    ) -> Result<(Vec<u8>, u64), (u64, String)> {
+        let width = text.len() * WIDTH;
+        let mut rows = Vec::new();
+        for (line, _, content) in lines(piece) {
+            if is_comment(content) {
+                continue;
+            }
+            let row = rows.len();
+            rows.resize(row + width, 0);
+            let mut fields = 0;
+            for field in Fields::new(content, self.syntax.separator, slots.len()) {
+                if let Some(&Some(Slot { place, otherwise })) = slots.get(fields) {
+                    let number = self.syntax.number(field);
+                    let number = match (number, otherwise) {
+                        (Some(number), _) => number,
+                        (None, Otherwise::Refuse) => {
+                            return Err((line, self.not_a_number(field, fields)));
+                        }
+                        (None, Otherwise::Drop) => {
+                            text[place].store(true, Ordering::Relaxed);
+                            f64::NAN
+                        }
+                    };
+                    rows[row + place * WIDTH..][..WIDTH].copy_from_slice(&number.to_le_bytes());
+                }
+                fields += 1;
+            }
+            if fields != slots.len() {
+                let expected = slots.len();
+                let what = format!("{fields} fields where {expected} are expected");
+                return Err((line, format!("{what}: {}", excerpt(content))));
+            }
+            if let Some(cell) = &self.cell {
+                let position = &mut rows[row..][..3 * WIDTH];
+                let fractions = bytemuck::pod_read_unaligned::<[[u8; WIDTH]; 3]>(position);
+                let place = cell.place(fractions.map(f64::from_le_bytes));
+                position.copy_from_slice(place.map(f64::to_le_bytes).as_flattened());
+            }
+        }
+        let lines = piece.iter().filter(|&&byte| byte == b'\n').count();
+        Ok((rows, lines as u64))
+    }
+
+    fn not_a_number(&self, field: &[u8], column: usize) -> String {
+        let name = &self.columns.names[column];
+        let what = format!("{} is not a number (column {name})", excerpt(field));
+        if is_overflow(field) {
+            return format!("{what}: its field was too narrow when Fortran wrote it");
+        }
+        match self.syntax {
+            Syntax { separator: Separator::Byte(b','), .. } => what,
+            Syntax { decimal: Decimal::Comma, .. } if field.contains(&b'.') => {
+                format!("{what}, as those above have decimal commas")
+            }
+            Syntax { decimal: Decimal::Point, .. } if field.contains(&b',') => {
+                format!("{what}, as those above have decimal points")
+            }
+            _ => what,
+        }
+    }
+}
+
+/// Returns the part of a field or a line that messages show, in quotes.
+pub(super) fn excerpt(field: &[u8]) -> String {
+    format!("{:?}", String::from_utf8_lossy(&field[..field.len().min(40)]))
+}

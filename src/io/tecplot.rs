@@ -1,0 +1,276 @@
+//! Tecplot in text: one zone of points, whose values are given point by point or variable by
+//! variable ("Data Format Guide", Tecplot 360).
+
+use std::ops::{ControlFlow, Range};
+
+use crate::particles::AttributeInfo;
+
+use super::bytes::{Bytes, Unpacked, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::number::Number;
+use super::table::{Named, excerpt};
+use super::text::{TextLines, decode_windows};
+use super::windows::Source;
+use super::{ParticleFile, ReadFault};
+
+/// Bytes of a number.
+const WIDTH: usize = size_of::<f64>();
+
+/// Records that may stand in a header.
+const KEYWORDS: [&str; 8] = [
+    "TITLE", "VARIABLES", "ZONE", "FILETYPE", "DATASETAUXDATA", "VARAUXDATA", "AUXDATA", "VARIABLE",
+];
+
+/// The order of a zone's values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Packing {
+    Point,
+    Block,
+}
+
+/// What a header says of a zone.
+#[derive(Debug, Default)]
+struct Zone {
+    /// Points along I, J and K.
+    points: [Option<usize>; 3],
+    packing: Option<Packing>,
+    time: Option<f64>,
+}
+
+/// Whether lines of a text's head begin like Tecplot's records.
+pub(super) fn is_tecplot(head: &[u8]) -> bool {
+    let head = String::from_utf8_lossy(head);
+    let mut lines = head.lines().map(str::trim).filter(|line| !line.is_empty());
+    let mut records = lines.by_ref().take_while(|line| {
+        let is_known = keyword(line).is_some();
+        is_known || line.starts_with(['#', '"'])
+    });
+    records.any(|line| match keyword(line) {
+        Some(("VARIABLES", rest)) => rest.starts_with('='),
+        Some(("ZONE", rest)) => rest.is_empty() || rest.contains('='),
+        _ => false,
+    })
+}
+
+/// The keyword that a line begins with, and what follows.
+fn keyword(line: &str) -> Option<(&'static str, &str)> {
+    let line = line.trim_start_matches('\u{feff}');
+    let word = line.split(|c: char| c == '=' || c.is_ascii_whitespace()).next()?;
+    let known = KEYWORDS.into_iter().find(|known| word.eq_ignore_ascii_case(known))?;
+    Some((known, line[word.len()..].trim_start()))
+}
+
+/// Reads the only zone.
+///
+/// # Errors
+/// [`ReadFault::Unsupported`] for several zones, elements, shared variables, and an order of values
+/// that the zone does not say; [`ReadFault::Line`] for a line that does not parse, and for values
+/// that are not as many as the zone says.
+pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let mut lines = TextLines::new(bytes.view())?;
+    let mut names = Vec::new();
+    let mut zone = Zone::default();
+    let mut record = "";
+    let (start, lines_above) = loop {
+        let (start, lines_above) = (lines.at(), lines.passed());
+        let Some(line) = lines.line()? else {
+            return Err(lines.fault("the file ends within its header"));
+        };
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let rest = match keyword(&line) {
+            Some((keyword, rest)) => {
+                record = keyword;
+                rest
+            }
+            None if line.split([' ', '\t', ',']).next().is_some_and(is_number) => {
+                break (start, lines_above);
+            }
+            None => line.as_str(),
+        };
+        let said = match record {
+            "VARIABLES" => {
+                names.extend(variables(rest.strip_prefix('=').unwrap_or(rest)));
+                Ok(())
+            }
+            "ZONE" => zone.say(rest),
+            _ => Ok(()),
+        };
+        said.map_err(|what| lines.fault(what))?;
+    };
+    let shown = names.join(", ");
+    let Some(columns) = Named::of(names) else {
+        let what = format!("no VARIABLES x, y and z among {shown:?}");
+        return Err(ReadFault::Line { line: lines_above.max(1), what });
+    };
+    let width = columns.names.len();
+    let end = bytes.view().len();
+    let source = Source::from(bytes);
+    let numbers = decode(&source, start..end, lines_above, unpacking)?;
+    let count = numbers.len() / WIDTH;
+    let wrong = |what| Err(ReadFault::Line { line: lines_above.max(1), what });
+    let points = match zone.points {
+        [None, None, None] if count.is_multiple_of(width) => count / width,
+        [None, None, None] => {
+            return wrong(format!("{count} values, not as many for each of {width} variables"));
+        }
+        points => {
+            let product = points.iter().flatten().try_fold(1_usize, |all, n| all.checked_mul(*n));
+            match product.filter(|points| points.checked_mul(width) == Some(count)) {
+                Some(points) => points,
+                None => {
+                    let sizes: Vec<_> = points.iter().flatten().map(usize::to_string).collect();
+                    let points = sizes.join(" x ");
+                    return wrong(format!(
+                        "{count} values, where {points} points of {width} variables are announced"
+                    ));
+                }
+            }
+        }
+    };
+    // Without a number of points, values can only be in the order of points.
+    let packing = match (zone.packing, zone.points[0]) {
+        (Some(packing), _) => packing,
+        (None, None) => Packing::Point,
+        (None, Some(_)) => {
+            let what = "the zone does not say the order of its values; add DATAPACKING=POINT or \
+                 DATAPACKING=BLOCK to it";
+            return Err(ReadFault::Unsupported(what.to_owned()));
+        }
+    };
+    let column = |variable: &usize| {
+        let (offset, stride) = match packing {
+            Packing::Point => (variable * WIDTH, width * WIDTH),
+            Packing::Block => (variable * points * WIDTH, WIDTH),
+        };
+        Column { offset, stride, scalar: Scalar::F64, endian: Endian::Little }
+    };
+    let position = [0, 1, 2].map(|axis| column(&columns.position.columns[axis]));
+    let attributes = columns.attributes.iter().map(|attribute| {
+        let components = attribute.columns.len();
+        let info = AttributeInfo { name: attribute.name.clone(), components };
+        (info, attribute.columns.iter().map(column).collect())
+    });
+    let attributes = attributes.collect();
+    let store: ColumnStore = ColumnStore::new(numbers, Rows::All(points), position, attributes);
+    Ok(ParticleFile { time: zone.time, ..ParticleFile::new(store, "Tecplot") })
+}
+
+fn is_number(word: &str) -> bool {
+    f64::of(word.as_bytes()).is_some()
+}
+
+/// The names of variables, quoted or between blanks or commas.
+fn variables(text: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    let mut rest = text;
+    loop {
+        rest = rest.trim_start_matches([' ', '\t', ',']);
+        let (name, after) = match rest.chars().next() {
+            None => return names,
+            Some(quote @ ('"' | '\'')) => {
+                rest[1..].split_once(quote).unwrap_or((&rest[1..], ""))
+            }
+            Some(_) => {
+                let end = rest.find([' ', '\t', ',']).unwrap_or(rest.len());
+                rest.split_at(end)
+            }
+        };
+        names.push(name.to_owned());
+        rest = after;
+    }
+}
+
+impl Zone {
+    /// Takes what a line of the zone's record says.
+    fn say(&mut self, text: &str) -> Result<(), String> {
+        let mut rest = text;
+        loop {
+            rest = rest.trim_start_matches([' ', '\t', ',']);
+            let Some((key, after)) = rest.split_once('=') else {
+                return if rest.is_empty() {
+                    Ok(())
+                } else {
+                    Err(format!("{} is not what a zone says", excerpt(rest.as_bytes())))
+                };
+            };
+            let after = after.trim_start();
+            let (value, after) = match after.chars().next() {
+                Some('"') => after[1..].split_once('"').unwrap_or((&after[1..], "")),
+                Some('(') => after[1..].split_once(')').unwrap_or((&after[1..], "")),
+                _ => after.split_at(after.find([' ', '\t', ',']).unwrap_or(after.len())),
+            };
+            self.take(&key.trim().to_ascii_uppercase(), value)?;
+            rest = after;
+        }
+    }
+
+    fn take(&mut self, key: &str, value: &str) -> Result<(), String> {
+        let upper = value.to_ascii_uppercase();
+        match (key, &*upper) {
+            ("I" | "J" | "K", _) => {
+                let axis = usize::from(key.as_bytes()[0] - b'I');
+                let points = value.parse().map_err(|_| format!("{key}={value} is no number"))?;
+                self.points[axis] = Some(points);
+            }
+            ("F" | "DATAPACKING", "POINT") => self.packing = Some(Packing::Point),
+            ("F" | "DATAPACKING", "BLOCK") => self.packing = Some(Packing::Block),
+            ("ZONETYPE", "ORDERED") => {}
+            ("F" | "DATAPACKING" | "ZONETYPE" | "N" | "NODES" | "E" | "ELEMENTS", _) => {
+                return Err(format!("a zone with {key}={value}: only zones of points are read"));
+            }
+            ("VARLOCATION" | "VARSHARELIST" | "PASSIVEVARLIST", _) => {
+                return Err(format!("a zone with {key}: each variable needs a value at each point"));
+            }
+            ("SOLUTIONTIME", _) => self.time = f64::of(value.as_bytes()),
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+/// Decodes the numbers of a range.
+fn decode(
+    source: &Source,
+    range: Range<usize>,
+    lines_above: u64,
+    unpacking: Unpacking,
+) -> Result<super::bytes::Kept, ReadFault> {
+    let is_end = |byte: u8| byte.is_ascii_whitespace() || byte == b',';
+    let decode = |piece: &[u8]| {
+        let mut numbers = Vec::new();
+        let mut words = piece.split(|&byte| is_end(byte)).filter(|word| !word.is_empty());
+        let wrong = words.find(|word| {
+            let number = f64::of(word);
+            numbers.extend(number.unwrap_or_default().to_le_bytes());
+            number.is_none()
+        });
+        let lines = |text: &[u8]| text.iter().filter(|&&byte| byte == b'\n').count() as u64;
+        match wrong {
+            None => Ok((numbers, lines(piece))),
+            Some(word) => {
+                let at = word.as_ptr() as usize - piece.as_ptr() as usize;
+                Err((1 + lines(&piece[..at]), word.to_vec()))
+            }
+        }
+    };
+    let mut passed = lines_above;
+    let mut numbers = Unpacked::new(unpacking);
+    decode_windows(source, range, is_end, decode, |piece| {
+        let (piece, lines) = piece.map_err(|(line, word)| {
+            let what = match &*word.to_ascii_uppercase() {
+                b"ZONE" => "a second zone begins; write one file for each zone".to_owned(),
+                repeated if repeated.contains(&b'*') && f64::of(repeated).is_none() => {
+                    format!("{}: repeated values are not read", excerpt(&word))
+                }
+                _ => format!("{} is not a number", excerpt(&word)),
+            };
+            ReadFault::Line { line: passed + line, what }
+        })?;
+        passed += lines;
+        numbers.push(&piece)?;
+        Ok(ControlFlow::Continue(()))
+    })?;
+    numbers.finish()
+}
