@@ -111,7 +111,9 @@ impl Step {
             }
             let Some(item) = line.strip_prefix(ITEM).map(str::trim) else {
                 let found = excerpt(line.as_bytes());
-                return Err(lines.fault(format!("expected a line that begins with {ITEM}: {found}")));
+                return Err(
+                    lines.fault(format!("expected a line that begins with {ITEM} and found {found}"))
+                );
             };
             let (name, rest) = item.split_once(' ').unwrap_or((item, ""));
             match (name, item) {
@@ -130,7 +132,15 @@ impl Step {
                     let names = names_of(rest.as_bytes(), Separator::Blanks);
                     let end = lines.at();
                     return Ok(Some(Self {
-                        number, time, cell, names, atoms, rows, start, end, lines_above,
+                        number,
+                        time,
+                        cell,
+                        names,
+                        atoms,
+                        rows,
+                        start,
+                        end,
+                        lines_above,
                     }));
                 }
                 _ => {
@@ -150,8 +160,7 @@ impl Step {
         let Self { number, mut names, .. } = self;
         if self.rows < self.atoms {
             let line = self.lines_above + self.rows;
-            let what =
-                format!("step {number} ends after {} of {} atoms", self.rows, self.atoms);
+            let what = format!("step {number} ends after {} of {} atoms", self.rows, self.atoms);
             return Err(ReadFault::Line { line, what });
         }
         let column = |name: &&str| names.iter().position(|other| other == name);
@@ -220,9 +229,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
         }
         // The box around a parallelepiped, and the tilts of that.
         (_, &[xlo, xhi, xy], &[ylo, yhi, xz], &[zlo, zhi, yz]) => {
-            let of = |pick: fn(f64, f64) -> f64, tilts: [f64; 3]| {
-                tilts.into_iter().fold(0.0, pick)
-            };
+            let of = |pick: fn(f64, f64) -> f64, tilts: [f64; 3]| tilts.into_iter().fold(0.0, pick);
             let (low, high) = ([xy, xz, xy + xz], [yz, yz, yz]);
             let xlo = xlo - of(f64::min, low);
             let xhi = xhi - of(f64::max, low);

@@ -138,9 +138,25 @@ mod tests {
     #[test]
     fn nan_and_infinity_are_read_in_every_spelling() {
         for word in [
-            "nan", "-NaN", "NaN", "+nan", "-nan(ind)", "nan(snan)", "nan(0x8000)", "NaNQ",
-            "1.#QNAN", "-1.#QNAN", "1.#SNAN", "-1.#IND", "-1.#IND00", "1.#QNAN0e+000", "1.#IO",
-            "1.#QO", "-1.#J", "1.#R", "1.$",
+            "nan",
+            "-NaN",
+            "NaN",
+            "+nan",
+            "-nan(ind)",
+            "nan(snan)",
+            "nan(0x8000)",
+            "NaNQ",
+            "1.#QNAN",
+            "-1.#QNAN",
+            "1.#SNAN",
+            "-1.#IND",
+            "-1.#IND00",
+            "1.#QNAN0e+000",
+            "1.#IO",
+            "1.#QO",
+            "-1.#J",
+            "1.#R",
+            "1.$",
         ] {
             assert!(f64::of(word.as_bytes()).is_some_and(f64::is_nan), "{word}");
         }

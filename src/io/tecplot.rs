@@ -18,7 +18,14 @@ const WIDTH: usize = size_of::<f64>();
 
 /// Records that may stand in a header.
 const KEYWORDS: [&str; 8] = [
-    "TITLE", "VARIABLES", "ZONE", "FILETYPE", "DATASETAUXDATA", "VARAUXDATA", "AUXDATA", "VARIABLE",
+    "TITLE",
+    "VARIABLES",
+    "ZONE",
+    "FILETYPE",
+    "DATASETAUXDATA",
+    "VARAUXDATA",
+    "AUXDATA",
+    "VARIABLE",
 ];
 
 /// The order of a zone's values.
@@ -169,9 +176,7 @@ fn variables(text: &str) -> Vec<String> {
         rest = rest.trim_start_matches([' ', '\t', ',']);
         let (name, after) = match rest.chars().next() {
             None => return names,
-            Some(quote @ ('"' | '\'')) => {
-                rest[1..].split_once(quote).unwrap_or((&rest[1..], ""))
-            }
+            Some(quote @ ('"' | '\'')) => rest[1..].split_once(quote).unwrap_or((&rest[1..], "")),
             Some(_) => {
                 let end = rest.find([' ', '\t', ',']).unwrap_or(rest.len());
                 rest.split_at(end)
@@ -221,7 +226,9 @@ impl Zone {
                 return Err(format!("a zone with {key}={value}: only zones of points are read"));
             }
             ("VARLOCATION" | "VARSHARELIST" | "PASSIVEVARLIST", _) => {
-                return Err(format!("a zone with {key}: each variable needs a value at each point"));
+                return Err(format!(
+                    "a zone with {key}: each variable needs a value at each point"
+                ));
             }
             ("SOLUTIONTIME", _) => self.time = f64::of(value.as_bytes()),
             _ => {}

@@ -8,9 +8,9 @@ use memchr::{memchr, memchr_iter};
 use rayon::prelude::*;
 
 use super::bytes::{Bytes, Slice, Unpacked, Unpacking, View};
-use super::{ReadFault, malformed};
 use super::scan::Scanner;
 use super::windows::{Source, Windows};
+use super::{ReadFault, malformed};
 
 /// Bytes that are read at once where lines are passed.
 const WINDOW: usize = 1 << 18;

@@ -8,17 +8,21 @@
 use super::bytes::{Bytes, Unpacking, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::error::a_sequence;
-use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
 use super::table::unnamed_columns;
+use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
 use super::text::TextLines;
 use super::wanted::WantedAttributes;
 use super::windows::{Source, Windows};
 use super::{ParticleFile, ReadFault, malformed};
 
+/// Bytes of raw numbers by which f64 are told from f32.
+const SAMPLED: usize = 4080;
+
 /// Reads raw little-endian f32 triples.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for bytes that are not whole triples.
+/// [`ReadFault::Malformed`] for bytes that are not whole triples, and [`ReadFault::Unsupported`]
+/// for f64.
 pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     const TRIPLE: usize = 12;
     let source = Source::from(bytes);
@@ -28,11 +32,26 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         let what = format!("{rest} bytes are left over; raw f32 positions take {TRIPLE} each");
         return Err(malformed(bytes - rest, what));
     }
+    if bytes.is_multiple_of(2 * TRIPLE) && source.with(0..bytes.min(SAMPLED), are_f64) {
+        let what = "its numbers are plausible as f64 and not as f32, of which a raw .xyz consists";
+        return Err(ReadFault::Unsupported(what.to_owned()));
+    }
     let rows = Rows::All(bytes / TRIPLE);
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F32, endian: Endian::Little };
     let particles: ColumnStore =
         ColumnStore::new(source, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
+}
+
+/// Whether raw numbers are lengths as f64 and, some of them, not as f32: the lower half of an f64
+/// is an f32 of any magnitude.
+fn are_f64(raw: &[u8]) -> bool {
+    let is_length = |number: f64| number == 0.0 || (1e-12..1e12).contains(&number.abs());
+    let wide = raw.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes));
+    let narrow = raw.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes)));
+    let far = narrow.filter(|&number| !is_length(number)).count();
+    // A few particles of f32 may be lost ones.
+    wide.into_iter().all(is_length) && far * 8 > raw.len() / size_of::<f32>()
 }
 
 /// A frame of a file.
@@ -176,8 +195,14 @@ impl Frame {
                 }
             },
         };
-        let table =
-            Table { rows: start..end, lines_above, syntax, columns, count: Some(count), cell: None };
+        let table = Table {
+            rows: start..end,
+            lines_above,
+            syntax,
+            columns,
+            count: Some(count),
+            cell: None,
+        };
         let file = table.read(bytes, wanted, unpacking, "XYZ")?;
         let time = value(&comment, "Time").and_then(|time| time.parse().ok());
         let box_size = value(&comment, "Lattice").and_then(box_of);
@@ -188,10 +213,11 @@ impl Frame {
 /// The value of a key in a comment of extended XYZ, as `Time=0.5` or `Lattice="1 0 0 ..."`.
 fn value<'a>(comment: &'a str, key: &str) -> Option<&'a str> {
     let lower = comment.to_ascii_lowercase();
-    let start = lower.match_indices(&format!("{}=", key.to_ascii_lowercase())).find_map(|(at, _)| {
-        let begins = at == 0 || comment.as_bytes()[at - 1].is_ascii_whitespace();
-        begins.then_some(at + key.len() + 1)
-    })?;
+    let start =
+        lower.match_indices(&format!("{}=", key.to_ascii_lowercase())).find_map(|(at, _)| {
+            let begins = at == 0 || comment.as_bytes()[at - 1].is_ascii_whitespace();
+            begins.then_some(at + key.len() + 1)
+        })?;
     let rest = &comment[start..];
     match rest.strip_prefix('"') {
         Some(quoted) => quoted.split('"').next(),
@@ -220,8 +246,7 @@ fn columns_of(properties: &str) -> Result<Named, String> {
         }
         is_text.resize(names.len(), matches!(kind, "S" | "L"));
     }
-    let mut columns =
-        Named::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))?;
+    let mut columns = Named::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))?;
     columns.attributes.retain(|attribute| !attribute.columns.iter().any(|&c| is_text[c]));
     Ok(columns)
 }

@@ -13,7 +13,7 @@ use crate::field::indicator::SampledDif;
 use crate::frame::{Counted, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::Unpacking;
-use crate::io::input::{KNOWN, file_and_step, holds_mesh, is_known, open_wanted};
+use crate::io::input::{InputFormat, KNOWN, file_and_step, holds_mesh, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
 use crate::io::wanted::{Wanted, WantedAttributes};
@@ -160,7 +160,7 @@ pub fn info_by(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Erro
         particles(path, settings).map(Info::Particles)
     } else if holds_mesh(path)? {
         mesh(path).map(Info::Mesh)
-    } else if is_known(file_and_step(path).0) {
+    } else if InputFormat::of(file_and_step(path).0).is_some() {
         particles(path, settings).map(Info::Particles)
     } else {
         Err(ReadError::new(path, ReadFault::UnknownExtension { known: &ALL_KNOWN }).into())

@@ -5,9 +5,12 @@ use std::io::{Seek, Write};
 use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
-use meniscus::internals::io::input;
+use meniscus::internals::io::input::{self, InputFormat};
 use meniscus::internals::io::scene::spacing_beside;
-use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, vtp, xyz};
+use meniscus::internals::io::wanted::WantedAttributes;
+use meniscus::internals::io::{
+    ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, text_format, vtk, vtp,
+};
 use meniscus::internals::particles::{Particles, Unread, velocity_attribute};
 use zip::CompressionMethod;
 
@@ -18,10 +21,20 @@ use crate::memory;
 
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
 
-const TEXT: Reader = |bytes| xyz::read_text(bytes, Unpacking::in_memory());
-const XYZ: Reader = |bytes| xyz::read_particles(bytes, Unpacking::in_memory());
+const TEXT: Reader = |bytes| read_text(bytes, InputFormat::Csv, None, WantedAttributes::All);
+const XYZ: Reader = |bytes| read_text(bytes, InputFormat::Xyz, None, WantedAttributes::All);
+const VTK: Reader = |bytes| vtk::read_particles(bytes, Unpacking::in_memory());
 const VTU: Reader = |bytes| vtp::read_particles(bytes, Unpacking::in_memory());
 const NPZ: Reader = |bytes| npz::read_particles(bytes, Unpacking::in_memory());
+
+fn read_text(
+    bytes: Bytes,
+    format: InputFormat,
+    step: Option<u64>,
+    wanted: WantedAttributes,
+) -> Result<ParticleFile, ReadFault> {
+    text_format::read_particles(bytes, Some(format), step, wanted, Unpacking::in_memory())
+}
 
 /// With as much memory as unpacking takes.
 fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
@@ -721,7 +734,8 @@ fn separators_comments_and_line_ends_do_not_change_a_table() {
     let same = [
         "1 2 3\n4 5 -6e-1\n",
         "1,2,3\r\n4,5,-6e-1",
-        "1, 2, 3 # the first, no more\n4,5,-.6# the second\n",
+        "1, 2, 3 # the first, no more\n4,5,-.6 # the second\n",
+        "% by hand\n1,2,3\n// the second\n4,5,-6D-01\n! end\n",
         "\u{feff}# by hand\n1;2;3;\n\n4; 5; -6e-1;\n# end\n",
         "  1\t2\t3   # the first\n\t4  5  -0.6\n",
         "x y z\n1 2 3\n4 5 -.6\n",
@@ -761,33 +775,236 @@ fn named_columns_become_attributes_with_their_components() {
 
 #[test]
 fn not_a_number_and_infinity_are_read_as_such() {
-    let read = positions(&text("nan,inf,-inf\n").unwrap())[0];
-    assert!(read[0].is_nan());
-    assert_eq!(read[1..], [f64::INFINITY, f64::NEG_INFINITY]);
+    for row in positions(&text("nan,inf,-inf\n1.#QNAN,1.#INF,-1.#INF\n").unwrap()) {
+        assert!(row[0].is_nan());
+        assert_eq!(row[1..], [f64::INFINITY, f64::NEG_INFINITY]);
+    }
+    let ascii = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 2 double\n\
+        1.5D-01 2 -nan(ind)\n-1.#IND 5 6\n";
+    let points = positions(&read(VTK, ascii.as_bytes()).unwrap());
+    assert_eq!(points[0][..2], [0.15, 2.0]);
+    assert!(points[0][2].is_nan() && points[1][0].is_nan());
 }
 
 #[test]
-fn a_bad_line_is_named_by_its_number() {
+fn a_bad_line_is_named_by_its_number_and_shown() {
     let cases = [
-        ("1,2,3\n4,5\n", "line 2: 2 fields where 3 are expected"),
-        ("1,2,3\n4,5,6,7\n", "line 2: 4 fields where 3 are expected"),
-        ("x,y,z\n\n1,2,3\n4,,6\n", "line 4: \"\" is not a number"),
-        ("x;y;z\n1,5;2,5;3,5\n", "line 2: \"1,5\" is not a number"),
-        ("1 2 3\n# note\n\nx y z\n", "line 4: \"x\" is not a number"),
-        ("1 2\n", "line 1: 2 fields where x, y and z are expected"),
-        (
-            "a,b,c\n1,2,3\n",
-            "line 1: neither three numbers nor the names of columns x, y and z: \"a\", \"b\", \"c\"",
-        ),
-        ("hello\n", "line 1: neither three numbers nor the names of columns x, y and z: \"hello\""),
-        (
-            "x,y\n1,2\n",
-            "line 1: neither three numbers nor the names of columns x, y and z: \"x\", \"y\"",
-        ),
+        ("1,2,3\n4,5\n", 2, "\"4,5\""),
+        ("1,2,3\n4,5,6,7\n", 2, "4 fields where 3"),
+        ("x,y,z\n\n1,2,3\n4,5#,6\n", 4, "\"5#\""),
+        ("x;y;z\n1,5;2,5;3,5\n1.5;2,5;3,5\n", 3, "\"1.5\""),
+        ("x,y,z\n1,2,3\n4,*****,6\n", 3, "Fortran"),
+        ("1 2 3\n# note\n\nx y z\n", 4, "\"x\""),
+        ("1.0 2.0 *****\n1 2 3\n4 5 6\n", 1, "*****"),
+        ("1 2 3x\n1 2 3\n4 5 6\n", 1, "3x"),
+        ("1 2\n", 1, "2 fields"),
+        ("a,b,c\n1,2,3\n", 1, "\"a\", \"b\", \"c\""),
+        ("hello\n", 1, "\"hello\""),
+        ("first\nsecond\n", 1, "\"first\""),
+        ("x,y\n1,2\n", 1, "\"x\", \"y\""),
     ];
-    for (table, said) in cases {
-        assert_eq!(fault(text(table)), said, "{table:?}");
+    for (table, at, shown) in cases {
+        match text(table) {
+            Err(ReadFault::Line { line, what }) => {
+                assert_eq!(line, at, "{table:?}: {what}");
+                assert!(what.contains(shown), "{table:?}: {what}");
+            }
+            other => panic!("{table:?}: {other:?}"),
+        }
     }
+}
+
+#[test]
+fn decimal_commas_units_quotes_and_encodings_do_not_change_a_table() {
+    let utf16 = |text: &str, swap: bool| -> Vec<u8> {
+        let units = std::iter::once(0xfeff).chain(text.encode_utf16());
+        units.flat_map(|unit| if swap { unit.to_be_bytes() } else { unit.to_le_bytes() }).collect()
+    };
+    let plain = "x,y,z\n0.5,2,3\n4,5,-0.25\n";
+    let same = [
+        b"x;y;z\n0,5;2;3\n4;5;-0,25\n".to_vec(),
+        b"x\ty\tz\n0,5\t2\t3\n4\t5\t-0,25\n".to_vec(),
+        b"0;2;0,5;a\n".to_vec(),
+        b"x y z\n0,5 2,0 3,0\n4,0 5,0 -0,25\n".to_vec(),
+        b"x,y,z\n[m],[m],[m]\n0.5,2,3\n4,5,-0.25\n".to_vec(),
+        b"\"x\",\"y\",\"z\",\"name\"\n\"0.5\",\"2\",\"3\",\"a, b\"\n\"4\",\"5\",\"-0.25\",\"\"\n"
+            .to_vec(),
+        b"x,raw,y,z\n0.5,\x03,2,3\n4,#,5,-0.25\n".to_vec(),
+        utf16(plain, false),
+        utf16(plain, true),
+    ];
+    for table in same {
+        let file = read(TEXT, &table).unwrap_or_else(|e| panic!("{e}: {table:?}"));
+        let expected = match table[..3] {
+            [b'0', b';', b'2'] => vec![[0.0, 2.0, 0.5]],
+            _ => vec![[0.5, 2.0, 3.0], [4.0, 5.0, -0.25]],
+        };
+        assert_eq!(positions(&file), expected, "{:?}", String::from_utf8_lossy(&table));
+        assert!(attributes(&file).is_empty());
+    }
+}
+
+#[test]
+fn a_cell_is_parsed_only_where_its_column_is_wanted() {
+    let table = "x,y,z,p,vx,vy,vz\n1,2,3,1,4,5,6\n1,2,3,,4,5,6\n1,2,3,bad,4,5,6\n,2,3,1,NA,5,6\n";
+    let read = |names: &[&str]| {
+        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+        let wanted = WantedAttributes::Named(&names);
+        read_text(table.as_bytes().to_vec().into(), InputFormat::Csv, None, wanted)
+    };
+    let file = read(&["velocity"]).unwrap();
+    assert_eq!(attributes(&file), [("v", 3)]);
+    assert_eq!(file.unread.len(), 1);
+    assert!(positions(&file)[3][0].is_nan() && attribute(&file, "v")[9].is_nan());
+    assert!(matches!(read(&["p"]), Err(ReadFault::Line { line: 4, .. })));
+    // Where all are wanted, a column with text in it is none.
+    assert_eq!(attributes(&text(table).unwrap()), [("v", 3)]);
+}
+
+#[test]
+fn columns_before_the_position_of_rows_without_names_are_words_or_numbers_of_rows() {
+    let expected = [[0.5, 2.5, 3.5], [4.5, 5.5, 0.25], [1.5, 0.5, 7.5]];
+    for table in [
+        "O 0.5 2.5 3.5\nH 4.5 5.5 0.25\nH 1.5 0.5 7.5\n",
+        "1 O 0.5 2.5 3.5\n2 H 4.5 5.5 0.25\n3 H 1.5 0.5 7.5\n",
+        "0,0.5,2.5,3.5\n1,4.5,5.5,0.25\n2,1.5,0.5,7.5\n",
+        "3\n0.5 2.5 3.5 1\n4.5 5.5 0.25 2\n1.5 0.5 7.5 3\n",
+    ] {
+        assert_eq!(positions(&text(table).expect(table)), expected, "{table:?}");
+    }
+}
+
+#[test]
+fn an_xyz_has_a_count_a_comment_and_rows() {
+    let expected = [[0.5, 2.0, 3.5], [4.0, 5.5, -0.25]];
+    for frame in [
+        "2\nwater\nO 0.5 2 3.5\nH 4 5.5 -0.25\n",
+        "2\n\n0.5 2 3.5\n4 5.5 -0.25\n\n",
+        "2\n1 1 1\n0.5 2 3.5\n4 5.5 -0.25",
+        "2\r\nt\r\n8 0.5 2.0 3.5\r\n1 4.0 5.5 -0.25\r\n",
+        "2\nProperties=id:I:1:species:S:1:pos:R:3\n1 O 0.5 2 3.5\n2 H 4 5.5 -0.25\n",
+        "2\n# rho x y z\n1 0.5 2 3.5\n1 4 5.5 -0.25\n",
+    ] {
+        let file = read(XYZ, frame.as_bytes()).unwrap_or_else(|e| panic!("{e}: {frame:?}"));
+        assert_eq!(positions(&file), expected, "{frame:?}");
+    }
+    let extended = "1\nLattice=\"2 0 0 0 3 0 0 0 4\" Properties=species:S:1:pos:R:3:velo:R:3 Time=0.5\n\
+        O 1 2 3 4 5 6\n";
+    let file = read(XYZ, extended.as_bytes()).unwrap();
+    assert_eq!((file.time, file.box_size), (Some(0.5), Some([2.0, 3.0, 4.0])));
+    assert_eq!(attribute(&file, "velocity"), [4.0, 5.0, 6.0]);
+    for (wrong, at) in [
+        ("3\nwater\nO 0 0 0\nO 1 1 1\n", 4),
+        ("1\nwater\nO 0 0 0\nO 1 1 1\n", 4),
+        ("3\n0.5 2 3\n4 5 6\n", 3),
+        ("1\nProperties=species:S:1\nO\n", 2),
+    ] {
+        let fault = read(XYZ, wrong.as_bytes()).expect_err(wrong);
+        assert!(matches!(fault, ReadFault::Line { line, .. } if line == at), "{wrong:?}: {fault}");
+    }
+}
+
+#[test]
+fn frames_of_an_xyz_and_steps_of_a_dump_are_read_one_by_one() {
+    let frames = "1\na\nO 1 1 1\n2\nb\nO 2 2 2\nO 3 3 3\n";
+    let steps = |text: &str, format| text_format::steps(text.as_bytes().to_vec().into(), format);
+    let step = |text: &str, format, step| {
+        read_text(text.as_bytes().to_vec().into(), format, step, WantedAttributes::All)
+    };
+    assert_eq!(steps(frames, InputFormat::Xyz).unwrap(), [0, 1]);
+    let second = step(frames, InputFormat::Xyz, Some(1)).unwrap();
+    assert_eq!(positions(&second), [[2.0; 3], [3.0; 3]]);
+    for wrong in [None, Some(2)] {
+        let fault = step(frames, InputFormat::Xyz, wrong).expect_err("no such frame");
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+    }
+
+    let frame = |number: u64, rows: &str| {
+        format!(
+            "ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS pp pp pp\n\
+             1 3\n0 2e0\n0 4\nITEM: ATOMS id element xs ys zs vx vy vz\n{rows}"
+        )
+    };
+    let dump =
+        [100, 0].map(|number| frame(number, "1 O 0 0 0 1 2 3\n2 H 0.5 0.5 1 4 5 6\n")).concat();
+    for format in [InputFormat::Lammps, InputFormat::Csv] {
+        assert_eq!(steps(&dump, format).unwrap(), [0, 100]);
+        let file = step(&dump, format, Some(100)).unwrap();
+        assert_eq!(positions(&file), [[1.0, 0.0, 0.0], [2.0, 1.0, 4.0]]);
+        assert_eq!(attributes(&file), [("id", 1), ("v", 3)]);
+        assert_eq!(file.box_size, Some([2.0, 2.0, 4.0]));
+        assert!(matches!(step(&dump, format, None), Err(ReadFault::Unsupported(_))));
+    }
+    let cut = frame(5, "1 O 0 0 0 1 2 3\n");
+    assert!(matches!(step(&cut, InputFormat::Lammps, None), Err(ReadFault::Line { line: 10, .. })));
+}
+
+#[test]
+fn scaled_coordinates_of_a_dump_follow_the_edges_of_its_box() {
+    let boxes = [
+        // Tilted: x from 0 to 2 and y from 0 to 3, with xy 1, xz 0 and yz 0.5.
+        "xy xz yz pp pp pp\n0 3 1\n0 3.5 0\n0 4 0.5\n",
+        "abc origin pp pp pp\n2 0 0 0\n1 3 0 0\n0 0.5 4 0\n",
+    ];
+    for bounds in boxes {
+        let dump = format!(
+            "ITEM: UNITS\nlj\nITEM: TIME\n0.25\nITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n1\n\
+             ITEM: BOX BOUNDS {bounds}ITEM: ATOMS x xsu ysu zsu\n7 0.5 0.5 0.5\n"
+        );
+        let file = text(&dump).unwrap();
+        assert_eq!(positions(&file), [[1.5, 1.75, 2.0]], "{bounds}");
+        assert_eq!(file.time, Some(0.25));
+    }
+}
+
+#[test]
+fn tecplot_is_read_by_points_or_by_variables() {
+    let head = "TITLE = \"a\"\nVARIABLES = \"x\", \"y\" \"z\" \"rho\"\nZONE T=\"b, c\", I=2,";
+    for zone in [
+        "F=POINT\n1 2 3 10\n4 5 6\n20\n",
+        "DATAPACKING=BLOCK, SOLUTIONTIME=0.5\n1 4 2 5\n3 6 10 20\n",
+    ] {
+        let file = text(&format!("{head} {zone}")).unwrap();
+        assert_eq!(positions(&file), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+        assert_eq!(attribute(&file, "rho"), [10.0, 20.0]);
+    }
+    let unsized_zone = text("variables = x y z\nzone\n1 2 3\n4 5 6\n").unwrap();
+    assert_eq!(positions(&unsized_zone).len(), 2);
+    for (zone, line) in [
+        ("F=POINT\n1 2 3 10\n4 5 6 20\nZONE I=1\n1 2 3 4\n", 6),
+        ("F=POINT\n1 2 3 10\n4 5 6\n", 3),
+        ("F=POINT\n8*1\n", 4),
+        ("N=2, E=1, ZONETYPE=FETRIANGLE\n1 2 3 10\n", 3),
+    ] {
+        match text(&format!("{head} {zone}")) {
+            Err(ReadFault::Line { line: at, what }) => assert_eq!(at, line, "{what}"),
+            other => panic!("{zone}: {other:?}"),
+        }
+    }
+    let undecided = text(&format!("{head}\n1 2 3 10\n4 5 6 20\n"));
+    assert!(matches!(undecided, Err(ReadFault::Unsupported(_))));
+}
+
+#[test]
+fn a_json_list_of_positions_is_read_and_no_other() {
+    let json =
+        |text: &str| json::read_particles(text.as_bytes().to_vec().into(), Unpacking::in_memory());
+    let file = json("[[1, 2, 3],\n [4.5, -5e-1, 6]]\n").unwrap();
+    assert_eq!(positions(&file), [[1.0, 2.0, 3.0], [4.5, -0.5, 6.0]]);
+    assert!(positions(&json("[]").unwrap()).is_empty());
+    for (wrong, at) in [
+        ("{\"pos\": [[1, 2, 3]]}", 1),
+        ("[[1, 2, 3],\n[1, 2]]", 2),
+        ("[[1, 2, 3, 4]]", 1),
+        ("[[1, 2, 3]] 4", 1),
+        ("[[1, 2, NaN]]", 1),
+        ("[[1, 2, 3]", 1),
+        ("", 1),
+    ] {
+        let fault = json(wrong).expect_err(wrong);
+        assert!(matches!(fault, ReadFault::Line { line, .. } if line == at), "{wrong:?}: {fault}");
+    }
+    assert!(json(&"[".repeat(100_000)).is_err());
 }
 
 #[test]
@@ -809,7 +1026,7 @@ fn a_long_table_is_the_same_whoever_decodes_it() {
     );
 
     let bad = table.replace("\n150000,", "\n150000.0.0,");
-    assert_eq!(fault(text(&bad)), "line 150002: \"150000.0.0\" is not a number");
+    assert_eq!(fault(text(&bad)), "line 150002: \"150000.0.0\" is not a number (column x)");
 }
 
 #[test]
@@ -834,6 +1051,9 @@ fn an_xyz_is_text_or_raw_by_its_bytes() {
         let table = read(XYZ, start.as_bytes()).unwrap();
         assert_eq!((table.format, positions(&table)), ("text table", vec![[1.0, 2.0, 3.0]]));
     }
+    let wide = tuples(8).into_iter().flatten().flat_map(|x| (x + 0.1).to_le_bytes());
+    let fault = read(XYZ, &wide.collect::<Vec<_>>()).expect_err("of f64");
+    assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
 }
 
 #[test]

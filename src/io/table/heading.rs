@@ -6,13 +6,15 @@ use crate::io::bytes::View;
 use crate::io::names::{Quantity, quantities};
 use crate::io::number::{Decimal, is_overflow};
 
-use super::fields::{Fields, Separator, Syntax, is_comment, lines, unquoted};
 use super::excerpt;
+use super::fields::{Fields, Separator, Syntax, is_comment, lines, unquoted};
 
 /// Lines, blank ones and comments not counted, within which the columns must be named.
 const HEADER_LINES: usize = 32;
 /// Bytes in which the head is looked for, and twice as many where these hold fewer lines.
 pub const HEAD: usize = 64 << 10;
+/// Bytes in which the head must be.
+const LONGEST_HEAD: usize = 16 << 20;
 /// Fields of a line; more are no table of particles.
 pub const MOST_FIELDS: usize = 4096;
 /// Rows of which the first column is looked at.
@@ -93,12 +95,16 @@ impl Heading {
             let end = text.len().min(start.saturating_add(looked_at));
             let head = text.read(start..end)?;
             let known = lines(&head).filter(|(.., content)| !is_comment(content));
-            // The last line may be cut off.
-            if end == text.len() || known.count() > HEADER_LINES + 2 {
-                let whole = end == text.len();
+            let whole = end == text.len();
+            if whole || looked_at >= LONGEST_HEAD || known.count() > HEADER_LINES + 2 {
+                // The last line may be cut off.
                 let cut = head.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
                 let head = if whole { &head[..] } else { &head[..cut] };
                 let found = Self::find(head)?;
+                if found.start == head.len() && !whole {
+                    let what = format!("no row of numbers begins in the first {looked_at} bytes");
+                    return Err(ReadFault::Line { line: 1, what });
+                }
                 return Ok(Self { start: start + found.start, ..found });
             }
             looked_at = looked_at.saturating_mul(2);
@@ -115,8 +121,7 @@ impl Heading {
             if is_comment(content) {
                 let content = content.trim_ascii_start();
                 let marks = content.iter().take_while(|byte| b"#%!/".contains(byte)).count();
-                comment =
-                    Named::of(names_of(&content[marks..], separator_of(content))).or(comment);
+                comment = Named::of(names_of(&content[marks..], separator_of(content))).or(comment);
                 continue;
             }
             if named.is_some() {
@@ -127,7 +132,9 @@ impl Heading {
                 first = Some((line, start, content));
                 break;
             }
-            let row = is_row(content) || is_row_of_words(content, &text[start..]);
+            // A number alone counts the rows, or the steps.
+            let row =
+                !is_whole(content) && (is_row(content) || is_row_of_words(content, &text[start..]));
             if row && titles.is_empty() {
                 first = Some((line, start, content));
                 break;
@@ -193,14 +200,18 @@ impl Heading {
             refuse_rows_above(&titles, columns.names.len())?;
             return Ok(at(syntax, columns));
         }
-        let Some(unnamed) = unnamed(row) else {
-            let fields = Fields::new(row, Separator::of(row), 0).count();
+        let found = unnamed(row);
+        let fields = found.map_or_else(
+            || Fields::new(row, Separator::of(row), 0).count(),
+            |unnamed| unnamed.fields,
+        );
+        if let Some(title) = titles.iter().rfind(|title| title.names.len() == fields) {
+            return Err(title.refused());
+        }
+        let Some(unnamed) = found else {
             let what = format!("{fields} fields where x, y and z are expected");
             return Err(ReadFault::Line { line, what });
         };
-        if let Some(title) = titles.iter().rfind(|title| title.names.len() == unnamed.fields) {
-            return Err(title.refused());
-        }
         if unnamed.fields > MOST_FIELDS {
             let what = format!("more than {MOST_FIELDS} fields");
             return Err(ReadFault::Line { line, what });
@@ -303,8 +314,13 @@ fn unnamed(row: &[u8]) -> Option<Unnamed> {
         let fields = Fields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
         (syntax, fields.collect::<Vec<_>>())
     });
+    let between_blanks = Fields::new(row, Separator::Blanks, 0).count();
     let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
         all.iter().find_map(|(syntax, fields)| {
+            // Tabs are blanks, unless there are empty cells or blanks in cells between them.
+            if syntax.separator == Separator::Byte(b'\t') && fields.len() == between_blanks {
+                return None;
+            }
             let first = first(*syntax, fields)?;
             let position = fields.get(first..first + 3)?;
             let are_numbers = position.iter().all(|field| syntax.is_number(field));
@@ -332,7 +348,8 @@ pub fn is_row(line: &[u8]) -> bool {
 /// a title.
 fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| {
-        row.first > 0 && lines(rows).take(HEADER_LINES).all(|(.., other)| unnamed(other) == Some(row))
+        row.first > 0
+            && lines(rows).take(HEADER_LINES).all(|(.., other)| unnamed(other) == Some(row))
     })
 }
 
@@ -389,9 +406,8 @@ fn counts(rows: &[u8], row: Unnamed) -> bool {
 
 /// Refuses a line above the first row that is a row as well, with a field that is no number.
 fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
-    let is_number = |name: &String| {
-        is_overflow(name.as_bytes()) || Syntax::BLANKS.is_number(name.as_bytes())
-    };
+    let is_number =
+        |name: &String| is_overflow(name.as_bytes()) || Syntax::BLANKS.is_number(name.as_bytes());
     let row = titles
         .iter()
         .find(|title| title.names.len() == fields && title.names.iter().any(is_number));

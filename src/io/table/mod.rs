@@ -245,10 +245,10 @@ impl Table {
         match self.syntax {
             Syntax { separator: Separator::Byte(b','), .. } => what,
             Syntax { decimal: Decimal::Comma, .. } if field.contains(&b'.') => {
-                format!("{what}, as those above have decimal commas")
+                format!("{what}, where others have decimal commas")
             }
             Syntax { decimal: Decimal::Point, .. } if field.contains(&b',') => {
-                format!("{what}, as those above have decimal points")
+                format!("{what}, where others have decimal points")
             }
             _ => what,
         }

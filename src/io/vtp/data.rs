@@ -13,8 +13,8 @@ use flate2::read::ZlibDecoder;
 
 use crate::io::bytes::{Kept, Passing, Slice, Unpacked, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::scan::Scanner;
 use crate::io::number::Number;
+use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
 use crate::io::{ReadFault, malformed};

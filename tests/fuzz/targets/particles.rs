@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
-use meniscus::internals::io::wanted::Wanted;
+use meniscus::internals::io::input::InputFormat;
+use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
-    ParticleFile, ReadFault, bgeo, bi4, h5, npy, npz, ply, vtk, vtp, xyz,
+    ParticleFile, ReadFault, bgeo, bi4, h5, json, npy, npz, ply, text_format, vtk, vtp,
 };
 use meniscus::internals::particles::Particles;
 use zip::CompressionMethod;
@@ -49,14 +50,35 @@ pub fn targets() -> Vec<Target> {
         Target {
             name: "text",
             runs: 10000,
-            run: |data| read_through(xyz::read_text(own(data), memory())),
+            run: |data| run_text(data, InputFormat::Csv),
             seeds: tables,
             words: TABLE,
         },
         Target {
+            name: "lammps",
+            runs: 10000,
+            run: |data| run_text(data, InputFormat::Lammps),
+            seeds: dumps,
+            words: DUMP,
+        },
+        Target {
+            name: "tecplot",
+            runs: 10000,
+            run: |data| run_text(data, InputFormat::Csv),
+            seeds: tecplots,
+            words: TECPLOT,
+        },
+        Target {
+            name: "json",
+            runs: 10000,
+            run: |data| read_through(json::read_particles(own(data), memory())),
+            seeds: jsons,
+            words: &["[", "]", ",", "null", "1e999", "{\"a\":"],
+        },
+        Target {
             name: "xyz",
             runs: 10000,
-            run: |data| read_through(xyz::read_particles(own(data), memory())),
+            run: |data| run_text(data, InputFormat::Xyz),
             seeds: xyzs,
             words: TABLE,
         },
@@ -119,6 +141,45 @@ const TABLE: &[&str] = &[
     "[m/s]",
     "\u{feff}",
     ".x",
+    "1.#QNAN",
+    "-nan(ind)",
+    "0.14-270",
+    "1,5",
+    "*****",
+    "\t",
+    "'",
+    "NA",
+    "2\n",
+    "O ",
+    "Properties=",
+    "species:S:1:pos:R:3",
+    "Lattice=\"",
+];
+const DUMP: &[&str] = &[
+    "ITEM: ",
+    "TIMESTEP\n",
+    "TIME\n",
+    "NUMBER OF ATOMS\n",
+    "BOX BOUNDS xy xz yz",
+    "abc origin",
+    "ATOMS ",
+    "x y z",
+    "xsu ysu zsu",
+    "1e308",
+    "18446744073709551615",
+];
+const TECPLOT: &[&str] = &[
+    "VARIABLES = ",
+    "ZONE ",
+    "I=",
+    "J=18446744073709551615",
+    "DATAPACKING=BLOCK",
+    "F=POINT",
+    "ZONETYPE=",
+    "SOLUTIONTIME=",
+    "DT=(",
+    "\"",
+    "5*1",
 ];
 pub const VTU: &[&str] = &[
     "<DataArray ",
@@ -219,6 +280,15 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     let _ = particles.check();
 }
 
+fn run_text(data: &[u8], format: InputFormat) {
+    let all = WantedAttributes::All;
+    let steps = text_format::steps(own(data), format).unwrap_or_default();
+    for step in [None, steps.last().copied()] {
+        let read = text_format::read_particles(own(data), Some(format), step, all, memory());
+        read_through(read);
+    }
+}
+
 fn run_ply(data: &[u8]) {
     read_through(ply::read_points(own(data), memory()));
     let _ = ply::has_faces(data.into());
@@ -278,12 +348,47 @@ fn tables() -> Vec<Vec<u8>> {
         "TimeStep [s];Np;Nbound\n0.5;2;0\n\nPos.x [m];Pos.y [m];Pos.z [m];Idp;Vel.x [m/s];Vel.y [m/s];Vel.z [m/s];\n1;2;3;10;4;5;6;\n",
         "\u{feff}# by hand\n1 2 3\n\n4\t5  -6e-1 # end\n",
         "\"Points:0\",\"Points:1\",\"Points:2\"\n1,2,3\n4,5,-0.6\n",
+        "x;y;z;name\n[m];[m];[m];\n0,5;1,5D-1;1.#QNAN;\"a;b\"\n0,14-270;;NA;\n",
+        "\u{feff}0.5\t1\t2\n",
     ];
     tables.map(|table| table.as_bytes().to_vec()).to_vec()
 }
 
+fn dumps() -> Vec<Vec<u8>> {
+    let step = |bounds: &str, columns: &str| {
+        format!(
+            "ITEM: TIMESTEP\n7\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS {bounds}\n\
+             ITEM: ATOMS id {columns} vx vy vz\n1 0.1 0.2 0.3 4 5 6\n2 0.5 0.6 0.7 1 2 3\n"
+        )
+    };
+    let plain = step("pp pp pp\n0 1\n0 2\n0 3", "x y z");
+    let scaled = step("xy xz yz pp pp pp\n0 1 0.5\n0 2 0\n0 3 -0.5", "xs ys zs");
+    let general = step("abc origin pp pp pp\n1 0 0 0\n0 1 0 0\n0 0 1 0", "xsu ysu zsu");
+    let both = plain.clone() + &scaled.replacen('7', "8", 1);
+    [plain, scaled, general, both].map(String::into_bytes).to_vec()
+}
+
+fn tecplots() -> Vec<Vec<u8>> {
+    let head = "TITLE = \"a\"\nVARIABLES = \"x\", \"y\" \"z\" \"p\"\nZONE T=\"b\", I=2, J=1, ";
+    [
+        "DATAPACKING=POINT, DT=(SINGLE)\n1 2 3 10\n4 5 6 20\n",
+        "F=BLOCK, SOLUTIONTIME=0.5\n1 4 2 5 3 6 10 20\n",
+    ]
+    .map(|zone| format!("{head}{zone}").into_bytes())
+    .to_vec()
+}
+
+fn jsons() -> Vec<Vec<u8>> {
+    ["[[1, 2, 3],\n[4.5, -5e-1, 6]]", "[]"].map(|list| list.as_bytes().to_vec()).to_vec()
+}
+
 fn xyzs() -> Vec<Vec<u8>> {
-    [tables(), vec![build::raw(&tuples(4))]].concat()
+    let frames = [
+        "2\nwater\nO 0.5 2 3.5\nH 4 5.5 -0.25\n",
+        "1\nLattice=\"2 0 0 0 3 0 0 0 4\" Properties=species:S:1:pos:R:3:velo:R:3 Time=0.5\nO 1 2 3 4 5 6\n1\n\nO 1 2 3\n",
+    ];
+    let frames = frames.map(|frame| frame.as_bytes().to_vec());
+    [tables(), frames.to_vec(), vec![build::raw(&tuples(4))]].concat()
 }
 
 pub fn vtus() -> Vec<Vec<u8>> {

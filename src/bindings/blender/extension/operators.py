@@ -102,7 +102,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     filter_glob: StringProperty(
-        default="*.bgeo;*.bgeo.gz;*.vtk;*.vtu;*.vtp;*.pvtu;*.pvtp;*.vtkhdf;*.ply;*.npy;*.npz;*.csv;*.txt;*.xyz;*.bi4;*.h5;*.hdf5;*.h5part;*.mnf",
+        default="*.bgeo;*.bgeo.gz;*.vtk;*.vtu;*.vtp;*.pvtu;*.pvtp;*.vtkhdf;*.ply;*.npy;*.npz;*.csv;*.txt;*.dat;*.xyz;*.dump;*.lammpstrj;*.json;*.bi4;*.h5;*.hdf5;*.h5part;*.mnf",
         options={"HIDDEN"},
     )
 
