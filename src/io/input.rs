@@ -82,9 +82,13 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     let cut = path.to_str().and_then(|text| {
         let (file, step) = text.rsplit_once('#')?;
         use InputFormat::{Csv, Hdf5, Lammps, Xyz};
-        let format = InputFormat::of(Path::new(file))?;
-        let holds_steps = matches!(format, Csv | Hdf5 | Lammps | Xyz);
-        Some((Path::new(file), step.parse().ok().filter(|_| holds_steps)?))
+        let file = Path::new(file);
+        let holds_steps = match InputFormat::of(file) {
+            Some(format) => matches!(format, Csv | Hdf5 | Lammps | Xyz),
+            // Its format is named, not its extension.
+            None => file.is_file() && !path.exists(),
+        };
+        Some((file, step.parse().ok().filter(|_| holds_steps)?))
     });
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
 }

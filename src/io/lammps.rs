@@ -111,9 +111,8 @@ impl Step {
             }
             let Some(item) = line.strip_prefix(ITEM).map(str::trim) else {
                 let found = excerpt(line.as_bytes());
-                return Err(
-                    lines.fault(format!("expected a line that begins with {ITEM} and found {found}"))
-                );
+                return Err(lines
+                    .fault(format!("expected a line that begins with {ITEM} and found {found}")));
             };
             let (name, rest) = item.split_once(' ').unwrap_or((item, ""));
             match (name, item) {
