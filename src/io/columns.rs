@@ -82,8 +82,8 @@ pub struct ColumnStore<B = Source> {
     /// For each attribute, one column per component.
     columns: Vec<Vec<Column>>,
     labels: Vec<Label>,
-    /// For each label, the column of its texts' numbers.
-    texts: Vec<Column>,
+    /// For each label, the column of numbers, and the text that each number stands for.
+    texts: Vec<(Column, Vec<u32>)>,
 }
 
 /// The rows of the columns that are particles.
@@ -223,9 +223,13 @@ impl<B: Windows> ColumnStore<B> {
 }
 
 impl ColumnStore {
-    /// Adds labels, each with the column of its texts' numbers, which lies as those of attributes.
+    /// Adds labels, each with a column of numbers, which lies as those of attributes, and the place
+    /// among the label's texts that each number stands for.
     #[must_use]
-    pub fn with_labels(self, labels: impl IntoIterator<Item = (Label, Column)>) -> Self {
+    pub fn with_labels(
+        self,
+        labels: impl IntoIterator<Item = (Label, (Column, Vec<u32>))>,
+    ) -> Self {
         let (labels, texts) = labels.into_iter().unzip();
         Self { labels, texts, ..self }
     }
@@ -313,9 +317,12 @@ impl<B: Windows> Particles for ColumnStore<B> {
     }
 
     fn label(&self, index: usize, first: usize, out: &mut [u32]) {
+        let (column, places) = &self.texts[index];
         let mut numbers = vec![0.0_f64; out.len()];
-        self.read(&self.texts[index..=index], first, &mut numbers);
-        out.iter_mut().zip(numbers).for_each(|(out, number)| *out = number as u32);
+        self.read(std::slice::from_ref(column), first, &mut numbers);
+        for (out, number) in out.iter_mut().zip(numbers) {
+            *out = places.get(number as usize).copied().unwrap_or_default();
+        }
     }
 
     fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {

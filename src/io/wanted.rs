@@ -76,6 +76,13 @@ pub enum WantedAttributes<'a> {
 }
 
 impl WantedAttributes<'_> {
+    /// Whether a text of every particle is to be read.
+    pub fn hold_label(&self, name: &str) -> bool {
+        let Self::Only { conditions, .. } = self else { return true };
+        let mut conditions = conditions.iter().flat_map(Where::conditions);
+        is_kind(name) || conditions.any(|condition| condition.name == name)
+    }
+
     /// Tells for each of an input's attributes whether it is to be read. All are, where one that is
     /// wanted is not there: whoever wants it will say what is.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {

@@ -45,12 +45,20 @@ fn vtk(particles: &[([f64; 3], u32)]) -> String {
     text
 }
 
-/// A folder with the tank in three formats, and with its fluid alone.
+fn words(particles: &[([f64; 3], u32)]) -> String {
+    let word = |kind: &u32| ["fluid", "the wall"][*kind as usize];
+    let rows =
+        particles.iter().map(|([x, y, z], kind)| format!("{x};{y};{z};\"{}\"\n", word(kind)));
+    format!("x;y;z;phase\n{}", rows.collect::<String>())
+}
+
+/// A folder with the tank in some formats, and with its fluid alone.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
     let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
     let tank = tank();
     write("tank.csv", csv(&tank));
+    write("words.csv", words(&tank));
     write("tank.ply", ply(&tank));
     write("tank.vtk", vtk(&tank));
     let fluid: Vec<_> = tank.into_iter().filter(|(_, kind)| *kind == 0).collect();
@@ -73,6 +81,8 @@ fn the_surface_is_that_of_the_chosen_particles_in_every_format() {
         ("tank.csv", &["--where", "Type=0"][..]),
         ("tank.ply", &["--where", "Type!=1"]),
         ("tank.vtk", &["--where", "type<0.5"]),
+        ("words.csv", &["--where", "phase=fluid"]),
+        ("words.csv", &["--where", "phase!='the wall'"]),
         ("tank.csv", &["--where", "Type=0,7 and age<=0.1", "--where", "y<1e3"]),
         ("tank.csv", &["--where", "x>=-4 and x<=4 and z>=-4 and z<=4 and y>=-4"]),
     ]
@@ -132,10 +142,13 @@ fn conditions_that_cannot_be_applied_are_refused_with_what_there_is() {
         ("Type=wall", &["wall", "numbers"]),
         ("Type=5", &["Type=5", "0 (", "1 ("]),
         ("Type.y=5", &["Type.y", "1 components"]),
+        ("phase<2", &["phase", "texts"]),
+        ("phase=solid", &["phase=solid", "fluid (", "the wall ("]),
     ] {
-        let said = reconstruct(folder, &["tank.csv", "-o", "none.ply", "--where", condition], 2);
+        let file = if condition.starts_with("phase") { "words.csv" } else { "tank.csv" };
+        let said = reconstruct(folder, &[file, "-o", "none.ply", "--where", condition], 2);
         assert!(facts.iter().all(|fact| said.contains(fact)), "{condition}: {said}");
-        assert!(said.contains("tank.csv") && !folder.join("none.ply").exists(), "{said}");
+        assert!(said.contains(file) && !folder.join("none.ply").exists(), "{said}");
     }
     let said = reconstruct(folder, &["tank.csv", "-o", "none.ply", "--where", "Type"], 2);
     assert!(said.contains("--where") && said.contains("Type=1"), "{said}");
@@ -152,6 +165,8 @@ fn a_boundary_around_the_fluid_is_noticed_and_its_values_are_listed() {
             reconstruct(folder, &[file, "-o", "all.ply", "--overwrite", "--where", "Type=0"], 0);
         assert!(!said.contains("warning"), "{file}: {said}");
     }
+    let said = reconstruct(folder, &["words.csv", "-o", "all.ply", "--overwrite"], 0);
+    assert!(said.contains("--where phase=fluid"), "{said}");
     let walls = tank().iter().filter(|(_, kind)| *kind == 1).count() as u64;
     let values = &info(folder, &[])["values"][0];
     assert_eq!(

@@ -72,8 +72,8 @@ impl Named {
         Self { names, position, attributes: Vec::new() }
     }
 
-    /// Leaves out attributes in whose columns the first rows hold text and no number.
-    pub fn without_text(mut self, rows: &[u8], syntax: Syntax) -> Self {
+    /// Takes out the attributes in whose columns the first rows hold text and no number.
+    pub fn take_texts(&mut self, rows: &[u8], syntax: Syntax) -> Vec<Quantity> {
         let mut numbers = vec![false; self.names.len()];
         let mut texts = numbers.clone();
         for fields in rows_of(rows, syntax, self.names.len()) {
@@ -82,8 +82,8 @@ impl Named {
                 texts[column] |= syntax.number(field).is_none();
             }
         }
-        self.attributes.retain(|a| !a.columns.iter().any(|&c| texts[c] && !numbers[c]));
-        self
+        let is_text = |a: &mut Quantity| a.columns.iter().any(|&c| texts[c] && !numbers[c]);
+        self.attributes.extract_if(.., is_text).collect()
     }
 }
 

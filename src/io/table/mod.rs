@@ -11,6 +11,7 @@
 
 mod fields;
 mod heading;
+mod labels;
 
 use std::ops::{ControlFlow, Range};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,8 +27,9 @@ use super::wanted::WantedAttributes;
 use super::windows::Source;
 use super::{ParticleFile, ReadFault};
 
-use fields::{Fields, is_comment, lines};
+use fields::{Fields, is_comment, lines, unquoted};
 use heading::Heading;
+use labels::{Known, Texts};
 
 pub(super) use fields::{Separator, Syntax};
 pub(super) use heading::{HEAD, Named, is_row, names_of, unnamed_columns};
@@ -98,6 +100,8 @@ enum Otherwise {
     Refuse,
     /// The column is one of text, and no attribute.
     Drop,
+    /// The text of every field is a label's, of this number.
+    Label(usize),
 }
 
 impl Table {
@@ -114,7 +118,9 @@ impl Table {
     ) -> Result<ParticleFile, ReadFault> {
         let view = bytes.view();
         let head = view.read(self.rows.start..self.rows.end.min(self.rows.start + HEAD))?;
-        let columns = self.columns.without_text(&head, self.syntax);
+        let mut columns = self.columns;
+        let mut texts = columns.take_texts(&head, self.syntax);
+        texts.retain(|text| text.columns.len() == 1 && wanted.hold_label(&text.name));
         drop(head);
         let table = Self { columns, ..self };
         let Named { names, position, attributes } = &table.columns;
@@ -128,6 +134,9 @@ impl Table {
         };
         let read = || attributes.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(a));
         let attribute_columns = read().flat_map(|a| &a.columns).map(|column| (column, otherwise));
+        let label_columns = texts.iter().enumerate();
+        let label_columns = label_columns.map(|(n, t)| (&t.columns[0], Otherwise::Label(n)));
+        let attribute_columns = attribute_columns.chain(label_columns);
         let position_columns = position.columns.iter().map(|column| (column, Otherwise::Refuse));
         let mut slots = vec![None; names.len()];
         let mut width = 0;
@@ -137,7 +146,8 @@ impl Table {
         }
         let text: Vec<AtomicBool> = (0..width).map(|_| AtomicBool::new(false)).collect();
         let source = Source::from(bytes);
-        let rows = table.decode(&source, &slots, &text, unpacking)?;
+        let labels: Vec<_> = texts.iter().map(|_| Texts::default()).collect();
+        let rows = table.decode(&source, &slots, (&text, &labels), unpacking)?;
         let stride = width * WIDTH;
         let count = rows.len() / stride;
         if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
@@ -153,8 +163,15 @@ impl Table {
             (!is_text).then(|| (info(attribute), columns))
         });
         let attributes = attributes.collect();
+        let labels = texts.iter().zip(labels).zip(width - texts.len()..);
+        let labels = labels.filter_map(|((text, labels), place)| {
+            let (label, places) = labels.label(&text.name)?;
+            Some((label, (first.component(place), places)))
+        });
+        let labels: Vec<_> = labels.collect();
         let position = [0, 1, 2].map(|axis| first.component(axis));
         let store: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, attributes);
+        let store = store.with_labels(labels);
         let unread = infos.into_iter().zip(is_read).filter(|(_, read)| !read);
         let unread = unread.map(|(info, _)| info).collect();
         Ok(ParticleFile { unread, ..ParticleFile::new(store, format) })
@@ -165,7 +182,7 @@ impl Table {
         &self,
         source: &Source,
         slots: &[Option<Slot>],
-        text: &[AtomicBool],
+        text: (&[AtomicBool], &[Texts]),
         unpacking: Unpacking,
     ) -> Result<Kept, ReadFault> {
         let mut rows = Unpacked::new(unpacking);
@@ -192,9 +209,10 @@ impl Table {
         &self,
         piece: &[u8],
         slots: &[Option<Slot>],
-        text: &[AtomicBool],
+        (text, labels): (&[AtomicBool], &[Texts]),
     ) -> Result<(Vec<u8>, u64), (u64, String)> {
         let width = text.len() * WIDTH;
+        let mut known: Vec<Known> = labels.iter().map(|_| Known::new()).collect();
         let mut rows = Vec::new();
         for (line, _, content) in lines(piece) {
             if is_comment(content) {
@@ -205,13 +223,19 @@ impl Table {
             let mut fields = 0;
             for field in Fields::new(content, self.syntax.separator, slots.len()) {
                 if let Some(&Some(Slot { place, otherwise })) = slots.get(fields) {
-                    let number = self.syntax.number(field);
+                    let number = match otherwise {
+                        Otherwise::Label(label) => {
+                            let field = unquoted(field);
+                            Some(labels[label].number(&mut known[label], field).into())
+                        }
+                        _ => self.syntax.number(field),
+                    };
                     let number = match (number, otherwise) {
                         (Some(number), _) => number,
                         (None, Otherwise::Refuse) => {
                             return Err((line, self.not_a_number(field, fields)));
                         }
-                        (None, Otherwise::Drop) => {
+                        (None, _) => {
                             text[place].store(true, Ordering::Relaxed);
                             f64::NAN
                         }
