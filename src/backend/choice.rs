@@ -70,7 +70,7 @@ const SMALL: u64 = 12_000_000;
 const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 
 /// Formats whose files do not tell how much their particles are: compressed, or in several pieces.
-const UNTOLD: [&str; 4] = ["gz", "mnf", "npz", "bi4"];
+const UNTOLD: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 
 /// Reasons to stay on the processor.
 #[derive(Debug)]

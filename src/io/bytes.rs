@@ -3,11 +3,10 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
 
-use flate2::read::MultiGzDecoder;
 use libdeflater::Decompressor;
 use memchr::memmem;
 use memmap2::Mmap;
@@ -17,10 +16,8 @@ use crate::system::control::{Control, Meter, Stage};
 use crate::system::reopened::ReopenedFile;
 use crate::system::reopened::read_exact_at;
 
+use super::compression::{Compression, DICTIONARY};
 use super::{ReadError, ReadFault};
-
-/// Bytes that a gzip stream begins with.
-const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
@@ -475,12 +472,12 @@ impl<'a> Unpacked<'a> {
     }
 }
 
-/// Opens `path`: to be read by position, or unpacked into memory when it is gzipped, whatever its
-/// extension says.
+/// Opens `path`: to be read by position, or unpacked into memory when it is compressed by gzip, xz or
+/// zstd, whatever its extension says.
 ///
 /// # Errors
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
-/// [`ReadFault::Compression`] for a damaged gzip stream, or one that unpacks beyond all reason.
+/// [`ReadFault::Compression`] for a damaged stream, or one that unpacks beyond all reason.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     open_bytes_within(path, Unpacking::in_memory())
 }
@@ -505,36 +502,35 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     if metadata.is_dir() {
         return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
     }
-    let is_in_place = metadata.is_file() && metadata.len() > 0;
-    let mut magic = [0; GZIP.len()];
-    let packed = if is_in_place && metadata.len() >= magic.len() as u64 {
-        read_exact_at(&file, 0, &mut magic).map_err(|e| fail(e.into()))?;
-        if magic != GZIP {
+    let len = metadata.len();
+    let packed = if metadata.is_file() && len > 0 {
+        let mut head = [0; Compression::MAGIC];
+        let head = &mut head[..len.min(Compression::MAGIC as u64) as usize];
+        read_exact_at(&file, 0, head).map_err(|e| fail(e.into()))?;
+        let Some(compression) = Compression::of(head) else {
             return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
-        }
+        };
         // Read from the file, it never counts as this process's memory.
-        if metadata.len() <= ALWAYS_UNPACKED {
-            Some(file_bytes(&file, metadata.len()).map_err(fail)?)
-        } else {
-            None
+        if len > ALWAYS_UNPACKED {
+            return unpack(compression, file, len, unpacking).map(Bytes::Kept).map_err(fail);
         }
+        file_bytes(&file, len).map_err(fail)?
     } else {
-        Some(collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?)
+        collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?
     };
-    let limit =
-        unpacked_limit(packed.as_ref().map_or(metadata.len(), |packed| packed.len() as u64));
-    match packed {
-        Some(packed) if packed.is_empty() => Err(fail(ReadFault::Empty)),
-        Some(packed) if !packed.starts_with(&GZIP) => Ok(Bytes::Kept(packed)),
-        Some(packed) => match unpack_at_once(&packed, unpacking.in_memory) {
-            Some(unpacked) => Ok(unpacked.into()),
-            None => unpack(&packed[..], packed.len() as u64, limit, unpacking)
-                .map(Bytes::Kept)
-                .map_err(fail),
-        },
-        None => unpack(BufReader::new(file), metadata.len(), limit, unpacking)
-            .map(Bytes::Kept)
-            .map_err(fail),
+    match Compression::of(&packed) {
+        None if packed.is_empty() => Err(fail(ReadFault::Empty)),
+        None => Ok(Bytes::Kept(packed)),
+        Some(compression) => {
+            let at_once = (compression == Compression::Gzip)
+                .then(|| unpack_at_once(&packed, unpacking.in_memory));
+            match at_once.flatten() {
+                Some(unpacked) => Ok(unpacked.into()),
+                None => unpack(compression, &packed[..], packed.len() as u64, unpacking)
+                    .map(Bytes::Kept)
+                    .map_err(fail),
+            }
+        }
     }
 }
 
@@ -567,17 +563,26 @@ fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     (written == unpacked.len() && ends == packed.len()).then_some(unpacked)
 }
 
-/// Unpacks `count` bytes, up to `limit` bytes.
+/// Unpacks a file of `count` bytes.
 fn unpack(
-    packed: impl BufRead,
+    compression: Compression,
+    packed: impl Read,
     count: u64,
-    limit: u64,
     unpacking: Unpacking,
 ) -> Result<Kept, ReadFault> {
-    let packed = MultiGzDecoder::new(MeteredBytes::new(packed, count, unpacking));
-    let damaged = |e: io::Error| ReadFault::Compression(e.to_string());
-    collect(packed, unpacking, damaged, |total| {
-        let what = || format!("it unpacks to more than {GREATEST_RATIO} times its size");
+    let plain = compression.unpack(MeteredBytes::new(packed, count, unpacking))?;
+    let damaged = |e: io::Error| match e.kind() {
+        io::ErrorKind::OutOfMemory => ReadFault::Unsupported(format!(
+            "unpacking takes a dictionary of more than {} MiB; unpack the file before, or compress \
+             it with a smaller one",
+            DICTIONARY >> 20
+        )),
+        _ => ReadFault::Compression(e.to_string()),
+    };
+    let limit = unpacked_limit(count);
+    collect(plain, unpacking, damaged, |total| {
+        let what =
+            || format!("it unpacks to more than {GREATEST_RATIO} times its size; unpack it before");
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }
     })
 }

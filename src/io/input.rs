@@ -17,7 +17,7 @@ macro_rules! known {
             $hdf5,
             ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
-            ".vtp, .vtu, .xyz, and .gz after any of them"
+            ".vtp, .vtu, .xyz, and .gz, .xz or .zst after any of them"
         )
     };
 }
@@ -36,7 +36,8 @@ impl InputFormat {
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
-/// A gzipped file opens under its plain name as well as with `.gz` appended.
+/// A file compressed by gzip, xz or zstd opens under its plain name as well as with `.gz`, `.xz` or
+/// `.zst` appended.
 ///
 /// # Errors
 /// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong
@@ -192,6 +193,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
+    use crate::io::compression::EXTENSIONS;
 
     /// Extensions that are recognised to say what to do instead.
     const ADVISED: [&str; 4] = ["sc", "h5", "h5part", "hdf5"];
@@ -211,14 +213,16 @@ mod tests {
             |word: &&str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric());
         let read: BTreeSet<&str> = arms.filter(is_extension).collect();
         for extension in &read {
-            let format = InputFormat::of(Path::new(&format!("a.{extension}.gz")));
-            assert!(format.is_some(), "{extension}");
+            for compressed in EXTENSIONS {
+                let path = format!("a.{extension}.{compressed}");
+                assert!(InputFormat::of(Path::new(&path)).is_some(), "{path}");
+            }
             assert!(
                 known.contains(extension) || ADVISED.contains(extension),
                 "{extension} is read"
             );
         }
-        let read = read.into_iter().chain(["gz"]).collect();
+        let read = read.into_iter().chain(EXTENSIONS).collect();
         assert!(known.is_subset(&read) && known.len() > 12, "{known:?} and {read:?}");
         assert_eq!(known.contains("h5"), cfg!(feature = "hdf5"));
     }

@@ -4,6 +4,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::compression::plain_name;
+
 /// A format of particle files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -38,7 +40,7 @@ pub enum InputFormat {
 }
 
 impl InputFormat {
-    /// The format that a file's extension names, with `.gz` after it or not.
+    /// The format that a file's extension names, with `.gz`, `.xz` or `.zst` after it or not.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         Some(match extension(path)?.as_str() {
@@ -61,9 +63,9 @@ impl InputFormat {
     }
 }
 
-/// In lower case, without `.gz`.
+/// In lower case, without that of a compression.
 pub(super) fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-    let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
+    let (_, extension) = plain_name(&name).rsplit_once('.')?;
     Some(extension.to_owned())
 }

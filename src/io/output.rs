@@ -257,7 +257,7 @@ impl MeshFormat {
     }
 }
 
-/// Reads the mesh in `path`, whose extension says the format; it may be gzipped.
+/// Reads the mesh in `path`, whose extension says the format; it may be compressed.
 ///
 /// # Errors
 /// Whatever [`MeshFormat::read`] or the system refuses, and [`ReadFault::UnknownExtension`].

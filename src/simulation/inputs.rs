@@ -312,7 +312,7 @@ impl Sequence {
     }
 
     /// The frame's number in the name of a file. A pattern that was typed is exact; one that was
-    /// inferred includes `.gz`.
+    /// inferred includes `.gz` and the like.
     fn digits<'a>(&self, pattern: &Pattern, file: &'a Candidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),

@@ -9,6 +9,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crate::error::SimulationError;
+use crate::io::compression::plain_name;
 
 /// A file name with a place for a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -115,7 +116,7 @@ pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
 
 /// A name without its extension. Digits are no extension: `fluid.0042` is frame 42.
 pub(super) fn stem(name: &str) -> &str {
-    let plain = name.strip_suffix(".gz").unwrap_or(name);
+    let plain = plain_name(name);
     match plain.rsplit_once('.') {
         Some((stem, extension)) if !all_digits(extension) => stem,
         _ => plain,
@@ -127,7 +128,8 @@ pub(super) fn stem(name: &str) -> &str {
 pub(super) struct Candidate {
     /// The file.
     pub(super) path: PathBuf,
-    /// The file's name without `.gz`: a compressed frame belongs to the others.
+    /// The file's name without `.gz` or the like: a compressed frame belongs to the
+    /// others.
     pub(super) name: String,
     /// The digits of the name that may be the frame's number, before the extension.
     pub(super) runs: Vec<Range<usize>>,
@@ -136,7 +138,7 @@ pub(super) struct Candidate {
 impl From<PathBuf> for Candidate {
     fn from(path: PathBuf) -> Self {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let name = name.strip_suffix(".gz").unwrap_or(&name).to_owned();
+        let name = plain_name(&name).to_owned();
         Self { runs: digit_runs(stem(&name)), path, name }
     }
 }

@@ -55,7 +55,7 @@ impl ParticleData {
 }
 
 /// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .ply, .npy, .npz, .csv,
-/// .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, gzipped or not.
+/// .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
 ///
 /// Parameters
 /// ----------
