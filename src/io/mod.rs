@@ -8,6 +8,7 @@ pub mod bgeo;
 pub mod bi4;
 pub mod bytes;
 pub mod columns;
+pub mod compression;
 pub mod cursor;
 pub mod encode;
 mod error;
@@ -48,6 +49,8 @@ pub mod whole;
 pub mod windows;
 pub mod xyz;
 
+use std::fmt;
+
 use crate::particles::AttributeInfo;
 use crate::particles::selection::SelectionFault;
 
@@ -82,6 +85,33 @@ pub struct ParticleFile {
     pub none_selected: Option<SelectionFault>,
     /// Attributes that the file has, and that were not read as nobody wanted them.
     pub unread: Vec<AttributeInfo>,
+    /// Parts of the input that cannot be read with the others.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A part of an input that cannot be read with the others.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum LeftOut {
+    /// An attribute that some pieces with particles lack.
+    Attribute(AttributeInfo),
+    /// A block that holds no particles.
+    Block {
+        /// The block's name or file.
+        name: String,
+        /// What it holds instead.
+        holds: String,
+    },
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Attribute(AttributeInfo { name, components }) => {
+                write!(f, "attribute {name} ({components}), which is not in all pieces")
+            }
+            Self::Block { name, holds } => write!(f, "block {name}, which holds {holds}"),
+        }
+    }
 }
 
 impl ParticleFile {
@@ -100,6 +130,7 @@ impl ParticleFile {
             unselected: 0,
             none_selected: None,
             unread: Vec::new(),
+            left_out: Vec::new(),
         }
     }
 }

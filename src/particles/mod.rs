@@ -22,7 +22,7 @@ pub use cloud::{AttributeValue, Cloud};
 pub use metered::Metered;
 
 /// A value that every particle carries.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct AttributeInfo {
     /// The name of the attribute, as the file spells it.
     pub name: String,

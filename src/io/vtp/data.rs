@@ -4,6 +4,8 @@
 //! Plain data follow their length in bytes. Compressed data follow the number of their blocks, a
 //! block's size, the size of a last block that is smaller (0 if none is) and each block's
 //! compressed size.
+//!
+//! The arrays of one name in several pieces become one array.
 
 use std::io::{self, Read};
 
@@ -13,18 +15,50 @@ use flate2::read::ZlibDecoder;
 
 use crate::io::bytes::{Kept, Passing, Slice, Unpacked, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Endian, Scalar};
+use crate::io::compression::unpack_xz;
 use crate::io::number::Number;
 use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
 use crate::io::{ReadFault, malformed};
 
-use super::layout::{Array, Data, Layout, Packing, Section};
+use super::layout::{Array, Compressor, Data, Layout, Piece};
 
 /// Bytes that are decoded at once.
 const CHUNK: usize = 1 << 16;
 /// Bytes that are passed before their memory is given back.
 const PASSED: usize = 1 << 20;
+/// Bytes of a block of LZ4, at the most: it is unpacked as a whole.
+const MOST_LZ4: u64 = 64 << 20;
+/// Bytes that a byte of LZ4 can stand for.
+const LZ4_RATIO: u64 = 255;
+
+/// The array of one name in all pieces that have points.
+pub(super) struct Joined<'a> {
+    pub components: usize,
+    pub parts: Vec<Part<'a>>,
+}
+
+/// The array of a piece.
+#[derive(Clone, Copy)]
+pub(super) struct Part<'a> {
+    /// Points of the piece.
+    pub points: usize,
+    /// Zeros where the piece has no such array.
+    pub array: Option<&'a Array>,
+}
+
+impl Joined<'_> {
+    /// An array that may be read where it is.
+    fn raw(&self) -> Option<(usize, &Array)> {
+        match *self.parts {
+            [Part { points, array: Some(array) }] => {
+                matches!(array.data, Data::Raw(_)).then_some((points, array))
+            }
+            _ => None,
+        }
+    }
+}
 
 /// Decodes the arrays of a file, one after the other.
 pub(super) struct Decoder<'a> {
@@ -42,32 +76,30 @@ impl<'a> Decoder<'a> {
         Self { layout, unpacked: Unpacked::new(unpacking), allowance }
     }
 
-    /// Whether all that points have can be read where it lies.
-    pub fn all_in_place(layout: &Layout) -> bool {
-        let of_points =
-            |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
+    /// Whether no array of points is encoded or compressed.
+    pub fn all_raw(layout: &Layout) -> bool {
         let is_raw = |array: &Array| matches!(array.data, Data::Raw(_));
-        layout.packing == Packing::Plain && layout.arrays.iter().filter(of_points).all(is_raw)
+        layout.compressor.is_none() && layout.pieces.iter().flat_map(Piece::of_points).all(is_raw)
     }
 
     /// Columns over the points, in the file or in what [`finish`](Self::finish) returns.
-    pub fn columns(&mut self, arrays: &[&Array]) -> Result<Vec<Vec<Column>>, ReadFault> {
-        let is_raw = |array: &&Array| matches!(array.data, Data::Raw(_));
-        if self.layout.packing == Packing::Plain && arrays.iter().all(is_raw) {
-            return self.in_place(arrays);
+    pub fn columns(&mut self, arrays: &[Joined]) -> Result<Vec<Vec<Column>>, ReadFault> {
+        let raw: Option<Vec<_>> = arrays.iter().map(Joined::raw).collect();
+        match raw.filter(|_| self.layout.compressor.is_none()) {
+            Some(raw) => self.in_place(&raw),
+            None => arrays.iter().map(|array| self.unpack(array)).collect(),
         }
-        arrays.iter().map(|array| self.unpack(array)).collect()
     }
 
-    fn in_place(&self, arrays: &[&Array]) -> Result<Vec<Vec<Column>>, ReadFault> {
+    fn in_place(&self, arrays: &[(usize, &Array)]) -> Result<Vec<Vec<Column>>, ReadFault> {
         let mut claimed = 0;
         let mut all = Vec::new();
-        for array in arrays {
-            let &&Array { scalar, components, .. } = array;
+        for &(points, array) in arrays {
+            let &Array { scalar, components, .. } = array;
             let span = Stored { layout: self.layout, array }.raw_span()?;
-            let expected = self.expected_bytes(array)?;
+            let expected = expected_bytes(array, points)?;
             if span.len() as u64 != expected {
-                return Err(self.wrong_count(array));
+                return Err(array.wrong_count(points));
             }
             claimed += expected;
             if claimed > self.layout.bytes.len() as u64 {
@@ -80,40 +112,72 @@ impl<'a> Decoder<'a> {
         Ok(all)
     }
 
-    fn unpack(&mut self, array: &Array) -> Result<Vec<Column>, ReadFault> {
-        let expected = self.expected_bytes(array)?;
+    fn unpack(&mut self, joined: &Joined) -> Result<Vec<Column>, ReadFault> {
         let offset = self.unpacked.len();
-        let (scalar, endian) = if let Data::Text(text) = &array.data {
+        let mut kinds = joined.parts.iter().filter_map(|part| part.array).map(|a| self.kind(a));
+        let first = kinds.next().unwrap_or(DOUBLE);
+        // Numbers of different types become doubles.
+        let kind = if kinds.all(|kind| kind == first) { first } else { DOUBLE };
+        for part in &joined.parts {
+            self.unpack_part(*part, joined.components, kind)?;
+        }
+        let (scalar, endian) = kind;
+        let stride = joined.components * scalar.size();
+        Ok(columns(offset as usize, stride, joined.components, scalar, endian))
+    }
+
+    /// Type and byte order of an array when it is unpacked.
+    fn kind(&self, array: &Array) -> (Scalar, Endian) {
+        match array.data {
+            Data::Text(_) => DOUBLE,
+            _ => (array.scalar, self.layout.endian),
+        }
+    }
+
+    fn unpack_part(
+        &mut self,
+        Part { points, array }: Part,
+        components: usize,
+        kind: (Scalar, Endian),
+    ) -> Result<(), ReadFault> {
+        let offset = self.unpacked.len();
+        let Some(array) = array else {
+            let zeros = [0; CHUNK];
+            let mut left = points * components * kind.0.size();
+            while left > 0 {
+                let some = left.min(CHUNK);
+                self.unpacked.push(&zeros[..some])?;
+                left -= some;
+            }
+            return Ok(());
+        };
+        let expected = expected_bytes(array, points)?;
+        if let Data::Text(text) = &array.data {
             decode_numbers(self.layout.text(), text.clone(), &mut self.unpacked)?;
             let count = (self.unpacked.len() - offset) / Scalar::F64.size() as u64;
             if count.checked_mul(array.scalar.size() as u64) != Some(expected) {
-                return Err(self.wrong_count(array));
+                return Err(array.wrong_count(points));
             }
-            (Scalar::F64, Endian::Little)
-        } else {
-            let stored = Stored { layout: self.layout, array };
-            let out = &mut self.unpacked;
-            stored.read(Some(expected), &mut self.allowance, &mut |chunk| out.push(chunk))?;
-            (array.scalar, self.layout.endian)
-        };
-        let stride = array.components * scalar.size();
-        Ok(columns(offset as usize, stride, array.components, scalar, endian))
-    }
-
-    /// Returns the bytes that values for every point take.
-    fn expected_bytes(&self, array: &Array) -> Result<u64, ReadFault> {
-        let values = self.layout.points.checked_mul(array.components).filter(|values| *values > 0);
-        let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
-        bytes.map(|bytes| bytes as u64).ok_or_else(|| self.wrong_count(array))
-    }
-
-    fn wrong_count(&self, array: &Array) -> ReadFault {
-        array.wrong_count(self.layout.points)
+            return Ok(());
+        }
+        let stored = Stored { layout: self.layout, array };
+        let (out, as_stored) = (&mut self.unpacked, (array.scalar, self.layout.endian));
+        if kind == as_stored {
+            let mut take = |chunk: &[u8]| out.push(chunk);
+            return stored.read(Some(points), &mut self.allowance, &mut take);
+        }
+        stored.each_number(Some(points), &mut self.allowance, &mut |number| {
+            out.push(&double(as_stored, number).to_le_bytes())
+        })
     }
 
     /// Returns the data decoded for columns; None where they are all in the file.
     pub fn finish(self) -> Result<Option<Kept>, ReadFault> {
-        if self.unpacked.is_empty() { Ok(None) } else { self.unpacked.finish().map(Some) }
+        if self.unpacked.is_empty() {
+            return Ok(None);
+        }
+        self.layout.bytes.check()?;
+        self.unpacked.finish().map(Some)
     }
 
     /// All numbers of an array of integers.
@@ -149,32 +213,21 @@ impl<'a> Decoder<'a> {
                 next(scan.number()?);
             }
         }
-        let stored = Stored { layout: self.layout, array };
-        let (size, endian) = (array.scalar.size(), self.layout.endian);
-        // Pieces need not end where numbers do.
-        let mut begun = Vec::new();
-        stored.read(None, &mut self.allowance, &mut |chunk| {
-            begun.extend_from_slice(chunk);
-            let whole = begun.len() / size * size;
-            for number in begun[..whole].chunks_exact(size) {
-                next(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?);
-            }
-            begun.drain(..whole);
+        let (stored, endian) = (Stored { layout: self.layout, array }, self.layout.endian);
+        stored.each_number(None, &mut self.allowance, &mut |number| {
+            next(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?);
             Ok(())
         })
     }
 
-    /// The one number of an array; none of another type than a double.
-    pub fn double(&mut self, array: &Array) -> Result<Option<f64>, ReadFault> {
+    /// The first number of an array.
+    pub fn first(&mut self, array: &Array) -> Result<Option<f64>, ReadFault> {
         if let Data::Text(text) = &array.data {
             return Ok(numbers(&self.layout.text()[..text.end], text.start)?.first().copied());
         }
         let bytes = self.whole(array)?;
-        let double = bytes.first_chunk().filter(|_| array.scalar == Scalar::F64);
-        Ok(double.map(|&bytes| match self.layout.endian {
-            Endian::Little => f64::from_le_bytes(bytes),
-            Endian::Big => f64::from_be_bytes(bytes),
-        }))
+        let first = bytes.get(..array.scalar.size());
+        Ok(first.map(|first| double((array.scalar, self.layout.endian), first)))
     }
 
     fn whole(&mut self, array: &Array) -> Result<Vec<u8>, ReadFault> {
@@ -186,6 +239,26 @@ impl<'a> Decoder<'a> {
         })?;
         Ok(bytes)
     }
+}
+
+/// How numbers are kept that were text, or of different types.
+const DOUBLE: (Scalar, Endian) = (Scalar::F64, Endian::Little);
+
+/// The nearest double to a number.
+fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
+    let bits = |scalar| integer(scalar, endian, number).unwrap_or_default();
+    match scalar {
+        Scalar::F32 => f32::from_bits(bits(Scalar::U32) as u32).into(),
+        Scalar::F64 => f64::from_bits(bits(Scalar::I64) as u64),
+        scalar => bits(scalar) as f64,
+    }
+}
+
+/// Returns the bytes that an array takes that has a value for each of so many points.
+fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
+    let values = points.checked_mul(array.components).filter(|values| *values > 0);
+    let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
+    bytes.map(|bytes| bytes as u64).ok_or_else(|| array.wrong_count(points))
 }
 
 fn no_integers(array: &Array) -> ReadFault {
@@ -214,11 +287,30 @@ struct Stored<'a> {
 }
 
 impl Stored<'_> {
-    /// Passes the numbers' bytes on in pieces, if they are as many as `expected` and the
-    /// `allowance` bears them.
+    /// Passes the bytes of each number on, as [`read`](Self::read) does.
+    fn each_number(
+        &self,
+        points: Option<usize>,
+        allowance: &mut u64,
+        take: &mut Take<'_>,
+    ) -> Result<(), ReadFault> {
+        let size = self.array.scalar.size();
+        // Pieces need not end where numbers do.
+        let mut begun = Vec::new();
+        self.read(points, allowance, &mut |chunk| {
+            begun.extend_from_slice(chunk);
+            let whole = begun.len() / size * size;
+            begun[..whole].chunks_exact(size).try_for_each(&mut *take)?;
+            begun.drain(..whole);
+            Ok(())
+        })
+    }
+
+    /// Passes the numbers' bytes on in pieces, if the `allowance` bears them: a value for each of
+    /// so many `points`, or however many there are.
     fn read(
         &self,
-        expected: Option<u64>,
+        points: Option<usize>,
         allowance: &mut u64,
         take: &mut Take<'_>,
     ) -> Result<(), ReadFault> {
@@ -234,9 +326,10 @@ impl Stored<'_> {
             }
             _ => Box::new(Passing::new(self.layout.bytes, self.array.place())),
         };
+        let expected = points.map(|points| expected_bytes(self.array, points)).transpose()?;
         let mut claim = |bytes: Option<u64>| match bytes {
             Some(bytes) if expected.is_some_and(|expected| bytes != expected) => {
-                Err(self.array.wrong_count(self.layout.points))
+                Err(self.array.wrong_count(points.unwrap_or_default()))
             }
             Some(bytes) if bytes <= *allowance => {
                 *allowance -= bytes;
@@ -247,8 +340,8 @@ impl Stored<'_> {
                 Err(ReadFault::Compression(what))
             }
         };
-        match self.layout.packing {
-            Packing::Plain => {
+        match self.layout.compressor {
+            None => {
                 // Where nothing is encoded, what is missing can be told in bytes.
                 if let Data::Raw(_) = self.array.data {
                     self.raw_span()?;
@@ -256,7 +349,7 @@ impl Stored<'_> {
                 let length = claim(Some(self.number(&mut stream)?))?;
                 self.pass_on(&mut stream, length, take)
             }
-            Packing::Zlib => {
+            Some(compressor) => {
                 let count = self.number(&mut stream)?;
                 let block = self.number(&mut stream)?;
                 let last = self.number(&mut stream)?;
@@ -274,7 +367,14 @@ impl Stored<'_> {
                 }
                 for (number, packed) in (0..).zip(packed) {
                     let mut packed = stream.by_ref().take(packed);
-                    self.unpack(&mut packed, if number < full { block } else { last }, take)?;
+                    let length = if number < full { block } else { last };
+                    match compressor {
+                        Compressor::Zlib => {
+                            self.unpack(ZlibDecoder::new(&mut packed), length, take)
+                        }
+                        Compressor::Lzma => self.unpack(unpack_xz(&mut packed), length, take),
+                        Compressor::Lz4 => self.unpack_lz4(&mut packed, length, take),
+                    }?;
                     io::copy(&mut packed, &mut io::sink()).map_err(|e| self.fault(&e))?;
                 }
                 Ok(())
@@ -282,16 +382,44 @@ impl Stored<'_> {
         }
     }
 
-    /// One block, which must hold `length` bytes.
-    fn unpack(
+    fn damaged(&self, what: impl std::fmt::Display) -> ReadFault {
+        ReadFault::Compression(format!("array {}: {what}", self.array.name))
+    }
+
+    /// One block of LZ4, which must hold `length` bytes.
+    fn unpack_lz4(
         &self,
-        packed: &mut dyn Read,
+        packed: &mut io::Take<impl Read>,
         length: u64,
         take: &mut Take<'_>,
     ) -> Result<(), ReadFault> {
-        let damaged =
-            |what: String| ReadFault::Compression(format!("array {}: {what}", self.array.name));
-        let mut plain = ZlibDecoder::new(packed);
+        if length > MOST_LZ4 {
+            return Err(ReadFault::Unsupported(format!(
+                "array {} in LZ4 blocks of {length} bytes; save it in blocks of {MOST_LZ4} bytes \
+                 or less",
+                self.array.name
+            )));
+        }
+        // What does not compress takes little more than its length.
+        if packed.limit() > length + length / LZ4_RATIO + 16 {
+            return Err(self.damaged(format_args!("a block of more than {length} bytes")));
+        }
+        let mut block = Vec::new();
+        packed.read_to_end(&mut block).map_err(|e| self.fault(&e))?;
+        let mut plain = vec![0; length.min(LZ4_RATIO * block.len() as u64) as usize];
+        let unpacked = lz4_flex::block::decompress_into(&block, &mut plain);
+        let count = unpacked.map_err(|e| self.damaged(e))?;
+        self.unpack(&plain[..count], length, take)
+    }
+
+    /// One block, which must hold `length` bytes.
+    fn unpack(
+        &self,
+        mut plain: impl Read,
+        length: u64,
+        take: &mut Take<'_>,
+    ) -> Result<(), ReadFault> {
+        let damaged = |what: String| self.damaged(what);
         let mut chunk = Vec::new();
         let mut left = length;
         loop {

@@ -87,7 +87,16 @@ pub(super) struct Layout<'a> {
     pub endian: Endian,
     /// Type of the lengths before an array's data.
     pub header: Scalar,
-    pub packing: Packing,
+    /// How data that are not text are compressed, in blocks.
+    pub compressor: Option<Compressor>,
+    /// The array of the file's time.
+    pub time: Option<Array>,
+    pub pieces: Vec<Piece>,
+}
+
+/// Points, their attributes and cells: one piece of the data set, or all of it.
+#[derive(Default)]
+pub(super) struct Piece {
     pub points: usize,
     /// Cells that are vertices, and lines, of a PolyData.
     pub vertices: usize,
@@ -108,12 +117,33 @@ pub(super) enum DataSet {
     UnstructuredGrid,
 }
 
-/// How the data that are not text are stored.
+/// The compression of a block of data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Packing {
-    Plain,
-    /// In blocks, each a zlib stream.
+pub(super) enum Compressor {
     Zlib,
+    /// LZ4's block format.
+    Lz4,
+    /// A stream of .xz.
+    Lzma,
+}
+
+impl Piece {
+    /// Polygons and strips together.
+    pub fn faces(&self) -> usize {
+        self.polygons.saturating_add(self.strips)
+    }
+
+    /// Arrays that have a value for each point.
+    pub fn of_points(&self) -> impl Iterator<Item = &Array> {
+        let of_points =
+            |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
+        self.arrays.iter().filter(of_points)
+    }
+
+    /// The array of a name.
+    pub fn array(&self, section: Section, name: &str) -> Option<&Array> {
+        self.arrays.iter().find(|array| array.section == section && array.name == name)
+    }
 }
 
 impl<'a> Layout<'a> {
@@ -138,18 +168,10 @@ impl<'a> Layout<'a> {
             data_set: DataSet::PolyData,
             endian: Endian::Little,
             header: Scalar::U32,
-            packing: Packing::Plain,
-            points: 0,
-            vertices: 0,
-            lines: 0,
-            cells: 0,
-            polygons: 0,
-            strips: 0,
-            normals: None,
-            global_ids: None,
-            arrays: Vec::new(),
+            compressor: None,
+            time: None,
+            pieces: Vec::new(),
         };
-        let mut pieces = 0;
         let mut section = None;
         let mut seen_root = false;
         loop {
@@ -169,7 +191,7 @@ impl<'a> Layout<'a> {
                     continue;
                 }
                 Event::Eof
-                    if text.len() < bytes.len() || layout.arrays.iter().any(Array::is_to_come) =>
+                    if text.len() < bytes.len() || layout.all_arrays().any(|a| a.is_to_come()) =>
                 {
                     return Err(malformed(at, "no <AppendedData>"));
                 }
@@ -182,10 +204,7 @@ impl<'a> Layout<'a> {
                     layout.root(&tag)?;
                     seen_root = true;
                 }
-                ("Piece", _) => {
-                    pieces += 1;
-                    layout.piece(&tag)?;
-                }
+                ("Piece", _) => layout.pieces.push(Piece::of(&tag)?),
                 ("AppendedData", _) => {
                     layout.appended(&tag, &text, behind)?;
                     break;
@@ -193,21 +212,36 @@ impl<'a> Layout<'a> {
                 ("DataArray", Some(section)) => layout.array(&tag, section, &text, behind)?,
                 (name, _) if !is_empty && section_named(name).is_some() => {
                     section = section_named(name);
-                    if section == Some(Section::PointData) {
-                        layout.normals = tag.value("Normals")?;
-                        layout.global_ids = tag.value("GlobalIds")?;
+                    if let (Some(Section::PointData), Some(piece)) =
+                        (section, layout.pieces.last_mut())
+                    {
+                        piece.normals = tag.value("Normals")?;
+                        piece.global_ids = tag.value("GlobalIds")?;
                     }
                 }
                 _ => {}
             }
         }
-        match (seen_root, pieces) {
+        match (seen_root, &*layout.pieces) {
             (false, _) => Err(malformed(0, "no <VTKFile>")),
-            (true, 1) => Ok(layout),
-            (true, _) => {
-                Err(ReadFault::Unsupported(format!("{pieces} pieces; save the data as one")))
-            }
+            (true, []) => Err(malformed(0, "no <Piece>")),
+            (true, _) => Ok(layout),
         }
+    }
+
+    fn all_arrays(&mut self) -> impl Iterator<Item = &mut Array> {
+        let of_pieces = self.pieces.iter_mut().flat_map(|piece| &mut piece.arrays);
+        self.time.iter_mut().chain(of_pieces)
+    }
+
+    /// The number of points of all pieces.
+    pub fn points(&self) -> usize {
+        self.pieces.iter().fold(0, |sum, piece| sum.saturating_add(piece.points))
+    }
+
+    /// The number of polygons and strips of all pieces.
+    pub fn faces(&self) -> usize {
+        self.pieces.iter().fold(0, |sum, piece| sum.saturating_add(piece.faces()))
     }
 
     fn root(&mut self, tag: &Tag) -> Result<(), ReadFault> {
@@ -220,12 +254,15 @@ impl<'a> Layout<'a> {
                 return Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")));
             }
         };
-        self.packing = match tag.value("compressor")?.as_deref() {
-            None | Some("") => Packing::Plain,
-            Some("vtkZLibDataCompressor") => Packing::Zlib,
+        self.compressor = match tag.value("compressor")?.as_deref() {
+            None | Some("") => None,
+            Some("vtkZLibDataCompressor") => Some(Compressor::Zlib),
+            Some("vtkLZ4DataCompressor") => Some(Compressor::Lz4),
+            Some("vtkLZMADataCompressor") => Some(Compressor::Lzma),
             Some(other) => {
-                let what =
-                    format!("data compressed by {other}; save them by zlib, or uncompressed");
+                let what = format!(
+                    "data compressed by {other}; save them by zlib, LZ4 or LZMA, or uncompressed"
+                );
                 return Err(ReadFault::Unsupported(what));
             }
         };
@@ -235,16 +272,6 @@ impl<'a> Layout<'a> {
         if tag.value("header_type")?.as_deref() == Some("UInt64") {
             self.header = Scalar::U64;
         }
-        Ok(())
-    }
-
-    fn piece(&mut self, tag: &Tag) -> Result<(), ReadFault> {
-        self.points = tag.number("NumberOfPoints")?.unwrap_or(0);
-        self.vertices = tag.number("NumberOfVerts")?.unwrap_or(0);
-        self.lines = tag.number("NumberOfLines")?.unwrap_or(0);
-        self.cells = tag.number("NumberOfCells")?.unwrap_or(0);
-        self.polygons = tag.number("NumberOfPolys")?.unwrap_or(0);
-        self.strips = tag.number("NumberOfStrips")?.unwrap_or(0);
         Ok(())
     }
 
@@ -258,13 +285,20 @@ impl<'a> Layout<'a> {
         let name = tag.value("Name")?.unwrap_or_default();
         let kind = tag.value("type")?.unwrap_or_default();
         let Some(scalar) = scalar_named(&kind) else {
+            if section == Section::Points {
+                let what = format!("the points are of type {kind:?}, and no numbers");
+                return Err(malformed(tag.at, what));
+            }
             // Strings and bits are no values of a vertex; whatever else needs this array will miss
             // it.
             return Ok(());
         };
-        if section == Section::FieldData && name != TIME {
-            return Ok(());
-        }
+        let arrays = match (section, self.pieces.last_mut()) {
+            (Section::FieldData, _) if name != TIME || self.time.is_some() => return Ok(()),
+            (Section::FieldData, _) => None,
+            (_, Some(piece)) => Some(&mut piece.arrays),
+            (_, None) => return Err(malformed(tag.at, format!("array {name} is in no <Piece>"))),
+        };
         let default = if section == Section::Points { 3 } else { 1 };
         let components = tag.number("NumberOfComponents")?.unwrap_or(default);
         let data = match tag.value("format")?.as_deref() {
@@ -275,17 +309,21 @@ impl<'a> Layout<'a> {
                         .ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
                 )
             }
-            Some("ascii") => Data::Text(text(xml, behind)),
+            // VTK's own reader takes this for granted.
+            None | Some("ascii") => Data::Text(text(xml, behind)),
             Some("binary") => Data::Base64(text(xml, behind)),
-            other => {
-                let shown = other.unwrap_or_default();
+            Some(other) => {
                 return Err(malformed(
                     tag.at,
-                    format!("array {name} has the unknown format {shown:?}"),
+                    format!("array {name} has the unknown format {other:?}"),
                 ));
             }
         };
-        self.arrays.push(Array { section, name, scalar, components, data });
+        let array = Array { section, name, scalar, components, data };
+        match arrays {
+            Some(arrays) => arrays.push(array),
+            None => self.time = Some(array),
+        }
         Ok(())
     }
 
@@ -308,7 +346,7 @@ impl<'a> Layout<'a> {
                 ));
             }
         };
-        for array in &mut self.arrays {
+        for array in self.all_arrays() {
             if let Data::Appended(offset) = array.data {
                 let at = data.saturating_add(offset);
                 array.data = match &text {
@@ -326,6 +364,22 @@ impl<'a> Layout<'a> {
             View::File(_) => self.head.slice(),
             View::Kept(all) => all,
         }
+    }
+}
+
+impl Piece {
+    fn of(tag: &Tag) -> Result<Self, ReadFault> {
+        let count = |name: &str| Ok::<_, ReadFault>(tag.number(name)?.unwrap_or(0));
+        let points = tag.number("NumberOfPoints")?;
+        Ok(Self {
+            points: points.ok_or_else(|| malformed(tag.at, "a piece without NumberOfPoints"))?,
+            vertices: count("NumberOfVerts")?,
+            lines: count("NumberOfLines")?,
+            cells: count("NumberOfCells")?,
+            polygons: count("NumberOfPolys")?,
+            strips: count("NumberOfStrips")?,
+            ..Self::default()
+        })
     }
 }
 

@@ -1,38 +1,40 @@
 //! Reading .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
 
+use std::collections::HashSet;
 use std::ops::Range;
 
 use memchr::memmem;
 
 use crate::io::bytes::{Bytes, Unpacking, View, unpacked_limit};
 use crate::io::columns::{Column, Scalar};
-use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, is_flag};
+use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, append, is_flag};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::wanted::GHOSTS;
-use crate::io::{ParticleFile, ReadFault, malformed};
+use crate::io::{LeftOut, ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
-use super::data::Decoder;
-use super::layout::{Array, DataSet, HEAD, Layout, Section, TIME};
+use super::data::{Decoder, Joined, Part};
+use super::layout::{Array, DataSet, HEAD, Layout, Piece, Section};
 
-/// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that
-/// are appended raw stay where they are; if any is text, base64 or compressed, all are decoded.
+/// Reads the points of all pieces as particles, whatever lines and cells of a .vtu are made of
+/// them: arrays of one piece that are appended raw stay where they are; if any is text, base64 or
+/// compressed, or there are several pieces, all are decoded.
 ///
-/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the
-/// time. Points that are copies, or hidden, because their vertices are flagged so under `CellData`
-/// are left out.
+/// Every array of numbers under `PointData` that all pieces have is an attribute; `TimeValue` under
+/// `FieldData` is the time. Points that are copies, or hidden, because their vertices are flagged
+/// so under `CellData` are left out.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and
 /// [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do not unpack, or
-/// unpack beyond all reason; [`ReadFault::Unsupported`] for other compressors than zlib, several
-/// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where
-/// they are decoded into a scratch file that fails.
+/// unpack beyond all reason; [`ReadFault::Unsupported`] for other compressors than zlib, LZ4 and
+/// LZMA, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they
+/// are decoded into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
-    let stays = !is_text(view)? && Decoder::all_in_place(&Layout::parse(view)?);
+    let stays = !is_text(view)? && Decoder::all_raw(&Layout::parse(view)?);
     points(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) }, unpacking)
 }
 
@@ -58,7 +60,7 @@ pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
 
 fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(bytes.view())?;
-    let faces = layout.polygons.saturating_add(layout.strips) as u64;
+    let faces = layout.faces() as u64;
     if faces > 0 {
         return Err(ReadFault::Mesh { faces });
     }
@@ -67,10 +69,13 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
         DataSet::UnstructuredGrid => "VTK XML .vtu",
     };
     let mut decoder = Decoder::new(&layout, unpacking);
-    let time = time(&layout, &mut decoder)?;
+    let time = layout.time.as_ref().map(|array| decoder.first(array)).transpose()?.flatten();
+    let time = time.filter(|time| time.is_finite());
     let left = not_ghosts(&layout, &mut decoder)?;
-    let vertices = vertices(&layout, decoder, None)?;
-    Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
+    let names = attributes(&layout.pieces);
+    let vertices = vertices(&layout, decoder, &names.shared)?;
+    let file = vertices.into_particles(bytes, format);
+    Ok(ParticleFile { time, left_out: names.left_out, ..file }.with_points(left))
 }
 
 /// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing
@@ -87,8 +92,8 @@ pub(super) struct Counts {
 }
 
 pub(super) fn counts(bytes: View) -> Result<Counts, ReadFault> {
-    let Layout { points, polygons, strips, .. } = Layout::parse(bytes)?;
-    Ok(Counts { points, faces: polygons.saturating_add(strips) })
+    let layout = Layout::parse(bytes)?;
+    Ok(Counts { points: layout.points(), faces: layout.faces() })
 }
 
 /// Reads points, their attributes, and polygons, fanned from their first corner.
@@ -114,33 +119,33 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     if layout.data_set != DataSet::PolyData {
         return Err(ReadFault::Unsupported("an UnstructuredGrid; a mesh is PolyData".to_owned()));
     }
-    if layout.strips > 0 {
+    let [piece] = &*layout.pieces else {
+        let what = format!("a mesh in {} pieces; save it as one", layout.pieces.len());
+        return Err(ReadFault::Unsupported(what));
+    };
+    if piece.strips > 0 {
         return Err(ReadFault::Unsupported("triangle strips; save them as triangles".to_owned()));
     }
     let mut decoder = Decoder::new(&layout, Unpacking::in_memory());
     let mut integers = |name: &str| {
-        let found = layout.arrays.iter().find(|a| a.section == Section::Polys && a.name == name);
-        found.map_or(Ok(Vec::new()), |array| decoder.integers(array))
+        piece.array(Section::Polys, name).map_or(Ok(Vec::new()), |array| decoder.integers(array))
     };
     let corners = integers("connectivity")?;
     let ends = integers("offsets")?;
-    if ends.len() != layout.polygons {
+    if ends.len() != piece.polygons {
         let what =
-            format!("{} polygons are announced, {} have an offset", layout.polygons, ends.len());
+            format!("{} polygons are announced, {} have an offset", piece.polygons, ends.len());
         return Err(malformed(0, what));
     }
-    let ids = layout.global_ids.as_ref().and_then(|ids| {
-        let is_it = |array: &Array| array.section == Section::PointData && array.name == *ids;
-        layout.arrays.iter().position(is_it)
-    });
-    let numbers = ids.map(|index| decoder.integers(&layout.arrays[index])).transpose()?;
-    if numbers.as_ref().is_some_and(|numbers| numbers.len() != layout.points) {
+    let ids = piece.global_ids.as_ref().and_then(|ids| piece.array(Section::PointData, ids));
+    let numbers = ids.map(|ids| decoder.integers(ids)).transpose()?;
+    if numbers.as_ref().is_some_and(|numbers| numbers.len() != piece.points) {
         return Err(malformed(
             0,
-            format!("not one global identifier for each of {} points", layout.points),
+            format!("not one global identifier for each of {} points", piece.points),
         ));
     }
-    let mut triangles = Triangles::new(layout.points)?;
+    let mut triangles = Triangles::new(piece.points)?;
     let mut start = 0;
     for (face, &end) in ends.iter().enumerate() {
         let polygon = usize::try_from(end).ok().and_then(|end| corners.get(start..end));
@@ -150,82 +155,150 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
         triangles.polygon(face, 0, polygon)?;
         start += polygon.len();
     }
-    let vertices = vertices(&layout, decoder, ids)?;
+    let is_id = |array: &Array| ids.is_some_and(|ids| std::ptr::eq(ids, array));
+    let own: Vec<&Array> = piece
+        .arrays
+        .iter()
+        .filter(|array| array.section == Section::PointData && !is_id(array))
+        .collect();
+    let vertices = vertices(&layout, decoder, &own)?;
     Ok(NumberedMesh { mesh: vertices.into_mesh(bytes, triangles.triangles), numbers })
 }
 
-fn time(layout: &Layout, decoder: &mut Decoder) -> Result<Option<f64>, ReadFault> {
-    let found = layout.arrays.iter().find(|a| a.section == Section::FieldData && a.name == TIME);
-    let Some(array) = found else { return Ok(None) };
-    Ok(decoder.double(array)?.filter(|time| time.is_finite()))
+/// Attributes of the points.
+struct Attributes<'a> {
+    /// Those that all pieces have, as arrays of one of them.
+    shared: Vec<&'a Array>,
+    left_out: Vec<LeftOut>,
 }
 
-/// The points and all of their attributes but for array number `except`.
+/// Attributes that all pieces with points have, in the order of the first of these. Flags of copies
+/// need not be in each.
+fn attributes(pieces: &[Piece]) -> Attributes<'_> {
+    let filled: Vec<&Piece> = pieces.iter().filter(|piece| piece.points > 0).collect();
+    let mut all = Attributes { shared: Vec::new(), left_out: Vec::new() };
+    let mut seen = HashSet::new();
+    for (number, piece) in filled.iter().enumerate() {
+        for array in piece.arrays.iter().filter(|array| array.section == Section::PointData) {
+            let info = AttributeInfo { name: array.name.clone(), components: array.components };
+            if number == 0 && filled.len() == 1 {
+                all.shared.push(array);
+            } else if seen.insert(info.clone()) {
+                let is_shared = GHOSTS.contains(&&*array.name)
+                    || filled.iter().all(|piece| same(piece, array).is_some());
+                if is_shared {
+                    all.shared.push(array);
+                } else {
+                    all.left_out.push(LeftOut::Attribute(info));
+                }
+            }
+        }
+    }
+    all
+}
+
+/// The array of a piece that is the same as that of another.
+fn same<'a>(piece: &'a Piece, array: &Array) -> Option<&'a Array> {
+    piece.arrays.iter().find(|own| {
+        (own.section, &own.name, own.components) == (array.section, &array.name, array.components)
+    })
+}
+
+/// The points of all pieces and their attributes of some names.
 fn vertices(
     layout: &Layout,
     mut decoder: Decoder,
-    except: Option<usize>,
+    attributes: &[&Array],
 ) -> Result<Vertices, ReadFault> {
-    let (count, endian) = (layout.points, layout.endian);
-    if count == 0 {
-        let nowhere = Column { offset: 0, stride: 0, scalar: Scalar::F32, endian };
-        let attributes = Vec::new();
+    let filled: Vec<&Piece> = layout.pieces.iter().filter(|piece| piece.points > 0).collect();
+    let [first, ..] = &*filled else {
+        let nowhere = Column { offset: 0, stride: 0, scalar: Scalar::F32, endian: layout.endian };
         return Ok(Vertices {
             decoded: None,
-            count,
+            count: 0,
             position: [nowhere; 3],
-            attributes,
+            attributes: Vec::new(),
             normals: None,
         });
+    };
+    let is_points = |array: &&Array| array.section == Section::Points && array.components == 3;
+    let mut parts = Vec::new();
+    for piece in &filled {
+        let array = piece.arrays.iter().find(is_points);
+        let array = array.ok_or_else(|| malformed(0, "no array of points of three components"))?;
+        parts.push(Part { points: piece.points, array: Some(array) });
     }
-    let is_of_points = |section| matches!(section, Section::Points | Section::PointData);
-    let others = layout.arrays.iter().enumerate().filter(|(index, _)| Some(*index) != except);
-    let arrays: Vec<_> =
-        others.map(|(_, array)| array).filter(|a| is_of_points(a.section)).collect();
-    let is_normals = |name: &str| name == layout.normals.as_deref().unwrap_or(NORMALS);
-    let (mut position, mut normals) = (None, None);
-    let mut attributes = Vec::new();
-    for (array, columns) in arrays.iter().zip(decoder.columns(&arrays)?) {
-        if array.section == Section::Points {
-            position = <[Column; 3]>::try_from(columns).ok();
-            continue;
+    // First, as they vouch for the number of points.
+    let mut arrays = vec![Joined { components: 3, parts }];
+    arrays.extend(attributes.iter().map(|&array| {
+        let mut parts = Vec::new();
+        for piece in &filled {
+            // Of several arrays with one name in the only piece each is read.
+            let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
+            parts.push(Part { points: piece.points, array: own });
         }
-        if columns.len() == 3 && normals.is_none() && is_normals(&array.name) {
-            normals = Some(attributes.len());
-        }
-        attributes
-            .push((AttributeInfo { name: array.name.clone(), components: columns.len() }, columns));
-    }
-    let position =
-        position.ok_or_else(|| malformed(0, "no array of points of three components"))?;
-    Ok(Vertices { decoded: decoder.finish()?, count, position, attributes, normals })
+        Joined { components: array.components, parts }
+    }));
+    let mut columns = decoder.columns(&arrays)?.into_iter();
+    let position = columns.next().and_then(|columns| <[Column; 3]>::try_from(columns).ok());
+    let position = position.expect("three components");
+    let info =
+        |array: &&Array| AttributeInfo { name: array.name.clone(), components: array.components };
+    let normals = first.normals.as_deref().unwrap_or(NORMALS);
+    Ok(Vertices {
+        decoded: decoder.finish()?,
+        count: layout.points(),
+        position,
+        attributes: attributes.iter().map(info).zip(columns).collect(),
+        normals: attributes.iter().position(|a| a.components == 3 && a.name == normals),
+    })
 }
 
 /// Ranges of the points that are not left out for their cells; `None` where all are to stay.
-pub(super) fn not_ghosts(
+fn not_ghosts(
     layout: &Layout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    let found = |section: Section, name: &str| {
-        layout.arrays.iter().find(|array| array.section == section && array.name == name)
-    };
-    let (section, cells) = match layout.data_set {
+    // Whoever reads the points refuses more of them than the file can hold.
+    if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
+        return Ok(None);
+    }
+    let (mut left, mut all_left, mut first) = (Vec::new(), true, 0);
+    for piece in &layout.pieces {
+        let points = first..first + piece.points;
+        match points_left(layout.data_set, piece, decoder)? {
+            Some(own) => {
+                all_left = false;
+                own.into_iter().for_each(|own| {
+                    append(&mut left, first + own.start..first + own.end);
+                });
+            }
+            None => append(&mut left, points.clone()),
+        }
+        first = points.end;
+    }
+    Ok((!all_left).then_some(left))
+}
+
+/// As [`not_ghosts`], of one piece.
+fn points_left(
+    data_set: DataSet,
+    piece: &Piece,
+    decoder: &mut Decoder,
+) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+    let (section, cells) = match data_set {
         // Other cells than vertices come after these.
-        DataSet::PolyData => (Section::Verts, layout.vertices),
-        DataSet::UnstructuredGrid => (Section::Cells, layout.cells),
+        DataSet::PolyData => (Section::Verts, piece.vertices),
+        DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
     };
-    let flags = GHOSTS.iter().filter_map(|name| found(Section::CellData, name));
+    let flags = GHOSTS.iter().filter_map(|name| piece.array(Section::CellData, name));
     let flags: Vec<&Array> =
         flags.filter(|array| is_flag(&array.name, array.components, array.scalar)).collect();
-    let corners = [found(section, "connectivity"), found(section, "offsets")];
-    let ([Some(corners), Some(ends)], false) = (corners, flags.is_empty() || layout.lines > 0)
+    let corners = ["connectivity", "offsets"].map(|name| piece.array(section, name));
+    let ([Some(corners), Some(ends)], false) = (corners, flags.is_empty() || piece.lines > 0)
     else {
         return Ok(None);
     };
-    // Whoever reads the points refuses more of them than the file can hold.
-    if layout.points as u64 > unpacked_limit(layout.bytes.len() as u64) {
-        return Ok(None);
-    }
     let (mut all_vertices, mut count) = (true, 0);
     decoder.each_integer(ends, |cell, end| {
         all_vertices &= end == cell as i64 + 1;
@@ -237,7 +310,7 @@ pub(super) fn not_ghosts(
             format!("{cells} cells are announced, {count} have an offset"),
         ));
     }
-    if let (DataSet::UnstructuredGrid, Some(types)) = (layout.data_set, found(section, "types")) {
+    if let (DataSet::UnstructuredGrid, Some(types)) = (data_set, piece.array(section, "types")) {
         decoder.each_integer(types, |_, kind| all_vertices &= kind == VERTEX)?;
     }
     if !all_vertices {
@@ -249,7 +322,7 @@ pub(super) fn not_ghosts(
         decoder.each_integer(array, |cell, flag| flags.take(cell, flag))?;
         flags.end().map_err(|what| malformed(array.place(), what))?;
     }
-    let mut points = VertexPoints::new(&vertices, layout.points);
+    let mut points = VertexPoints::new(&vertices, piece.points);
     decoder.each_integer(corners, |cell, point| points.take(cell, point))?;
     points.left().map(Some).map_err(|what| malformed(corners.place(), what))
 }
