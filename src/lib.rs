@@ -224,7 +224,7 @@ pub mod files {
     pub use crate::io::stamp::Stamp;
     pub use crate::io::stamp::is_same_file;
     pub use crate::io::whole::Replace;
-    pub use crate::io::{ParticleFile, UpAxis};
+    pub use crate::io::{LeftOut, ParticleFile, UpAxis};
     pub use crate::particles::occurring::{Occurring, Value};
     pub use crate::particles::{AttributeInfo, Label, velocity_attribute};
     pub use crate::reconstruction::{

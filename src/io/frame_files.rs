@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::input::file_and_step;
-use super::input_format::extension;
+use super::input_format::{InputFormat, extension};
 use super::{ReadError, bi4, vtp};
 
 /// The pieces that a file names, whose particles are its own; none of another format.
@@ -11,8 +11,8 @@ use super::{ReadError, bi4, vtp};
 /// # Errors
 /// [`ReadError`] where the file cannot be read.
 pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    match extension(path).as_deref() {
-        Some("pvtp" | "pvtu") => vtp::parallel::pieces(path),
+    match InputFormat::of(path) {
+        Some(InputFormat::Pvtp) => vtp::parallel::pieces(path),
         _ => Ok(Vec::new()),
     }
 }

@@ -19,6 +19,8 @@ use super::wanted::GHOSTS;
 const LEFT_OUT: i64 = 1 | 8 | 32;
 /// Number of a cell that is a vertex.
 pub(super) const VERTEX: i64 = 1;
+/// Number of a cell of several vertices, the last of those without length.
+pub(super) const POLY_VERTEX: i64 = 2;
 
 /// Whether an array under the cells' data can be flags.
 pub(super) fn is_flag(name: &str, components: usize, scalar: Scalar) -> bool {

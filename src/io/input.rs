@@ -17,7 +17,7 @@ macro_rules! known {
             $hdf5,
             ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
-            ".vtp, .vtu, .xyz, and .gz, .xz or .zst after any of them"
+            ".vtm, .vtp, .vtpc, .vtpd, .vtu, .xyz, and .gz, .xz or .zst after any of them"
         )
     };
 }

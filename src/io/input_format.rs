@@ -29,7 +29,7 @@ pub enum InputFormat {
     Npz,
     /// Stanford's .ply.
     Ply,
-    /// Parallel VTK, .pvtp and .pvtu.
+    /// VTK's lists of files: .pvtp and .pvtu of pieces, .vtm, .vtpd and .vtpc of blocks.
     Pvtp,
     /// Legacy VTK.
     Vtk,
@@ -54,7 +54,7 @@ impl InputFormat {
             "npy" => Self::Npy,
             "npz" => Self::Npz,
             "ply" => Self::Ply,
-            "pvtp" | "pvtu" => Self::Pvtp,
+            "pvtp" | "pvtu" | "vtm" | "vtpc" | "vtpd" => Self::Pvtp,
             "vtk" => Self::Vtk,
             "vtp" | "vtu" => Self::Vtp,
             "xyz" => Self::Xyz,

@@ -28,6 +28,23 @@ pub struct Quantity {
     pub columns: Vec<usize>,
 }
 
+/// A name as its program knows it: `%20` is a space.
+pub fn percent_decoded(name: &str) -> String {
+    let mut bytes = Vec::with_capacity(name.len());
+    let mut rest = name.as_bytes();
+    while let [first, tail @ ..] = rest {
+        let code = percent_code(rest);
+        bytes.push(code.unwrap_or(*first));
+        rest = if code.is_some() { &rest[3..] } else { tail };
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn percent_code(bytes: &[u8]) -> Option<u8> {
+    let digits = bytes.strip_prefix(b"%")?.get(..2)?;
+    u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()
+}
+
 /// Names of attributes in a file, no two alike: each as `spelled` says, with underscores behind it
 /// where that is `taken`.
 pub fn told_apart<'a>(

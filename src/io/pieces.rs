@@ -122,11 +122,26 @@ impl Pieces {
         let dropped = self.len - len;
         spans.shrink_to_fit();
         (self.spans, self.len) = (spans, len);
-        self.infos.remove(flags);
-        for numbers in &mut self.numbers {
-            numbers.remove(flags);
-        }
+        self.remove_attribute(flags);
         dropped
+    }
+
+    /// Keeps the attributes for which `keep` holds.
+    pub(super) fn retain_attributes(&mut self, keep: impl Fn(&AttributeInfo) -> bool) {
+        for number in (0..self.infos.len())
+            .rev()
+            .filter(|&number| !keep(&self.infos[number]))
+            .collect::<Vec<_>>()
+        {
+            self.remove_attribute(number);
+        }
+    }
+
+    fn remove_attribute(&mut self, number: usize) {
+        self.infos.remove(number);
+        for numbers in &mut self.numbers {
+            numbers.remove(number);
+        }
     }
 
     /// Cuts the particles of each piece into chunks of no more than `most`.

@@ -64,6 +64,8 @@ pub struct ParticlesInfo {
     pub unselected: usize,
     /// The number of particles that are left out, as copies of those of other pieces.
     pub ghosts: usize,
+    /// Parts of the input that are not read, in words.
+    pub left_out: Vec<String>,
     /// Edges of the simulation's box by the file, which does not say whether it is periodic.
     pub box_size: Option<[f64; 3]>,
     /// The unit of length in metres, by the file.
@@ -232,6 +234,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         particle_type: file.particle_type.clone(),
         unselected: file.unselected,
         ghosts: file.ghosts,
+        left_out: file.left_out.iter().map(ToString::to_string).collect(),
         box_size: file.box_size,
         unit_metres: file.unit_metres,
         memory_bytes: cells.as_ref().and_then(|cells| memory(particles, cells)),

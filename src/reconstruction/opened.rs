@@ -10,7 +10,7 @@ use crate::frame::{Counted, Engine, FrameError};
 use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::MeshFormat;
-use crate::io::{ParticleFile, ReadError};
+use crate::io::{LeftOut, ParticleFile, ReadError};
 use crate::particles::{Metered, Particles};
 use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::control::Stage;
@@ -142,6 +142,15 @@ impl Opened {
         match &self.input {
             Input::Particles { file, .. } => file.unselected,
             Input::Packed(_) => 0,
+        }
+    }
+
+    /// Parts of the input that cannot be read with the others.
+    #[must_use]
+    pub fn left_out(&self) -> &[LeftOut] {
+        match &self.input {
+            Input::Particles { file, .. } => &file.left_out,
+            Input::Packed(_) => &[],
         }
     }
 

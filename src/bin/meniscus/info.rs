@@ -84,6 +84,7 @@ fn describe(info: &Info) -> String {
             values,
             particle_type,
             unselected,
+            left_out,
             box_size,
             unit_metres,
             ..
@@ -95,6 +96,7 @@ fn describe(info: &Info) -> String {
             if *ghosts > 0 {
                 line("left out", format!("{ghosts} ghosts, copies of particles in other pieces"));
             }
+            left_out.iter().for_each(|part| line("left out", part.clone()));
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
             if let Some(edges) = box_size {
                 line("its own box", format!("edges {edges:?}; whether it is periodic is not said"));

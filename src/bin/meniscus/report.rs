@@ -33,6 +33,7 @@ pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
         let all = opened.particles() + opened.unselected();
         notes.say(format!("{} of {all} particles left out by --where", opened.unselected()));
     }
+    opened.left_out().iter().for_each(|part| notes.warn(&format!("left out: {part}")));
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
     }

@@ -3,6 +3,7 @@
 use crate::io::bytes::View;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::ghosts::is_flag;
+use crate::io::names::percent_decoded;
 use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
@@ -320,7 +321,7 @@ impl<'a> Walk<'a> {
         kind: &str,
     ) -> Result<Option<usize>, ReadFault> {
         let tuples = self.tuples()?;
-        let array = self.array(&decoded(name), tuples, components, kind)?;
+        let array = self.array(&percent_decoded(name), tuples, components, kind)?;
         Ok(self.keep(array))
     }
 
@@ -329,7 +330,7 @@ impl<'a> Walk<'a> {
         match *words(&line) {
             ["NULL_ARRAY"] => Ok(()),
             [name, components, tuples, kind] => {
-                let (name, tuples) = (decoded(name), self.count(tuples)?);
+                let (name, tuples) = (percent_decoded(name), self.count(tuples)?);
                 match self.owner {
                     Some(Owner::Points(points)) if tuples != points => {
                         Err(self.fault(format!("{name} has {tuples} tuples for {points} points")))
@@ -516,23 +517,6 @@ fn words(line: &str) -> Vec<&str> {
 
 fn is(word: &str, keyword: &str) -> bool {
     word.eq_ignore_ascii_case(keyword)
-}
-
-/// A name as its program knows it: `%20` is a space.
-fn decoded(name: &str) -> String {
-    let mut bytes = Vec::with_capacity(name.len());
-    let mut rest = name.as_bytes();
-    while let [first, tail @ ..] = rest {
-        let code = name_code(rest);
-        bytes.push(code.unwrap_or(*first));
-        rest = if code.is_some() { &rest[3..] } else { tail };
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
-}
-
-fn name_code(bytes: &[u8]) -> Option<u8> {
-    let digits = bytes.strip_prefix(b"%")?.get(..2)?;
-    u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()
 }
 
 fn scalar_named(name: &str) -> Option<Scalar> {

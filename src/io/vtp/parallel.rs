@@ -1,53 +1,104 @@
-//! VTK's parallel XML: a .pvtp or .pvtu names its pieces, .vtp or .vtu files in other places
-//! relative to it, whose points are one set.
+//! VTK's lists of files: a .pvtp or .pvtu names its pieces, .vtp or .vtu files in other places
+//! relative to it, whose points are one set; the blocks of a .vtm may hold other things too.
 
 use std::collections::{HashMap, HashSet};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use rayon::prelude::*;
 
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
+use crate::io::input_format::{InputFormat, extension};
+use crate::io::names::percent_decoded;
 use crate::io::vertices::Triangles;
 use crate::io::wanted::Wanted;
-use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
+use crate::io::{LeftOut, ParticleFile, Pieces, ReadError, ReadFault, malformed};
+use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::Mesh;
 
 use super::layout::Tag;
-use super::read::{NumberedMesh, counts, read_numbered, read_particles, unless_text};
+use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particles, unless_text};
 
 /// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
 ///
+/// Attributes that some pieces with particles lack are left out, and so are blocks of a .vtm that
+/// hold something else than particles.
+///
 /// # Errors
 /// As [`read_particles`](super::read_particles), each with the piece that it concerns; a missing
-/// piece is [`ReadFault::Io`].
+/// piece is [`ReadFault::Io`]. [`ReadFault::Unsupported`] where no block holds particles.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
     wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    let list = bytes.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))?;
-    let Sources { paths, format } = Sources::parse(path, &list)?;
-    let opened = wanted.pieces.of(paths.len()).max(1) as u64;
+    let fail = |fault| ReadError::new(path, fault);
+    let list = bytes.read_whole(unpacking).map_err(fail)?;
+    let Sources { sources, format } = Sources::parse(path, &list)?;
+    let opened = wanted.pieces.of(sources.len()).max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
-    let open = |(number, piece): (usize, &PathBuf)| {
-        if !wanted.pieces.hold(number) {
-            return Ok(ParticleFile::new(Pieces::default(), format));
+    let open = |(number, source): (usize, &Source)| {
+        if wanted.pieces.hold(number) {
+            source.open(share)
+        } else {
+            Ok(Ok(ParticleFile::new(Pieces::default(), format)))
         }
-        let bytes = open_bytes_within(piece, share)?;
-        read_particles(bytes, share).map_err(|fault| ReadError::new(piece, fault))
     };
     // All are waited for, so that the error is the first piece's.
-    let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
-    let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let read: Vec<_> = sources.par_iter().enumerate().map(open).collect();
+    let (mut files, mut left_out) = (Vec::new(), Vec::new());
+    for read in read {
+        match read? {
+            // Flags need not be in each piece.
+            Ok(file) => files.push(file.without_ghosts()),
+            Err(other) => {
+                left_out.push(other);
+                files.push(ParticleFile::new(Pieces::default(), format));
+            }
+        }
+    }
+    if left_out.len() == files.len() {
+        let blocks: Vec<_> = left_out.iter().take(SHOWN).map(ToString::to_string).collect();
+        let what = format!("none of {} blocks holds particles: {}", files.len(), blocks.join("; "));
+        return Err(fail(ReadFault::Unsupported(what)));
+    }
+    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    left_out.extend(partial);
     let time = files.iter().find_map(|file| file.time);
     let ghosts = files.iter().map(|file| file.ghosts).sum();
     let all = files.into_iter().map(|file| file.particles).collect();
     let particles =
-        Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
-    Ok(ParticleFile { time, ghosts, ..ParticleFile::new(particles, format) })
+        Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&sources[piece].path, fault))?;
+    Ok(ParticleFile { time, ghosts, left_out, ..ParticleFile::new(particles, format) })
+}
+
+/// Blocks that a message names, at the most.
+const SHOWN: usize = 4;
+
+/// Takes attributes away that some of the files with particles lack. Returns these.
+fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
+    let mut partial = Vec::new();
+    let filled = || files.iter().filter(|file| !file.particles.is_empty());
+    let own = |file: &ParticleFile| file.left_out.clone();
+    for left_out in filled().flat_map(own) {
+        if let LeftOut::Attribute(info) = left_out {
+            partial.push(info);
+        }
+    }
+    for info in filled().flat_map(|file| file.particles.attributes()) {
+        let is_shared = filled().all(|file| file.particles.attributes().contains(info));
+        if !is_shared {
+            partial.push(info.clone());
+        }
+    }
+    let mut seen = HashSet::new();
+    partial.retain(|info| seen.insert(info.clone()));
+    for file in files {
+        file.particles.retain_attributes(|info| !seen.contains(info));
+    }
+    partial
 }
 
 /// Whether there are polygons in any piece, or nothing at all in all of them.
@@ -68,12 +119,13 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     Ok(points == 0)
 }
 
-/// The pieces that a .pvtp or .pvtu names.
+/// The pieces that a .pvtp or .pvtu names, or the blocks of a .vtm.
 ///
 /// # Errors
 /// [`ReadError`] where it cannot be read.
 pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    Ok(Sources::parse(path, &open_whole(path)?)?.paths)
+    let sources = Sources::parse(path, &open_whole(path)?)?.sources;
+    Ok(sources.into_iter().map(|source| source.path).collect())
 }
 
 /// Reads the triangles of all pieces as one mesh. Vertices of different pieces are one where the
@@ -146,66 +198,184 @@ impl Joined {
     }
 }
 
-/// The pieces' paths.
+/// A file that a list names.
+struct Source {
+    path: PathBuf,
+    /// The name of a block, which may hold anything.
+    block: Option<String>,
+}
+
+impl Source {
+    /// Reads the particles, or says what a block holds instead.
+    fn open(&self, unpacking: Unpacking) -> Result<Result<ParticleFile, LeftOut>, ReadError> {
+        let fail = |fault| ReadError::new(&self.path, fault);
+        let open = || open_bytes_within(&self.path, unpacking);
+        let Some(name) = &self.block else {
+            return read_particles(open()?, unpacking).map(Ok).map_err(fail);
+        };
+        let read = match extension(&self.path).as_deref() {
+            Some("vtp" | "vtu") => read_block(open()?, unpacking).map_err(fail)?,
+            other => Err(format!("data of the format .{}", other.unwrap_or_default())),
+        };
+        Ok(read.map_err(|holds| LeftOut::Block { name: name.clone(), holds }))
+    }
+}
+
+/// The files that a list names, and those of lists among them.
 struct Sources {
-    paths: Vec<PathBuf>,
+    sources: Vec<Source>,
     format: &'static str,
 }
 
+/// Lists within lists, at the most.
+const MOST_NESTED: usize = 8;
+
 impl Sources {
     fn parse(path: &Path, bytes: &[u8]) -> Result<Self, ReadError> {
-        let fail = |fault| ReadError::new(path, fault);
-        let (names, format) = names(bytes).map_err(fail)?;
-        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut all = Self { sources: Vec::new(), format: "" };
         let mut seen = HashSet::new();
-        if let Some(twice) = names.iter().find(|name| !seen.insert(*name)) {
-            return Err(fail(malformed(0, format!("the piece {twice} is named twice"))));
+        all.format = all.add(path, bytes, &mut seen, 0)?;
+        Ok(all)
+    }
+
+    /// Adds the files that a list names. Returns its format.
+    fn add(
+        &mut self,
+        path: &Path,
+        bytes: &[u8],
+        seen: &mut HashSet<PathBuf>,
+        depth: usize,
+    ) -> Result<&'static str, ReadError> {
+        let fail = |fault| ReadError::new(path, fault);
+        let List { files, format } = List::parse(bytes).map_err(fail)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        for File { name, block } in files {
+            let path = resolved(folder, &name);
+            if !seen.insert(path.clone()) {
+                return Err(fail(malformed(0, format!("the piece {name} is named twice"))));
+            }
+            let is_list = InputFormat::of(&path) == Some(InputFormat::Pvtp);
+            if block.is_none() || !is_list {
+                self.sources.push(Source { path, block });
+            } else if depth == MOST_NESTED {
+                let what = format!("more than {MOST_NESTED} lists within lists");
+                return Err(fail(ReadFault::Unsupported(what)));
+            } else {
+                self.add(&path, &open_whole(&path)?, seen, depth + 1)?;
+            }
         }
-        Ok(Self { paths: names.iter().map(|name| folder.join(name)).collect(), format })
+        Ok(format)
     }
 }
 
-/// The pieces' names, and what they are.
-fn names(bytes: &[u8]) -> Result<(Vec<String>, &'static str), ReadFault> {
-    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-        return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
-    }
-    let mut xml = Reader::from_reader(bytes);
-    let (mut names, mut format) = (Vec::new(), None);
-    loop {
-        let at = xml.buffer_position() as usize;
-        let event = xml
-            .read_event()
-            .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
-        let tag = match &event {
-            Event::Start(tag) | Event::Empty(tag) => Tag { tag, at },
-            Event::Eof => break,
-            _ => continue,
-        };
-        match tag.tag.name().as_ref() {
-            "VTKFile" => {
-                let kind = tag.value("type")?.unwrap_or_default();
-                format = Some(match kind.as_str() {
-                    "PPolyData" => "VTK XML .pvtp",
-                    "PUnstructuredGrid" => "VTK XML .pvtu",
-                    _ => {
-                        let what = "points are read from PPolyData and PUnstructuredGrid";
-                        return Err(ReadFault::Unsupported(format!(
-                            "a data set of type {kind:?}; {what}"
-                        )));
-                    }
-                });
+/// The place of a file that a list in `folder` names. Names may be written as on Windows or with
+/// codes as in a URL: the first spelling counts by which a file is there.
+fn resolved(folder: &Path, name: &str) -> PathBuf {
+    let slashed = name.replace('\\', "/");
+    let decoded = [percent_decoded(name), percent_decoded(&slashed)];
+    let spellings = [name, &slashed, &decoded[0], &decoded[1]];
+    let path = |spelling: &&str| without_dots(&folder.join(spelling));
+    // Most names have one spelling, and the system is not asked.
+    let differ = spellings.iter().any(|spelling| *spelling != name);
+    let found = spellings.iter().map(path).find(|path| !differ || path.exists());
+    found.unwrap_or_else(|| path(&spellings[1]))
+}
+
+/// A path without `.`, and without `..` where that is the same place.
+fn without_dots(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        let folder = matches!(plain.components().next_back(), Some(Component::Normal(_)));
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if folder => {
+                plain.pop();
             }
-            "Piece" => {
-                let source = tag.value("Source")?.filter(|source| !source.is_empty());
-                names.push(source.ok_or_else(|| malformed(at, "a piece without a Source"))?);
-            }
-            _ => {}
+            part => plain.push(part),
         }
     }
-    let format = format.ok_or_else(|| malformed(0, "no <VTKFile>"))?;
-    if names.is_empty() {
-        return Err(malformed(0, "it names no pieces"));
+    let same = |path: &Path| path.canonicalize().ok();
+    let has_parents = path.components().any(|part| part == Component::ParentDir);
+    // A link may lead elsewhere.
+    if has_parents && same(path) != same(&plain) { path.to_owned() } else { plain }
+}
+
+/// A list as it is written.
+struct List {
+    files: Vec<File>,
+    format: &'static str,
+}
+
+/// A file by the name that a list gives it.
+struct File {
+    name: String,
+    block: Option<String>,
+}
+
+impl List {
+    fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
+        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+            return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
+        }
+        let mut xml = Reader::from_reader(bytes);
+        let (mut files, mut format) = (Vec::new(), None);
+        loop {
+            let at = xml.buffer_position() as usize;
+            let event = xml
+                .read_event()
+                .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
+            let tag = match &event {
+                Event::Start(tag) | Event::Empty(tag) => Tag { tag, at },
+                Event::Eof => break,
+                _ => continue,
+            };
+            match (tag.tag.name().as_ref(), format) {
+                ("VTKFile", _) => format = Some(Format::of(&tag)?),
+                ("Piece", Some(Format { blocks: false, .. })) => {
+                    let name = tag.value("Source")?.filter(|source| !source.is_empty());
+                    let name = name.ok_or_else(|| malformed(at, "a piece without a Source"))?;
+                    files.push(File { name, block: None });
+                }
+                // An empty block has no file.
+                ("DataSet", Some(Format { blocks: true, .. })) => {
+                    if let Some(name) = tag.value("file")?.filter(|name| !name.is_empty()) {
+                        let block = tag.value("name")?.unwrap_or_else(|| name.clone());
+                        files.push(File { name, block: Some(block) });
+                    }
+                }
+                _ => {}
+            }
+        }
+        let Format { name, .. } = format.ok_or_else(|| malformed(0, "no <VTKFile>"))?;
+        if files.is_empty() {
+            return Err(malformed(0, "it names no pieces"));
+        }
+        Ok(Self { files, format: name })
     }
-    Ok((names, format))
+}
+
+/// A kind of list.
+#[derive(Clone, Copy)]
+struct Format {
+    name: &'static str,
+    /// Whether its files are blocks, which may hold anything.
+    blocks: bool,
+}
+
+impl Format {
+    fn of(tag: &Tag) -> Result<Self, ReadFault> {
+        let kind = tag.value("type")?.unwrap_or_default();
+        let (name, blocks) = match kind.as_str() {
+            "PPolyData" => ("VTK XML .pvtp", false),
+            "PUnstructuredGrid" => ("VTK XML .pvtu", false),
+            "vtkMultiBlockDataSet" => ("VTK XML .vtm", true),
+            "vtkPartitionedDataSet" => ("VTK XML .vtpd", true),
+            "vtkPartitionedDataSetCollection" => ("VTK XML .vtpc", true),
+            _ => {
+                let what = "points are read from PPolyData, PUnstructuredGrid and lists of blocks";
+                return Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")));
+            }
+        };
+        Ok(Self { name, blocks })
+    }
 }

@@ -7,7 +7,7 @@ use memchr::memmem;
 
 use crate::io::bytes::{Bytes, Unpacking, View, unpacked_limit};
 use crate::io::columns::{Column, Scalar};
-use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, append, is_flag};
+use crate::io::ghosts::{POLY_VERTEX, VERTEX, VertexCells, VertexPoints, append, is_flag};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::wanted::GHOSTS;
 use crate::io::{LeftOut, ParticleFile, ReadFault, malformed};
@@ -33,9 +33,45 @@ use super::layout::{Array, DataSet, HEAD, Layout, Piece, Section};
 /// LZMA, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they
 /// are decoded into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    points(unless_encoded(bytes, unpacking)?, unpacking)
+}
+
+/// The bytes where they are, or read as a whole where arrays are text, encoded or compressed.
+fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_raw(&Layout::parse(view)?);
-    points(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) }, unpacking)
+    Ok(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
+}
+
+/// Reads a block that may hold something else than particles: then what it holds.
+///
+/// # Errors
+/// As [`read_particles`], but for meshes.
+pub(super) fn read_block(
+    bytes: Bytes,
+    unpacking: Unpacking,
+) -> Result<Result<ParticleFile, String>, ReadFault> {
+    let bytes = unless_encoded(bytes, unpacking)?;
+    match other_contents(&Layout::parse(bytes.view())?)? {
+        Some(other) => Ok(Err(other)),
+        None => points(bytes, unpacking).map(Ok),
+    }
+}
+
+/// Contents of a data set whose cells are not all points.
+fn other_contents(layout: &Layout) -> Result<Option<String>, ReadFault> {
+    if layout.faces() > 0 {
+        return Ok(Some(format!("a mesh of {} faces", layout.faces())));
+    }
+    if layout.pieces.iter().any(|piece| piece.lines > 0) {
+        return Ok(Some("lines".to_owned()));
+    }
+    let mut decoder = Decoder::new(layout, Unpacking::in_memory());
+    let mut others = 0;
+    for types in layout.pieces.iter().filter_map(|piece| piece.array(Section::Cells, "types")) {
+        decoder.each_integer(types, |_, kind| others += u64::from(kind > POLY_VERTEX))?;
+    }
+    Ok((others > 0).then(|| format!("{others} cells that are no points")))
 }
 
 /// Whether all has to be read to find what is where: there are texts in the XML, or what is behind
