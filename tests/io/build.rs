@@ -6,6 +6,7 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::Compression;
 use flate2::write::{GzEncoder, ZlibEncoder};
+use lzma_rust2::{XzOptions, XzWriter};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -16,6 +17,19 @@ pub fn tuples(count: usize) -> Vec<[f64; 3]> {
 
 pub fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(bytes).expect("memory takes all");
+    encoder.finish().expect("memory takes all")
+}
+
+pub fn zlib(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(bytes).expect("memory takes all");
+    encoder.finish().expect("memory takes all")
+}
+
+pub fn xz(bytes: &[u8]) -> Vec<u8> {
+    let options = XzOptions::with_preset(0);
+    let mut encoder = XzWriter::new(Vec::new(), options).expect("memory takes all");
     encoder.write_all(bytes).expect("memory takes all");
     encoder.finish().expect("memory takes all")
 }
@@ -88,11 +102,20 @@ pub enum Placed {
     AppendedBase64,
 }
 
+/// How blocks of a .vtu or .vtp are compressed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Compressor {
+    None,
+    Zlib,
+    Lz4,
+    Lzma,
+}
+
 /// How a .vtu or .vtp is laid out.
 #[derive(Clone, Copy, Debug)]
 pub struct VtkXml {
     pub placed: Placed,
-    pub zlib: bool,
+    pub compressor: Compressor,
     pub big: bool,
     pub wide: bool,
 }
@@ -101,13 +124,19 @@ impl VtkXml {
     pub fn all() -> Vec<Self> {
         let mut all = Vec::new();
         for placed in [Placed::Ascii, Placed::Base64, Placed::AppendedRaw, Placed::AppendedBase64] {
-            for zlib in [false, true] {
-                for big in [false, true] {
-                    all.extend([false, true].map(|wide| Self { placed, zlib, big, wide }));
+            for [big, wide] in [[false; 2], [false, true], [true, false], [true; 2]] {
+                let layout = |compressor| Self { placed, compressor, big, wide };
+                all.extend([Compressor::None, Compressor::Zlib].map(layout));
+                if placed != Placed::Ascii && big != wide {
+                    all.extend([Compressor::Lz4, Compressor::Lzma].map(layout));
                 }
             }
         }
         all
+    }
+
+    pub fn is_compressed(self) -> bool {
+        self.compressor != Compressor::None
     }
 
     /// Points with ids and twice as large velocities, at time 1.5.
@@ -143,7 +172,12 @@ impl VtkXml {
         let velocity = array("Name=\"velocity\" NumberOfComponents=\"3\"", "Float32", &doubled);
         let id = array("Name=\"id\"", "Int32", &ids);
         let position = array("Name=\"Points\" NumberOfComponents=\"3\"", "Float32", flat);
-        let compressor = if self.zlib { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
+        let compressor = match self.compressor {
+            Compressor::None => "",
+            Compressor::Zlib => " compressor=\"vtkZLibDataCompressor\"",
+            Compressor::Lz4 => " compressor=\"vtkLZ4DataCompressor\"",
+            Compressor::Lzma => " compressor=\"vtkLZMADataCompressor\"",
+        };
         let mut bytes = format!(
             "<?xml version=\"1.0\"?>\n\
              <VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"{}Endian\" \
@@ -188,15 +222,15 @@ impl VtkXml {
     /// The header, and the data as they follow it.
     fn packed(self, data: &[u8]) -> [Vec<u8>; 2] {
         const BLOCK: usize = 32;
-        if !self.zlib {
+        if !self.is_compressed() {
             return [self.length(data.len()), data.to_vec()];
         }
         let blocks: Vec<Vec<u8>> = data
             .chunks(BLOCK)
-            .map(|block| {
-                let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
-                encoder.write_all(block).expect("memory takes all");
-                encoder.finish().expect("memory takes all")
+            .map(|block| match self.compressor {
+                Compressor::Lz4 => lz4_flex::block::compress(block),
+                Compressor::Lzma => xz(block),
+                _ => zlib(block),
             })
             .collect();
         let lengths = [blocks.len(), BLOCK, data.len() % BLOCK];
@@ -207,7 +241,7 @@ impl VtkXml {
     /// A compressed array's header is encoded on its own.
     fn base64(self, data: &[u8]) -> String {
         let [header, data] = self.packed(data);
-        match self.zlib {
+        match self.is_compressed() {
             true => BASE64_STANDARD.encode(header) + &BASE64_STANDARD.encode(data),
             false => BASE64_STANDARD.encode([header, data].concat()),
         }
