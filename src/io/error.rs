@@ -113,12 +113,17 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
     ReadFault::Malformed { at: at as u64, what: what.into() }
 }
 
-/// Refuses to take several frames of a file for one.
-pub(super) fn a_sequence(first: u64, last: u64) -> ReadFault {
+/// Refuses to take several steps for one frame.
+pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
         "steps {first} to {last}: several frames; append #{first} to the name for one of them"
     );
     ReadFault::Unsupported(what)
+}
+
+/// Refuses a step that a file does not hold.
+pub(super) fn no_step(step: u64) -> ReadFault {
+    ReadFault::Unsupported(format!("there is no step {step}"))
 }
 
 /// A file that could not be written. Nothing is left of it.

@@ -73,6 +73,7 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
     match reader {
         Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
+        Reader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
         Reader::Pieces(open) => open(path, bytes, wanted, unpacking),
     }
 }
@@ -82,10 +83,10 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
 pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     let cut = path.to_str().and_then(|text| {
         let (file, step) = text.rsplit_once('#')?;
-        use InputFormat::{Csv, Hdf5, Lammps, Xyz};
+        use InputFormat::{Csv, Hdf5, Lammps, Npy, Npz, Xyz};
         let file = Path::new(file);
         let holds_steps = match InputFormat::of(file) {
-            Some(format) => matches!(format, Csv | Hdf5 | Lammps | Xyz),
+            Some(format) => matches!(format, Csv | Hdf5 | Lammps | Npy | Npz | Xyz),
             // Its format is named, not its extension.
             None => file.is_file() && !path.exists(),
         };
@@ -106,6 +107,12 @@ pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
         #[cfg(feature = "hdf5")]
         Some(InputFormat::Hdf5) => {
             super::h5::steps(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
+        }
+        Some(InputFormat::Npy) => {
+            npy::steps(open_bytes(path)?.view()).map_err(|fault| ReadError::new(path, fault))
+        }
+        Some(InputFormat::Npz) => {
+            npz::steps(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
         }
         _ => Ok(Vec::new()),
     }
@@ -150,6 +157,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
 
 enum Reader {
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
+    /// A frame of arrays that may hold several.
+    Arrays(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// Frame by frame, or all of a file that is one.
     Steps(StepReader),
     /// The file may be one of several.
@@ -179,8 +188,8 @@ fn reader(format: InputFormat) -> Reader {
         Csv | Lammps | Xyz => Reader::Steps(text_format::open_particles),
         Hdf5 => Reader::Steps(HDF5),
         Json => Reader::OneFile(json::read_particles),
-        Npy => Reader::OneFile(|bytes, _| npy::read_particles(bytes)),
-        Npz => Reader::OneFile(npz::read_particles),
+        Npy => Reader::Arrays(|bytes, step, _| npy::read_particles(bytes, step)),
+        Npz => Reader::Arrays(npz::read_particles),
         Ply => Reader::OneFile(ply::read_particles),
         Pvtp => Reader::Pieces(vtp::parallel::open_particles),
         Vtk => Reader::OneFile(vtk::read_particles),

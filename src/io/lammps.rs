@@ -5,7 +5,7 @@
 //! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
 
 use super::bytes::{Bytes, Unpacking, View};
-use super::error::a_sequence;
+use super::error::several_steps;
 use super::table::{Cell, Named, Separator, Syntax, Table, excerpt, names_of};
 use super::text::TextLines;
 use super::wanted::WantedAttributes;
@@ -71,7 +71,7 @@ pub(super) fn read(
             if Step::next(&mut lines)?.is_some() {
                 let steps = steps(view)?;
                 let (first, last) = (steps.first(), steps.last());
-                return Err(a_sequence(*first.unwrap_or(&0), *last.unwrap_or(&0)));
+                return Err(several_steps(*first.unwrap_or(&0), *last.unwrap_or(&0)));
             }
             only
         }

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 /// Names that a position may have, the likeliest first. The empty name is that of plain `x`, `y`,
 /// `z`.
-const POSITION: [&str; 11] = [
+const POSITION: [&str; 25] = [
     "",
     "points",
     "point",
@@ -14,9 +14,23 @@ const POSITION: [&str; 11] = [
     "positions",
     "p",
     "coordinates",
+    "coordinate",
     "coords",
     "coord",
+    "xyz",
+    "location",
+    "locations",
+    "loc",
+    "particle_position",
+    "particle_positions",
+    "particle_pos",
+    "particle_q",
+    "particles",
+    "xp",
+    "x_p",
+    "p_x",
     "x",
+    "r",
 ];
 
 /// One quantity of a table.
@@ -92,10 +106,19 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
             _ => all.push(Quantity { name: (*name).to_owned(), columns: vec![column] }),
         }
     }
+    let is_upper =
+        |q: &Quantity| names[q.columns[0]].chars().any(|letter| letter.is_ascii_uppercase());
     let position = POSITION.iter().find_map(|position| {
-        all.iter().position(|q| q.columns.len() == 3 && q.name.eq_ignore_ascii_case(position))
+        let called = |q: &Quantity| q.columns.len() == 3 && q.name.eq_ignore_ascii_case(position);
+        // Beside a current position `x`, `X` is that of the reference configuration.
+        let all = || all.iter().enumerate().filter(|(_, q)| called(q));
+        all().find(|(_, q)| !is_upper(q)).or_else(|| all().next()).map(|(index, _)| index)
     })?;
-    Some((all.remove(position), all))
+    let position = all.remove(position);
+    for unnamed in all.iter_mut().filter(|q| q.name.is_empty()) {
+        unnamed.name = unnamed.columns.iter().map(|&column| names[column]).collect();
+    }
+    Some((position, all))
 }
 
 fn without_unit(name: &str) -> &str {
@@ -104,18 +127,17 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem says too whether axes are letters
-/// or digits.
-fn component(name: &str) -> Option<((&str, bool), usize)> {
+/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem comes with the spelling of its
+/// first axis: `x`, `X` or `0`.
+fn component(name: &str) -> Option<((&str, char), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;
     let stem = &name[..name.len() - last.len_utf8()];
     match last {
-        'x' | 'X' => Some(((stem, false), 0)),
-        'y' | 'Y' => Some(((stem, false), 1)),
-        'z' | 'Z' => Some(((stem, false), 2)),
+        'x'..='z' => Some(((stem, 'x'), last as usize - 'x' as usize)),
+        'X'..='Z' => Some(((stem, 'X'), last as usize - 'X' as usize)),
         '0'..='2' if stem.ends_with(['.', ':', '_', '-', '[', ' ']) => {
-            Some(((stem, true), last as usize - '0' as usize))
+            Some(((stem, '0'), last as usize - '0' as usize))
         }
         _ => None,
     }

@@ -1,45 +1,91 @@
-//! NumPy's .npy: an N x 3 array of f32 or f64, in either byte order and either order of its axes.
+//! NumPy's .npy: positions of f32 or f64 in an array of shape (N, 3), (3, N) or, for several frames,
+//! (T, N, 3), or in a structured array, in either byte order and either order of its axes.
 //!
 //! The header is a Python dictionary. It is read by the few rules that NumPy's own writer follows,
 //! since a general parser of literals can be made to run for hours by a kilobyte of brackets.
 
+use crate::particles::AttributeInfo;
+
 use super::bytes::{Bytes, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
+use super::fields::{Arrangement, Axes, Field, Found, Place, arrange, shown};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Reads the header; the array stays where it is.
+/// Name that an array of positions would have among others.
+pub(super) const POSITION: &str = "pos";
+/// Members of a structure that are read.
+const MOST_MEMBERS: usize = 1 << 10;
+
+/// Reads the header; the array stays where it is. `step` is the number of a frame, where the array
+/// holds several.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for any other shape or element, [`ReadFault::Malformed`] and
-/// [`ReadFault::Truncated`] for a header that does not parse or does not fit the file.
-pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+/// [`ReadFault::Unsupported`] for any other shape or element and for a frame that has to be chosen
+/// or is not there, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a header that does
+/// not parse or does not fit the file.
+pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, ReadFault> {
     let header = Header::read(bytes.view())?;
-    header.expect_position()?;
-    let [rows, 3] = header.shape[..] else {
-        let shape = shown(&header.shape);
-        return Err(ReadFault::Unsupported(format!(
-            "an array of shape {shape}; particles are (N, 3)"
-        )));
+    let fields = header.fields(POSITION);
+    let arranged = arrange(&fields)?.ok_or_else(|| header.no_position())?;
+    let frame = arranged.frame(step)?;
+    let Arrangement { rows, axes, position, attributes, .. } = arranged;
+    for place in &position.places {
+        header.expect_position(place.field)?;
+    }
+    header.expect_elements(bytes.view())?;
+    let columns = |found: &Found| -> Vec<Column> {
+        let column = |place: &Place| {
+            header.column(header.start, place.field, axes[place.field], frame, place.component)
+        };
+        found.places.iter().map(column).collect()
     };
-    let mut cursor = Cursor::new(bytes.view(), header.start, Endian::Little);
-    cursor.skip("the array", rows, 3 * header.element_bytes())?;
-    let position = [0, 1, 2].map(|axis| header.column(header.start, axis));
+    let attributes = attributes.iter().map(|found| {
+        let info = AttributeInfo { name: found.name.clone(), components: found.places.len() };
+        (info, columns(found))
+    });
+    let attributes = attributes.collect();
+    let position = columns(&position).try_into().expect("found with three");
     let particles: ColumnStore =
-        ColumnStore::new(bytes, Rows::All(rows as usize), position, Vec::new());
+        ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
     Ok(ParticleFile::new(particles, "NumPy .npy"))
+}
+
+/// The numbers of the frames in an array of several; none of one frame.
+///
+/// # Errors
+/// As [`read_particles`], for a header that does not parse or does not fit the file.
+pub fn steps(bytes: View) -> Result<Vec<u64>, ReadFault> {
+    let header = Header::read(bytes)?;
+    let Some(arranged) = arrange(&header.fields(POSITION))? else { return Ok(Vec::new()) };
+    header.expect_elements(bytes)?;
+    Ok(arranged.steps())
 }
 
 /// The contents of an array's header.
 pub(super) struct Header {
-    /// None for objects, texts and the like.
-    element: Option<(Endian, Scalar)>,
+    /// The numbers in an element: one, or those of a structure that are known.
+    members: Vec<Member>,
+    /// Width of an element; 0 of objects, texts and the like.
+    element_bytes: u64,
     /// The element as NumPy spells it.
     descr: String,
     pub shape: Vec<u64>,
     fortran: bool,
     /// Offset of the first element, in bytes from the start of the header.
     pub start: usize,
+}
+
+/// Numbers in every element of an array.
+struct Member {
+    /// Empty for an array of numbers.
+    name: String,
+    endian: Endian,
+    scalar: Scalar,
+    /// Sizes of the axes that the structure gives it.
+    shape: Vec<u64>,
+    /// Bytes from the start of the element.
+    offset: u64,
 }
 
 impl Header {
@@ -66,69 +112,166 @@ impl Header {
             value_of(&header, key)
                 .ok_or_else(|| malformed(at, format!("the header has no '{key}'")))
         };
-        let descr = descr(value("descr")?).to_owned();
+        let descr = value("descr")?;
+        let (descr, members, element_bytes) = match descr.starts_with('[') {
+            true => {
+                let (members, bytes) = structure(descr).unwrap_or_default();
+                ("of a structure".to_owned(), members, bytes)
+            }
+            false => {
+                let name = quoted(descr).map_or("of a structure", |(name, _)| name);
+                let element = element(name);
+                let member = element.map(|(endian, scalar)| Member {
+                    name: String::new(),
+                    endian,
+                    scalar,
+                    shape: Vec::new(),
+                    offset: 0,
+                });
+                let bytes = element.map_or(0, |(_, scalar)| scalar.size() as u64);
+                (name.to_owned(), member.into_iter().collect(), bytes)
+            }
+        };
         let fortran = match value("fortran_order")? {
             order if order.starts_with("False") => false,
             order if order.starts_with("True") => true,
             _ => return Err(malformed(at, "'fortran_order' is neither True nor False")),
         };
         let shape = shape(value("shape")?, at)?;
-        Ok(Self { element: element(&descr), descr, shape, fortran, start: cursor.at() })
+        Ok(Self { members, element_bytes, descr, shape, fortran, start: cursor.at() })
     }
 
-    /// Whether the elements are numbers.
+    /// Whether the elements are numbers, or structures with some.
     pub fn is_numeric(&self) -> bool {
-        self.element.is_some()
+        !self.members.is_empty()
     }
 
-    /// Makes sure that the elements may be positions.
-    pub fn expect_position(&self) -> Result<(), ReadFault> {
-        match self.element {
-            Some((_, Scalar::F32 | Scalar::F64)) => Ok(()),
-            _ => Err(ReadFault::Unsupported(format!(
-                "elements {}; positions are read from float32 and float64 (.astype(np.float32))",
-                self.descr
-            ))),
+    /// Whether the elements are structures.
+    pub fn is_structured(&self) -> bool {
+        self.members.iter().any(|member| !member.name.is_empty())
+    }
+
+    /// Whether the elements are objects of Python, which the file holds as that pickles them.
+    pub fn is_pickled(&self) -> bool {
+        self.descr.ends_with('O')
+    }
+
+    /// The arrays of numbers in this one, which is called `name`.
+    pub fn fields(&self, name: &str) -> Vec<Field> {
+        let fields = self.members.iter().map(|member| Field {
+            name: if member.name.is_empty() { name.to_owned() } else { member.name.clone() },
+            shape: self.shape.iter().chain(&member.shape).copied().collect(),
+        });
+        fields.collect()
+    }
+
+    /// Makes sure that the numbers of a field may be positions.
+    pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
+        match self.members.get(field).map(|member| member.scalar) {
+            Some(Scalar::F32 | Scalar::F64) => Ok(()),
+            _ => Err(self.no_numbers()),
         }
     }
 
-    /// Width of an element; 0 where they are no numbers.
-    pub fn element_bytes(&self) -> u64 {
-        self.element.map_or(0, |(_, scalar)| scalar.size() as u64)
+    /// Says that the elements are no positions, and what would be.
+    fn no_numbers(&self) -> ReadFault {
+        ReadFault::Unsupported(match self.is_pickled() {
+            true => "pickled objects of Python, which are not read; save an array of numbers, of \
+                     shape (N, 3)"
+                .to_owned(),
+            false => format!(
+                "elements {}; positions are read from float32 and float64 (.astype(np.float32))",
+                self.descr
+            ),
+        })
     }
 
-    /// Numbers in every row.
-    pub fn components(&self) -> u64 {
-        self.shape
-            .get(1..)
-            .unwrap_or_default()
-            .iter()
-            .fold(1, |product, &size| product.saturating_mul(size))
+    /// Says why the array holds no positions, and what to save instead.
+    fn no_position(&self) -> ReadFault {
+        let remedy = match self.shape[..] {
+            _ if !self.is_numeric() => return self.no_numbers(),
+            _ if self.is_structured() => {
+                let fields = self.fields("").into_iter().take(20);
+                let fields: Vec<_> =
+                    fields.map(|field| format!("{} {}", field.name, shown(&field.shape))).collect();
+                let fields = fields.join(", ");
+                return ReadFault::Unsupported(format!(
+                    "a structured array without x, y and z or pos; its fields are: {fields}"
+                ));
+            }
+            [_, 2] => "add a column of zeros: np.pad(a, ((0, 0), (0, 1)))",
+            [_, 4..=u64::MAX] => "save the columns of x, y and z, such as a[:, :3]",
+            [_] => "reshape it, such as a.reshape(-1, 3)",
+            _ => "save an array of that shape",
+        };
+        let shape = shown(&self.shape);
+        ReadFault::Unsupported(format!(
+            "an array of shape {shape}; particles are (N, 3), (3, N) or in frames (T, N, 3): \
+             {remedy}"
+        ))
+    }
+
+    /// Number of elements.
+    fn elements(&self) -> u64 {
+        self.shape.iter().fold(1, |product: u64, &size| product.saturating_mul(size))
     }
 
     /// Bytes of all elements.
     pub fn data_bytes(&self) -> u64 {
-        self.shape.iter().fold(self.element_bytes(), |product, &size| product.saturating_mul(size))
+        self.elements().saturating_mul(self.element_bytes)
     }
 
-    /// Number `component` of every row, where the first element lies at byte `at`. Only where the
+    /// Refuses a header that announces more than `bytes` hold.
+    fn expect_elements(&self, bytes: View) -> Result<(), ReadFault> {
+        let mut cursor = Cursor::new(bytes, self.start, Endian::Little);
+        cursor.skip("the array", self.elements(), self.element_bytes).map(|_| ())
+    }
+
+    /// A component of a field in a frame, where the first element lies at byte `at`. Only where the
     /// data were found to be there.
-    pub fn column(&self, at: usize, component: usize) -> Column {
-        let (endian, scalar) = self.element.unwrap_or((Endian::Little, Scalar::U8));
-        let size = scalar.size();
-        let (stride, step) = match self.fortran {
-            false => (self.components() as usize * size, size),
-            true => (size, self.shape.first().map_or(0, |&rows| rows as usize * size)),
+    pub fn column(
+        &self,
+        at: usize,
+        field: usize,
+        axes: Axes,
+        frame: u64,
+        component: usize,
+    ) -> Column {
+        let member = &self.members[field];
+        let strides = self.strides(member);
+        let sizes: Vec<usize> =
+            self.shape.iter().chain(&member.shape).map(|&size| size as usize).collect();
+        let (rows, components, frame) = match axes {
+            Axes::Particles => (0, 1..sizes.len(), 0),
+            Axes::Components => (1, 0..1, 0),
+            Axes::Frames => (1, 2..sizes.len(), frame as usize * strides[0]),
         };
-        Column { offset: at + component * step, stride, scalar, endian }
+        let (mut offset, mut left) = (at + member.offset as usize + frame, component);
+        for axis in components.rev() {
+            offset += left % sizes[axis] * strides[axis];
+            left /= sizes[axis];
+        }
+        Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
     }
-}
 
-/// A shape as Python writes it.
-pub(super) fn shown(shape: &[u64]) -> String {
-    match shape {
-        [one] => format!("({one},)"),
-        _ => format!("({})", shape.iter().map(u64::to_string).collect::<Vec<_>>().join(", ")),
+    /// Bytes from one number to the next along each axis.
+    fn strides(&self, member: &Member) -> Vec<usize> {
+        fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
+            let mut strides = vec![0; sizes.len()];
+            let mut next = bytes as usize;
+            let mut place = |axis: usize| {
+                strides[axis] = next;
+                next = next.saturating_mul(sizes[axis] as usize);
+            };
+            match fortran {
+                true => (0..sizes.len()).for_each(&mut place),
+                false => (0..sizes.len()).rev().for_each(&mut place),
+            }
+            strides
+        }
+        let mut strides = running(self.element_bytes, &self.shape, self.fortran);
+        strides.extend(running(member.scalar.size() as u64, &member.shape, false));
+        strides
     }
 }
 
@@ -140,12 +283,61 @@ fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     })
 }
 
-/// Returns the text between the quotes of `'<f4'` and the like.
-fn descr(descr: &str) -> &str {
-    let mut parts = descr.splitn(3, ['\'', '"']);
-    match (parts.next(), parts.next(), parts.next()) {
-        (Some(""), Some(name), Some(_)) => name,
-        _ => "of a structure",
+/// Splits off the text between the quotes that `text` begins with.
+fn quoted(text: &str) -> Option<(&str, &str)> {
+    let quote = text.chars().next().filter(|quote| matches!(quote, '\'' | '"'))?;
+    text[1..].split_once(quote)
+}
+
+/// The members of `[('x', '<f4'), ('pos', '<f8', (3,))]` that are numbers, and the bytes of all;
+/// `None` for structures in structures, and for objects.
+fn structure(descr: &str) -> Option<(Vec<Member>, u64)> {
+    let skip = |text: &'_ str, mark: char| -> Option<usize> {
+        let rest = text.trim_start().strip_prefix(mark)?.trim_start();
+        Some(text.len() - rest.len())
+    };
+    let (mut members, mut bytes) = (Vec::new(), 0u64);
+    let mut rest = &descr[1..];
+    for _ in 0..MOST_MEMBERS {
+        rest = &rest[skip(rest, '(')?..];
+        let (name, after) = quoted(rest)?;
+        let (kind, after) = quoted(&after[skip(after, ',')?..])?;
+        let after = after.trim_start();
+        let (sizes, after) = match after.strip_prefix(')') {
+            Some(after) => (Vec::new(), after),
+            None => {
+                let sizes = &after[skip(after, ',')?..];
+                let (_, after) = sizes.split_once(')')?;
+                (shape(sizes, 0).ok()?, &after[skip(after, ')')?..])
+            }
+        };
+        let size = item_bytes(kind)?;
+        let all = sizes.iter().try_fold(size, |product, &size| product.checked_mul(size))?;
+        if let Some((endian, scalar)) = element(kind).filter(|_| !name.is_empty()) {
+            let name = name.to_owned();
+            members.push(Member { name, endian, scalar, shape: sizes, offset: bytes });
+        }
+        bytes = bytes.checked_add(all)?;
+        rest = after.trim_start();
+        match rest.strip_prefix(',').unwrap_or(rest).trim_start() {
+            end if end.starts_with(']') => return Some((members, bytes)),
+            more => rest = more,
+        }
+    }
+    None
+}
+
+/// Bytes of an element of a type as NumPy spells it, such as `<f4`, `|S5` or `|V8`.
+fn item_bytes(kind: &str) -> Option<u64> {
+    let kind = kind.trim_start_matches(['<', '>', '|', '=']);
+    let (letter, size) = kind.split_at_checked(1)?;
+    let size: u64 = size.split('[').next()?.parse().ok()?;
+    match letter {
+        "U" => size.checked_mul(4),
+        "i" | "u" | "f" | "c" | "b" | "S" | "a" | "V" | "m" | "M" => {
+            Some(if matches!(letter, "m" | "M") { 8 } else { size })
+        }
+        _ => None,
     }
 }
 

@@ -12,19 +12,20 @@ use crate::particles::AttributeInfo;
 
 use super::bytes::{Bytes, Kept, Passing, Unpacked, Unpacking, unpacked_limit};
 use super::columns::{Column, ColumnStore, Rows};
-use super::names::{Quantity, quantities};
-use super::npy::{Header, shown};
+use super::fields::{Arrangement, Field, Found, Place, arrange, only_vector, shown};
+use super::npy::{Header, POSITION};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
 /// No header of an array of numbers is longer.
 const LONGEST_HEADER: u64 = 1 << 16;
-/// Wider rows are no value of a particle.
-const MOST_COMPONENTS: u64 = 64;
+/// Arrays that an error lists.
+const LISTED: usize = 20;
 
-/// Reads the arrays' headers and finds the position among them: an array (N, 3) called `pos`,
-/// `position`, `x` or the like, three arrays `x`, `y`, `z`, or the only one that is (N, 3).
+/// Reads the arrays' headers and finds the position among them: an array (N, 3), (3, N) or, for
+/// several frames, (T, N, 3), called `pos`, `position`, `x` or the like, three arrays `x`, `y`,
+/// `z`, or the only vector that has no name of another quantity. `step` is the number of a frame.
 ///
 /// Every other array of N rows of numbers is an attribute; `vx`, `vy` and `vz` are one.
 ///
@@ -33,29 +34,32 @@ const MOST_COMPONENTS: u64 = 64;
 /// [`ReadFault::Unsupported`] where no position is found, and for compression and encryption that
 /// are not known; [`ReadFault::Malformed`] for arrays that do not parse or fit;
 /// [`ReadFault::Scratch`] where they are unpacked into a scratch file that fails.
-pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+pub fn read_particles(
+    bytes: Bytes,
+    step: Option<u64>,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
     let arrays = unless_changed(&bytes, arrays(&bytes))?;
-    let (position, others) = position_among(&arrays)?;
-    let rows = arrays[position.columns[0].array].header.shape[0];
-    let fits = |place: &Place| arrays[place.array].header.shape[0] == rows;
-    if !position.columns.iter().all(fits) {
-        return Err(malformed(0, format!("the arrays of {} differ in length", position.name)));
+    let contents = Contents::of(&arrays);
+    let arranged = contents.arranged()?.ok_or_else(|| no_position(&arrays, &contents))?;
+    let frame = arranged.frame(step)?;
+    let Arrangement { rows, axes, position, attributes, .. } = arranged;
+    for place in &position.places {
+        let (array, member) = contents.sources[place.field];
+        arrays[array].header.expect_position(member)?;
     }
-    for place in &position.columns {
-        arrays[place.array].header.expect_position()?;
-    }
-    let attributes: Vec<_> = others.into_iter().filter(|q| q.columns.iter().all(fits)).collect();
-
     let mut needed = vec![false; arrays.len()];
-    for place in position.columns.iter().chain(attributes.iter().flat_map(|q| &q.columns)) {
-        needed[place.array] = true;
+    for place in position.places.iter().chain(attributes.iter().flat_map(|found| &found.places)) {
+        needed[contents.sources[place.field].0] = true;
     }
     let (unpacked, starts) = unless_changed(&bytes, unpack(&bytes, &arrays, &needed, unpacking))?;
     let column = |place: &Place| {
-        let header = &arrays[place.array].header;
-        header.column(starts[place.array] + header.start, place.component)
+        let (array, member) = contents.sources[place.field];
+        let header = &arrays[array].header;
+        let at = starts[array] + header.start;
+        header.column(at, member, axes[place.field], frame, place.component)
     };
-    let columns = |found: &Found| found.columns.iter().map(column).collect::<Vec<_>>();
+    let columns = |found: &Found| found.places.iter().map(column).collect::<Vec<_>>();
     let position: [Column; 3] = columns(&position).try_into().expect("found with three");
     let attributes = attributes.iter().map(|found| {
         let columns = columns(found);
@@ -68,7 +72,17 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
 
-/// An array of numbers in rows.
+/// The numbers of the frames in an archive whose arrays hold several; none of one frame.
+///
+/// # Errors
+/// As [`read_particles`], for an archive whose headers cannot be read.
+pub fn steps(bytes: &Bytes) -> Result<Vec<u64>, ReadFault> {
+    let arrays = unless_changed(bytes, arrays(bytes))?;
+    let arranged = Contents::of(&arrays).arranged()?;
+    Ok(arranged.map_or(Vec::new(), |arranged| arranged.steps()))
+}
+
+/// An array, of numbers or of what is not read.
 struct Array {
     name: String,
     /// The array's number in the archive.
@@ -80,17 +94,71 @@ struct Array {
     bytes: u64,
 }
 
-/// A column of an array.
-#[derive(Clone, Copy)]
-struct Place {
-    array: usize,
-    component: usize,
+/// The numbers in all arrays.
+struct Contents {
+    fields: Vec<Field>,
+    /// Of each field the number of its array, and that of the member there.
+    sources: Vec<(usize, usize)>,
 }
 
-/// One quantity, and where its components are.
-struct Found {
-    name: String,
-    columns: Vec<Place>,
+impl Contents {
+    fn of(arrays: &[Array]) -> Self {
+        let (mut fields, mut sources) = (Vec::new(), Vec::new());
+        let structures = arrays.iter().filter(|array| array.header.is_structured()).count();
+        for (number, Array { name, header, .. }) in arrays.iter().enumerate() {
+            for (member, mut field) in header.fields(name).into_iter().enumerate() {
+                if field.shape.is_empty() {
+                    continue;
+                }
+                // Whose positions are meant is not known where several structures have some.
+                if header.is_structured() && structures > 1 {
+                    field.name = format!("{name}.{}", field.name);
+                }
+                fields.push(field);
+                sources.push((number, member));
+            }
+        }
+        Self { fields, sources }
+    }
+
+    fn arranged(&self) -> Result<Option<Arrangement>, ReadFault> {
+        if let Some(arranged) = arrange(&self.fields)? {
+            return Ok(Some(arranged));
+        }
+        let Some(only) = only_vector(&self.fields) else { return Ok(None) };
+        let mut fields = self.fields.clone();
+        fields[only].name = POSITION.to_owned();
+        arrange(&fields)
+    }
+}
+
+/// Says what the archive holds, and what to save instead.
+fn no_position(arrays: &[Array], contents: &Contents) -> ReadFault {
+    let list = |all: Vec<String>| {
+        let more = all.len().saturating_sub(LISTED);
+        let listed = all.into_iter().take(LISTED).collect::<Vec<_>>().join(", ");
+        match (listed.is_empty(), more) {
+            (true, _) => "none".to_owned(),
+            (_, 0) => listed,
+            _ => format!("{listed} and {more} more"),
+        }
+    };
+    let numbers = contents.fields.iter().map(|f| format!("{} {}", f.name, shown(&f.shape)));
+    let numbers = list(numbers.collect());
+    let pickled = arrays.iter().filter(|array| array.header.is_pickled());
+    let pickled: Vec<_> = pickled.map(|array| array.name.clone()).collect();
+    let mut what = format!(
+        "no array of positions; save it as pos, of shape (N, 3). Arrays of numbers: {numbers}"
+    );
+    if !pickled.is_empty() {
+        let is_pysph = ["particles", "solver_data"].iter().all(|n| pickled.iter().any(|p| p == n));
+        what += &format!(". Pickled objects of Python, which are not read: {}", list(pickled));
+        if is_pysph {
+            what += ". It is of PySPH, which writes HDF5 where h5py is installed; \
+                     pysph.solver.output.dump with a name that ends in .hdf5 converts it";
+        }
+    }
+    ReadFault::Unsupported(what)
 }
 
 type Archive<'a> = ZipArchive<Passing<'a>>;
@@ -116,7 +184,7 @@ fn fault(error: ZipError) -> ReadFault {
     }
 }
 
-/// All arrays of numbers that have rows of values.
+/// All arrays, of which those of numbers are as long as their headers say.
 fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
     let mut archive = archive(bytes)?;
     let mut arrays = Vec::new();
@@ -134,70 +202,14 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
             ReadFault::Unsupported(_) => fault,
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
         })?;
-        let components = header.components();
-        if !header.is_numeric()
-            || header.shape.is_empty()
-            || !(1..=MOST_COMPONENTS).contains(&components)
+        if header.is_numeric() && header.data_bytes().checked_add(header.start as u64) != Some(size)
         {
-            continue;
-        }
-        if header.data_bytes().checked_add(header.start as u64) != Some(size) {
             let what = format!("array {name} of shape {} has {size} bytes", shown(&header.shape));
             return Err(malformed(stored_at.unwrap_or(0) as usize, what));
         }
         arrays.push(Array { name, entry, header, stored_at, bytes: size });
     }
     Ok(arrays)
-}
-
-/// The position, and all that is not.
-fn position_among(arrays: &[Array]) -> Result<(Found, Vec<Found>), ReadFault> {
-    // A vector's columns are named so that they belong together.
-    let mut names = Vec::new();
-    let mut places = Vec::new();
-    let mut others = Vec::new();
-    for (array, Array { name, header, .. }) in arrays.iter().enumerate() {
-        let components = header.components() as usize;
-        let columns = (0..components).map(|component| Place { array, component });
-        match components {
-            1 => names.push(name.clone()),
-            3 => names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}"))),
-            _ => {
-                others.push(Found { name: name.clone(), columns: columns.collect() });
-                continue;
-            }
-        }
-        places.extend(columns);
-    }
-    let found = |q: Quantity| Found {
-        name: q.name,
-        columns: q.columns.iter().map(|&c| places[c]).collect(),
-    };
-    if let Some((position, rest)) = quantities(&names) {
-        return Ok((found(position), rest.into_iter().map(found).chain(others).collect()));
-    }
-    let vectors: Vec<_> =
-        (0..arrays.len()).filter(|&array| arrays[array].header.components() == 3).collect();
-    let [array] = vectors[..] else {
-        let listed = arrays.iter().map(|a| format!("{} {}", a.name, shown(&a.header.shape)));
-        let listed: Vec<_> = listed.take(20).collect();
-        let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
-        let what = format!(
-            "no array of positions; save it as pos, of shape (N, 3). Arrays of numbers: {listed}"
-        );
-        return Err(ReadFault::Unsupported(what));
-    };
-    let columns = [0, 1, 2].map(|component| Place { array, component }).to_vec();
-    let alone = arrays
-        .iter()
-        .enumerate()
-        .filter(|(other, a)| *other != array && a.header.components() == 1);
-    let alone = alone.map(|(array, a)| Found {
-        name: a.name.clone(),
-        columns: vec![Place { array, component: 0 }],
-    });
-    let others = alone.chain(others).collect();
-    Ok((Found { name: arrays[array].name.clone(), columns }, others))
 }
 
 /// Verifies what is needed. Returns where each array starts, in the file or in what had to be

@@ -7,7 +7,7 @@
 
 use super::bytes::{Bytes, Unpacking, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::error::a_sequence;
+use super::error::several_steps;
 use super::table::unnamed_columns;
 use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
 use super::text::TextLines;
@@ -123,7 +123,7 @@ pub(super) fn read(
     let none = || ReadFault::Unsupported(format!("there is no frame {number}; the first is 0"));
     let frame = frame.ok_or_else(none)?;
     if step.is_none() && Frame::next(&mut lines)?.is_some() {
-        return Err(a_sequence(0, steps(view)?.len() as u64 - 1));
+        return Err(several_steps(0, steps(view)?.len() as u64 - 1));
     }
     view.check()?;
     frame.read(number, bytes, wanted, unpacking)

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use meniscus::internals::io::bytes::Unpacking;
-use meniscus::internals::io::input::{open_particles, steps};
+use meniscus::internals::io::input::{open_particles, open_wanted, steps};
 use meniscus::internals::io::wanted::Wanted;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
 use meniscus::internals::particles::Particles;
@@ -37,7 +37,7 @@ fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
     assert_eq!(attribute(&two, "v"), v);
     assert_eq!(attribute(&two, "id")[59], 59.0);
 
-    for (name, says) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no Step#1")] {
+    for (name, says) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no step 1")] {
         let error = open(name).unwrap_err();
         assert!(
             matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)),
@@ -66,6 +66,69 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     );
 }
 
+fn names(file: &ParticleFile) -> Vec<(&str, usize)> {
+    file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect()
+}
+
+/// The points that all files are made of, moved along all axes.
+fn points(by: f64) -> Vec<[f64; 3]> {
+    let exact = positions(&open("steps.h5part#0").unwrap());
+    exact.into_iter().map(|point| point.map(|x| x + by)).collect()
+}
+
+#[test]
+fn a_table_has_a_column_for_each_member_that_is_a_number() {
+    let table = open("table.h5").unwrap();
+    assert_eq!(names(&table), [("id", 1), ("velocity", 3)]);
+    let expected: Vec<_> =
+        points(0.0).iter().map(|&[x, y, z]| [x as f32 as f64, y, z as f32 as f64]).collect();
+    assert_eq!(positions(&table), expected);
+    let doubled: Vec<f32> = points(0.0).as_flattened().iter().map(|x| (2.0 * x) as f32).collect();
+    assert_eq!((attribute(&table, "velocity"), attribute(&table, "id")[59]), (doubled, 59.0));
+}
+
+#[test]
+fn components_along_the_first_axis_are_read_as_well() {
+    let columns = open("columns.h5").unwrap();
+    assert_eq!((positions(&columns), columns.time), (points(0.0), Some(0.5)));
+    // The reference configuration is no position.
+    assert_eq!(names(&columns), [("X", 3), ("v", 3), ("C", 9)]);
+    let doubled: Vec<f32> = points(0.0).as_flattened().iter().map(|x| (2.0 * x) as f32).collect();
+    assert_eq!(attribute(&columns, "v"), doubled);
+}
+
+#[test]
+fn frames_of_h5md_have_the_particles_that_are_there_and_what_was_stored_with_them() {
+    assert_eq!(steps(&data("h5md.h5")).unwrap(), [0, 1, 2]);
+    let [one, two] = ["h5md.h5#1", "h5md.h5#2"].map(|name| open(name).unwrap());
+    assert_eq!((one.time, one.box_size), (Some(0.5), Some([1.0, 2.0, 3.0])));
+    assert_eq!(positions(&two), points(2.0));
+    let mut present = points(1.0);
+    present.drain(7..9);
+    assert_eq!(positions(&one), present);
+    assert_eq!(names(&two), [("mass", 1), ("id", 1), ("velocity", 3)]);
+    let error = open("h5md.h5#3").unwrap_err();
+    assert!(matches!(error.fault, ReadFault::Unsupported(_)), "{error}");
+}
+
+#[test]
+fn of_several_groups_of_particles_one_has_to_be_named() {
+    assert_eq!(steps(&data("groups.h5")).unwrap(), [3, 20]);
+    let open = |particle_type| {
+        let wanted = Wanted { particle_type, ..Wanted::default() };
+        open_wanted(&data("groups.h5#20"), wanted, Unpacking::in_memory())
+    };
+    let error = open(None).unwrap_err();
+    assert!(
+        matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("sand, wall")),
+        "{error}"
+    );
+    let sand = open(Some("sand")).unwrap();
+    assert_eq!((positions(&sand), sand.time), (points(20.0), Some(5.0)));
+    assert_eq!(open(Some("ParticleTypes/wall")).unwrap().particles.len(), 4);
+    assert!(open(Some("PartType0")).is_err());
+}
+
 #[test]
 fn more_rows_than_the_file_vouches_for_are_refused() {
     let error = open("huge.h5").unwrap_err();
@@ -74,13 +137,13 @@ fn more_rows_than_the_file_vouches_for_are_refused() {
 
 #[test]
 fn damage_is_an_error_or_other_values_but_never_a_panic() {
-    for name in ["steps.h5part", "packed.h5"] {
+    for name in ["steps.h5part", "packed.h5", "table.h5", "columns.h5", "h5md.h5"] {
         let whole = fs::read(data(name)).unwrap();
         let read = |bytes: Vec<u8>| {
             h5::open_particles(
                 Path::new(name),
                 bytes.into(),
-                Some(2).filter(|_| name.starts_with("steps")),
+                Some(2).filter(|_| matches!(name, "steps.h5part" | "h5md.h5")),
                 Wanted::default(),
                 Unpacking::in_memory(),
             )

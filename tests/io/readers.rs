@@ -32,7 +32,8 @@ const TEXT: Reader = |bytes| read_text(bytes, InputFormat::Csv, None, WantedAttr
 const XYZ: Reader = |bytes| read_text(bytes, InputFormat::Xyz, None, WantedAttributes::All);
 const VTK: Reader = |bytes| vtk::read_particles(bytes, Unpacking::in_memory());
 const VTU: Reader = |bytes| vtp::read_particles(bytes, Unpacking::in_memory());
-const NPZ: Reader = |bytes| npz::read_particles(bytes, Unpacking::in_memory());
+const NPY: Reader = |bytes| npy::read_particles(bytes, None);
+const NPZ: Reader = |bytes| npz::read_particles(bytes, None, Unpacking::in_memory());
 
 fn read_text(
     bytes: Bytes,
@@ -83,7 +84,7 @@ fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     ];
     for descr in ["<f4", "<f8", ">f4", ">f8"] {
         for fortran in [false, true] {
-            samples.push(("npy", npy::read_particles, build::npy(&points, descr, fortran)));
+            samples.push(("npy", NPY, build::npy(&points, descr, fortran)));
         }
     }
     for big in [false, true] {
@@ -115,7 +116,7 @@ fn a_particle_alone_reads_back_whatever_the_order_of_its_axes() {
     let points = tuples(1);
     for descr in ["<f4", "<f8", ">f4", ">f8"] {
         for fortran in [false, true] {
-            let file = read(npy::read_particles, &build::npy(&points, descr, fortran));
+            let file = read(NPY, &build::npy(&points, descr, fortran));
             assert_eq!(positions(&file.unwrap()), points, "{descr}, in Fortran's order: {fortran}");
         }
     }
@@ -262,8 +263,8 @@ fn no_particles_are_no_error() {
     let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1, piece: 0 };
     let empty: [(Reader, Vec<u8>); 5] = [
         (bgeo::read_particles, build::bgeo(&[])),
-        (npy::read_particles, build::npy(&[], "<f4", false)),
-        (npy::read_particles, build::npy(&[], "<f4", true)),
+        (NPY, build::npy(&[], "<f4", false)),
+        (NPY, build::npy(&[], "<f4", true)),
         (bi4::read_particles, layout.build(&[])),
         (TEXT, b"# nobody here\n\n".to_vec()),
     ];
@@ -481,6 +482,61 @@ fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
 }
 
 #[test]
+fn an_array_of_frames_is_read_frame_by_frame_and_components_may_come_first() {
+    let points = tuples(6);
+    let numbers = |values: &[f64]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+    let array = |shape: &str, values: &[f64]| {
+        [build::npy_header("<f8", false, shape), numbers(values)].concat()
+    };
+    let of = |points: &[[f64; 3]]| points.as_flattened().to_vec();
+    let frames = array("(2, 3, 3)", &of(&points));
+    for (step, expected) in [(0, &points[..3]), (1, &points[3..])] {
+        let npy = npy::read_particles(frames.clone().into(), Some(step)).unwrap();
+        assert_eq!(positions(&npy), expected);
+        let numbers = build::npz(
+            &[("pos", frames.clone()), ("mass", array("(3,)", &[1.0, 2.0, 3.0]))],
+            CompressionMethod::Deflated,
+        );
+        let npz = npz::read_particles(numbers.into(), Some(step), Unpacking::in_memory()).unwrap();
+        assert_eq!((positions(&npz), attributes(&npz)), (expected.to_vec(), vec![("mass", 1)]));
+    }
+    for step in [None, Some(2)] {
+        let fault = npy::read_particles(frames.clone().into(), step).unwrap_err();
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+    }
+    let apart: Vec<f64> = (0..3).flat_map(|axis| points.iter().map(move |p| p[axis])).collect();
+    assert_eq!(positions(&read(NPY, &array("(3, 6)", &apart)).unwrap()), points);
+    assert_eq!(positions(&read(NPY, &array("(1, 6, 3)", &of(&points))).unwrap()), points);
+}
+
+#[test]
+fn fields_of_a_structured_array_are_quantities() {
+    let header = build::npy_header("<f4", false, "(2,)");
+    let header = String::from_utf8_lossy(&header[10..]).into_owned();
+    let kinds = "[('id', '<u2'), ('pos', '>f4', (3,)), ('name', '|S2'), ('v', '<f8')]";
+    let text = header.replace("'<f4'", kinds);
+    let length = (text.len() as u16).to_le_bytes();
+    let mut bytes = [b"\x93NUMPY\x01\x00", &length[..], text.as_bytes()].concat();
+    for row in [1.0f32, 2.0] {
+        bytes.extend((row as u16).to_le_bytes());
+        [row, 3.0, 4.0].iter().for_each(|x| bytes.extend(x.to_be_bytes()));
+        bytes.extend(b"ab");
+        bytes.extend(f64::from(10.0 * row).to_le_bytes());
+    }
+    for (reader, bytes) in [
+        (NPY, bytes.clone()),
+        (NPZ, build::npz(&[("table", bytes.clone())], CompressionMethod::Stored)),
+    ] {
+        let file = read(reader, &bytes).unwrap();
+        assert_eq!(positions(&file), [[1.0, 3.0, 4.0], [2.0, 3.0, 4.0]]);
+        assert_eq!(attributes(&file), [("id", 1), ("v", 1)]);
+        assert_eq!(attribute(&file, "v"), [10.0, 20.0]);
+    }
+    let two = build::npz(&[("a", bytes.clone()), ("b", bytes)], CompressionMethod::Stored);
+    assert!(matches!(read(NPZ, &two), Err(ReadFault::Unsupported(_))));
+}
+
+#[test]
 fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
     let folder = tempfile::tempdir().unwrap();
     let points = tuples(9);
@@ -609,10 +665,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
     }
     for rows in [1 << 31, 1 << 63, u64::MAX] {
         for fortran in [false, true] {
-            cases.push((
-                npy::read_particles,
-                build::npy_header("<f8", fortran, &format!("({rows}, 3)")),
-            ));
+            cases.push((NPY, build::npy_header("<f8", fortran, &format!("({rows}, 3)"))));
         }
     }
     for wide in [false, true] {
@@ -752,11 +805,11 @@ fn what_is_not_read_says_what_to_do() {
     let cases: [(Reader, Vec<u8>, &str); 9] = [
         (bgeo::read_particles, b"\x7fNSJ\x00\x00".to_vec(), ".bhclassic"),
         (bgeo::read_particles, b"scf1\x00\x00".to_vec(), "hclassic"),
-        (npy::read_particles, build::npy_header("|O", false, "(2, 3)"), "elements |O"),
-        (npy::read_particles, build::npy_header("<i8", false, "(2, 3)"), "float32"),
-        (npy::read_particles, build::npy_header("<f4", false, "(2, 4)"), "shape (2, 4)"),
-        (npy::read_particles, build::npy_header("<f4", false, "(6,)"), "shape (6,)"),
-        (npy::read_particles, build::npy_header("<f4", false, "()"), "shape ()"),
+        (NPY, build::npy_header("|O", false, "(2, 3)"), "pickled"),
+        (NPY, build::npy_header("<i8", false, "(2, 3)"), "float32"),
+        (NPY, build::npy_header("<f4", false, "(2, 4)"), "shape (2, 4)"),
+        (NPY, build::npy_header("<f4", false, "(6,)"), "shape (6,)"),
+        (NPY, build::npy_header("<f4", false, "()"), "shape ()"),
         (bi4::read_particles, of_pieces.build(&points), "one of 3 pieces"),
         (bi4::read_particles, info, "Part_0000.bi4"),
     ];

@@ -25,3 +25,41 @@ with h5py.File(f"{folder}/packed.h5", "w", libver="latest") as file:
 # As many rows as no file of this size can hold.
 with h5py.File(f"{folder}/huge.h5", "w") as file:
     file.create_dataset("pos", shape=(1 << 40, 3), chunks=(1024, 3), dtype="f8")
+# A table of a compound type, as CB-Geo MPM and PyTables write them, in packed chunks.
+kinds = [("id", "u2"), ("coord_x", "f4"), ("coord_y", "f8"), ("coord_z", ">f4"), ("velocity", "f4", 3), ("name", "S3")]
+table = np.zeros(60, kinds)
+table["id"] = np.arange(60)
+for axis, name in enumerate("xyz"):
+    table[f"coord_{name}"] = points[:, axis]
+table["velocity"] = 2 * points
+with h5py.File(f"{folder}/table.h5", "w", libver="latest") as file:
+    file.create_dataset("mpm/particles", data=table, chunks=(16,), compression="gzip")
+# Components along the first axis, as Taichi and MATLAB write them.
+with h5py.File(f"{folder}/columns.h5", "w", libver="latest") as file:
+    file["x"] = points.T
+    file.create_dataset("v", data=2 * points.T, chunks=(2, 25), compression="lzf")
+    file["C"] = np.zeros((9, 60), "i1")
+    file["X"] = np.zeros((3, 60), "f4")
+    file["time"] = [[0.5]]
+# H5MD: three frames, of which the second has two particles fewer.
+with h5py.File(f"{folder}/h5md.h5", "w", libver="latest") as file:
+    file.create_group("h5md").attrs["version"] = [1, 1]
+    fluid = file.create_group("particles/fluid")
+    fluid["box/edges"] = [1.0, 2.0, 3.0]
+    steps, times = np.array([0, 100, 200]), np.array([0, 0.5, 1])
+    ids = np.tile(np.arange(60), (3, 1))
+    ids[1, 7:9] = -1
+    frames = points + np.arange(3)[:, None, None]
+    for name, values in (("position", frames), ("velocity", 2 * frames), ("id", ids)):
+        element = fluid.create_group(name)
+        element.create_dataset("value", data=values, chunks=(2, *values.shape[1:]), compression="gzip")
+        element["step"], element["time"] = steps, times
+    fluid["force/value"], fluid["force/step"] = np.zeros((3, 60, 3), "i1"), [0, 1, 2]
+    fluid["mass"] = np.ones(60)
+# Frames in groups of two kinds of particles each, as EDEM writes them.
+with h5py.File(f"{folder}/groups.h5", "w", libver="latest") as file:
+    for number in (3, 20):
+        frame = file.create_group(f"TimestepData/{number}")
+        frame.attrs["time"] = number / 4
+        frame["ParticleTypes/sand/position"] = points + number
+        frame["ParticleTypes/wall/position"] = np.zeros((4, 3), "f4")

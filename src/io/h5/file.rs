@@ -7,10 +7,13 @@ use hdf5_reader::error::{Error, Result as Parsed};
 use hdf5_reader::group::Group;
 use hdf5_reader::messages::HdfMessage;
 use hdf5_reader::messages::layout::DataLayout;
-use hdf5_reader::{Dataset, Hdf5File, OpenOptions, Storage, StorageBuffer};
+use hdf5_reader::{Dataset, FilterRegistry, Hdf5File, OpenOptions, Storage, StorageBuffer};
 
 use crate::io::bytes::{Bytes, Unpacking, unpacked_limit};
 use crate::io::{ReadFault, malformed};
+
+use super::lzf;
+use super::table::{Array, Part, scalar};
 
 /// Names under which the time of a step or a file may be stored.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
@@ -32,10 +35,13 @@ impl<'a> File<'a> {
     pub fn open(bytes: Bytes, unpacking: Unpacking<'a>) -> Result<Self, ReadFault> {
         let limit = unpacked_limit(bytes.view().len() as u64);
         let most = usize::try_from(limit).unwrap_or(usize::MAX);
+        let mut filters = FilterRegistry::new();
+        filters.register(lzf::ID, Box::new(|_, packed, _| lzf::unpack(packed)));
         let options = OpenOptions::default()
             .with_chunk_cache_bytes((unpacking.in_memory / 4).min(CHUNKS) as usize)
             .with_max_chunk_bytes(most)
-            .with_max_read_bytes(most);
+            .with_max_read_bytes(most)
+            .with_filter_registry(filters);
         let bytes = Arc::new(bytes);
         let storage = Arc::new(Ranges(Arc::clone(&bytes)));
         let hdf = checked(Hdf5File::from_storage_with_options(storage, options))?;
@@ -88,17 +94,70 @@ impl<'a> File<'a> {
     }
 }
 
+/// Numbers and names of filters that are not read.
+const FILTERS: [(&str, &str); 8] = [
+    ("305", "LZO"),
+    ("307", "bzip2"),
+    ("32001", "Blosc"),
+    ("32004", "LZ4"),
+    ("32008", "bitshuffle"),
+    ("32013", "ZFP"),
+    ("32015", "Zstandard"),
+    ("32026", "Blosc2"),
+];
+
 /// The library's errors as faults of the file.
 pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     parsed.map_err(|error| match error {
         Error::Io(fault) => ReadFault::Io(fault),
-        other => malformed(0, other.to_string()),
+        other => filter_in(&other).unwrap_or_else(|| malformed(0, other.to_string())),
     })
+}
+
+/// Refuses a filter that is not read, where that is what an error is of.
+fn filter_in(error: &Error) -> Option<ReadFault> {
+    match error {
+        Error::Context { source, .. } => filter_in(source),
+        Error::UnsupportedFilter(which) => {
+            let name = FILTERS.iter().find(|(number, _)| which.ends_with(&format!(" {number}")));
+            let name = name.map_or(&**which, |(_, name)| name);
+            Some(ReadFault::Unsupported(format!(
+                "HDF5 compressed by {name}; gzip and LZF are read: rewrite it, such as by \
+                 h5repack -f GZIP=4 OLD NEW"
+            )))
+        }
+        _ => None,
+    }
 }
 
 /// The time that a group says in an attribute.
 pub(super) fn time_of(group: &Group) -> Option<f64> {
     TIMES.iter().find_map(|name| number(group, name)).filter(|time| time.is_finite())
+}
+
+/// The time that a group says in a data set: one for all, or one for each of so many frames.
+pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> {
+    let (_, sets) = group.member_names().ok()?;
+    let set = TIMES.iter().chain(&["times"]).find_map(|name| {
+        let name = sets.iter().find(|set| *set == name)?;
+        group.dataset(name).ok()
+    })?;
+    let (frame, frames) = frame.unwrap_or((0, 1));
+    let numbers = set.num_elements().ok()?;
+    number_of(set, frame).filter(|time| numbers == frames && time.is_finite())
+}
+
+/// A number in a data set that has no more than one long axis.
+pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
+    let rows = match *set.shape() {
+        [] | [1, 1] => 1,
+        [rows] => rows,
+        _ => return None,
+    };
+    let number = scalar(set.dtype())?;
+    let array = Array::of(Arc::new(set), String::new(), number, rows, 1, Part::Row);
+    let numbers = (index < rows).then(|| array.doubles([index, index + 1]).ok())??;
+    numbers.first().copied()
 }
 
 /// A number in a group's attribute.

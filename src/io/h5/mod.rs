@@ -6,12 +6,17 @@
 //! | openPMD | the attribute `openPMD` of the root | its iterations |
 //! | SWIFT and GADGET | groups `Header` and `PartType0` to `PartType6` | one, in one file or in several |
 //! | PySPH | groups `particles` and `solver_data` | one |
-//! | H5Part, and tables | groups `Step#12`, or data sets of equal length at the root | its steps |
+//! | H5Part | groups `Step#12` | its steps |
+//! | H5MD, and others | data sets of equal length or a table, in a group | groups `frame_12`, or an axis |
 //!
 //! `sim.h5part#12` names one of several frames. The library that parses the file is bounded: no
 //! header, chunk or run of rows is read that the file's size does not vouch for.
 
+mod contents;
 mod file;
+mod groups;
+mod h5md;
+mod lzf;
 mod openpmd;
 mod pysph;
 mod snapshot;
@@ -30,13 +35,13 @@ use super::{ParticleFile, ReadError, ReadFault};
 use file::File;
 pub use snapshot::pieces_of;
 
-/// Layouts of a file, but for that of tables, which all others are told from.
+/// Layouts of a file; a file without one of the others is searched for groups of particles.
 enum Layout {
     VtkHdf,
     OpenPmd,
     Snapshot,
     PySph,
-    Table,
+    Groups,
 }
 
 impl Layout {
@@ -53,7 +58,7 @@ impl Layout {
         } else if has(pysph::PARTICLES) && has(pysph::SOLVER) {
             Self::PySph
         } else {
-            Self::Table
+            Self::Groups
         })
     }
 }
@@ -87,7 +92,7 @@ pub fn open_particles(
         Layout::OpenPmd => openpmd::read_particles(file, step, wanted).map_err(fail),
         Layout::Snapshot => snapshot::open_particles(path, file, wanted, unpacking),
         Layout::PySph => pysph::read_particles(file, wanted).map_err(fail),
-        Layout::Table => steps::read_particles(file, step, wanted.attributes).map_err(fail),
+        Layout::Groups => steps::read_particles(file, step, wanted).map_err(fail),
     }
 }
 
@@ -101,7 +106,7 @@ pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
         Layout::VtkHdf => vtkhdf::steps(&file),
         Layout::OpenPmd => openpmd::steps(&file),
         Layout::Snapshot | Layout::PySph => Ok(Vec::new()),
-        Layout::Table => steps::steps(&file),
+        Layout::Groups => steps::steps(&file),
     }
 }
 

@@ -10,13 +10,13 @@ use hdf5_reader::group::Group;
 use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
+use crate::io::error::several_steps;
 use crate::io::vertices::columns;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::file::{File, checked, number, numbers, time_of};
-use super::steps::a_sequence;
 use super::table::chosen_type;
 use super::table::{Array, Windows, fault_of};
 
@@ -55,7 +55,7 @@ pub fn read_particles(
         }
         (None, [only]) => *only,
         (None, []) => return Err(malformed(0, "no iterations")),
-        (None, [first, .., last]) => return Err(a_sequence(*first, *last)),
+        (None, [first, .., last]) => return Err(several_steps(*first, *last)),
     };
     let root = file.root()?;
     let (groups, _) = checked(iterations(&root)?.member_names())?;

@@ -52,5 +52,5 @@ fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
             attributes.push((info(&array.name, array.components), places));
         }
     }
-    Ok(Table { position: places(position), attributes, arrays })
+    Ok(Table { arrays, position: places(position), attributes, present: None })
 }

@@ -1,97 +1,162 @@
-//! The steps of H5Part, groups `Step#12` with one data set a quantity, or such data sets at the
-//! file's root.
+//! Particles in groups of any name, and frames: groups with numbers such as H5Part's `Step#12`, or
+//! the first axis of the arrays.
 
 use hdf5_reader::group::Group;
 
-pub(super) use crate::io::error::a_sequence;
-use crate::io::names::{Quantity, quantities};
-use crate::io::wanted::WantedAttributes;
-use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::particles::AttributeInfo;
+use crate::io::error::{no_step, several_steps};
+use crate::io::wanted::Wanted;
+use crate::io::{ParticleFile, ReadFault};
 
-use super::file::{File, checked, time_of};
-use super::table::{Array, Place, Table};
+use super::file::{File, checked, time_of, times_in};
+use super::groups::Search;
 
 /// Prefix of the names of H5Part's groups.
-const STEP: &str = "Step#";
+const STEP: &str = "step#";
+/// Words before the number of a group that is a frame, in lower case.
+const WORDS: [&str; 14] = [
+    "step",
+    "timestep",
+    "time_step",
+    "frame",
+    "iteration",
+    "iter",
+    "cycle",
+    "snapshot",
+    "snap",
+    "time",
+    "t",
+    "output",
+    "state",
+    "dump",
+];
+/// Names of the groups whose groups need no word before the number, in lower case.
+const PARENTS: [&str; 12] = [
+    "timestepdata",
+    "timesteps",
+    "steps",
+    "frames",
+    "data",
+    "iterations",
+    "snapshots",
+    "snaps",
+    "results",
+    "times",
+    "timeseries",
+    "trajectory",
+];
 
-/// Reads a step, or what is at the root of a file without steps: data sets of N rows of one or
-/// three numbers, of which `x`, `y` and `z`, or one of three columns called `pos`, `position` or
-/// the like, hold the position. All other ones of N rows are attributes.
+/// Reads a frame: of the group with its number, or of arrays whose first axis counts frames; or all
+/// of a file that is one. Of several groups of particles the one that is `wanted`.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
-    wanted: WantedAttributes,
+    wanted: Wanted,
 ) -> Result<ParticleFile, ReadFault> {
     let root = file.root()?;
-    let group = match (step, &*steps_in(&root)?) {
+    let numbered = numbered(&root, &file)?;
+    let (group, frame) = match (step, &*numbered) {
+        (frame, []) => (root.clone(), frame),
         (Some(step), known) => {
             let found = known.iter().find(|(number, _)| *number == step);
-            let (_, name) =
-                found.ok_or_else(|| ReadFault::Unsupported(format!("there is no {STEP}{step}")))?;
-            checked(root.group(name))?
+            (found.ok_or_else(|| no_step(step))?.1.clone(), None)
         }
-        (None, []) => root.clone(),
-        (None, [(_, name)]) => checked(root.group(name))?,
-        (None, [(first, _), .., (last, _)]) => return Err(a_sequence(*first, *last)),
+        (None, [(_, only)]) => (only.clone(), None),
+        (None, [(first, _), .., (last, _)]) => return Err(several_steps(*first, *last)),
     };
-    let time = [&group, &root].into_iter().find_map(time_of);
-    let table = table(&group)?;
-    drop((group, root));
-    Ok(ParticleFile { time, ..table.read(file, "HDF5", wanted)? })
-}
-
-/// The columns of a group.
-fn table(group: &Group) -> Result<Table, ReadFault> {
-    let (names, arrays) = arrays(group)?;
-    let missing =
-        || ReadFault::Unsupported("no data set of positions, such as x, y and z, or pos".into());
-    let (position, others) = quantities(&names).ok_or_else(missing)?;
-    // Each column's array and component, in the order of the names.
-    let places: Vec<Place> =
-        (0..).zip(&arrays).flat_map(|(i, a)| (0..a.components).map(move |c| (i, c))).collect();
-    let rows = arrays[places[position.columns[0]].0].rows;
-    let fits =
-        |quantity: &Quantity| quantity.columns.iter().all(|&c| arrays[places[c].0].rows == rows);
-    if !fits(&position) {
-        return Err(malformed(0, "the data sets of the position differ in length"));
-    }
-    let places_of =
-        |quantity: &Quantity| quantity.columns.iter().map(|&c| places[c]).collect::<Vec<_>>();
-    let attributes = others.iter().filter(|quantity| fits(quantity)).map(|quantity| {
-        let info =
-            AttributeInfo { name: quantity.name.clone(), components: quantity.columns.len() };
-        (info, places_of(quantity))
+    let candidate = Search::of(&group, &file)?.chosen(&group, wanted.particle_type)?;
+    candidate.check_frames(&file)?;
+    let frame = candidate.arrangement.frame(frame)?;
+    let time = candidate.time(frame).or_else(|| match candidate.frames() {
+        Some(_) => None,
+        None => [&group, &root]
+            .into_iter()
+            .find_map(|group| time_of(group).or_else(|| times_in(group, None))),
     });
-    let attributes = attributes.collect();
-    let position = places_of(&position).try_into().expect("found with three");
-    Ok(Table { arrays, position, attributes })
+    let box_size = candidate.box_size(frame);
+    let table = candidate.table(frame)?;
+    drop((candidate, numbered, group, root));
+    Ok(ParticleFile { time, box_size, ..table.read(file, "HDF5", wanted.attributes)? })
 }
 
-/// The numbers of the steps, in order; none in a file that has its data sets at the root.
+/// The numbers of the frames, in order; none in a file that is one frame.
 pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
-    Ok(steps_in(&file.root()?)?.into_iter().map(|(number, _)| number).collect())
+    let root = file.root()?;
+    let numbered = numbered(&root, file)?;
+    if !numbered.is_empty() {
+        return Ok(numbered.into_iter().map(|(number, _)| number).collect());
+    }
+    let search = Search::of(&root, file)?;
+    let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
+    // Which of several groups is meant is asked when one is read.
+    let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
+        return Ok(Vec::new());
+    };
+    longest.check_frames(file)?;
+    Ok(longest.arrangement.steps())
 }
 
-fn steps_in(root: &Group) -> Result<Vec<(u64, String)>, ReadFault> {
-    let (groups, _) = checked(root.member_names())?;
-    let number = |name: String| Some((name.strip_prefix(STEP)?.parse().ok()?, name));
-    let mut steps: Vec<(u64, String)> = groups.into_iter().filter_map(number).collect();
-    steps.sort_unstable();
-    steps.dedup_by_key(|(number, _)| *number);
-    Ok(steps)
-}
-
-/// All arrays of a group, and the names of their columns.
-fn arrays(group: &Group) -> Result<(Vec<String>, Vec<Array>), ReadFault> {
-    let mut arrays = Array::by_name(group)?;
-    arrays.retain(|array| matches!(array.components, 1 | 3));
-    let mut names = Vec::new();
-    for Array { name, components, .. } in &arrays {
-        match components {
-            1 => names.push(name.clone()),
-            _ => names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}"))),
+/// The groups that are frames, in the order of their numbers: H5Part's, or those of one group or
+/// the root whose names say so and that hold positions.
+fn numbered(root: &Group, file: &File) -> Result<Vec<(u64, Group)>, ReadFault> {
+    let groups = checked(root.groups())?;
+    let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
+    if !h5part.is_empty() {
+        return Ok(h5part);
+    }
+    let mut found = vec![in_group(&groups, |name| step_number(name, ""))];
+    for group in &groups {
+        let parent = group.name().to_ascii_lowercase();
+        let parent = super::groups::last_name(&parent);
+        let may_be = |name: &String| step_number(&name.to_ascii_lowercase(), parent).is_some();
+        if checked(group.member_names())?.0.iter().any(may_be) {
+            found.push(in_group(&checked(group.groups())?, |name| step_number(name, parent)));
         }
     }
-    Ok((names, arrays))
+    for frames in found {
+        let Some((_, first)) = frames.first() else { continue };
+        if !Search::of(first, file)?.candidates.is_empty() {
+            return Ok(frames);
+        }
+    }
+    Ok(Vec::new())
+}
+
+/// Groups that have a number by their names in lower case.
+fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64, Group)> {
+    let number = |group: &Group| {
+        let name = group.name().to_ascii_lowercase();
+        Some((number(super::groups::last_name(&name))?, group.clone()))
+    };
+    let mut found: Vec<_> = groups.iter().filter_map(number).collect();
+    found.sort_by(|(a, one), (b, other)| (a, one.name()).cmp(&(b, other.name())));
+    found.dedup_by_key(|(number, _)| *number);
+    found
+}
+
+/// The number of a frame in a group's name, in lower case as its parent's.
+fn step_number(name: &str, parent: &str) -> Option<u64> {
+    let digits = name.trim_start_matches(|letter: char| !letter.is_ascii_digit());
+    let word = name[..name.len() - digits.len()].trim_end_matches(['#', '_', '-', ' ', ':', '=']);
+    let says_so = WORDS.contains(&word) || word.is_empty() && PARENTS.contains(&parent);
+    digits.parse().ok().filter(|_| says_so)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::step_number;
+
+    #[test]
+    fn a_number_is_a_frames_only_where_a_word_says_so() {
+        for (name, parent, number) in [
+            ("step_0010", "", Some(10)),
+            ("frame7", "", Some(7)),
+            ("1", "timestepdata", Some(1)),
+            ("1", "particletypes", None),
+            ("parttype0", "", None),
+            ("time_0.5", "", None),
+            ("step", "", None),
+        ] {
+            assert_eq!(step_number(name, parent), number, "{name} in {parent}");
+        }
+    }
 }

@@ -1,9 +1,12 @@
 //! Data sets of numbers, a row a particle, as columns: where they lie if all do so as they are,
 //! else decoded.
 
+use std::collections::BTreeMap;
 use std::io;
+use std::sync::Arc;
 
 use bytemuck::NoUninit;
+use hdf5_reader::error::Result as Parsed;
 use hdf5_reader::group::Group;
 use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem};
 
@@ -14,6 +17,7 @@ use crate::io::vertices::{columns, integer};
 use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
+use crate::particles::sieve::Sieve;
 
 use super::file::{File, checked};
 
@@ -22,11 +26,14 @@ const WINDOW: u64 = 1 << 20;
 /// Components that an attribute may have: more are a matrix or a spectrum.
 const MOST_COMPONENTS: u64 = 64;
 
+/// Types of particles that an error lists.
+const LISTED: usize = 20;
+
 const NATIVE: Endian = if cfg!(target_endian = "big") { Endian::Big } else { Endian::Little };
 
-/// A data set of numbers, or some of its rows.
+/// An array of numbers, a row a particle: a data set, some of its rows, or a part of them.
 pub(super) struct Array {
-    pub set: Dataset,
+    pub set: Arc<Dataset>,
     pub name: String,
     pub scalar: Scalar,
     endian: Endian,
@@ -35,19 +42,45 @@ pub(super) struct Array {
     pub first: u64,
     /// The number of rows from there.
     pub rows: u64,
+    part: Part,
+}
+
+/// Where the numbers of a row are in a data set.
+#[derive(Clone, Copy)]
+pub(super) enum Part {
+    /// One after the other, in a row of the first axis.
+    Row,
+    /// In a row of the second axis, of the frame that the first one counts.
+    Frame(u64),
+    /// One in every row of the first axis, while particles run along the second.
+    Columns,
+    /// From byte `offset` on, in a row of the first axis that has `stride` bytes.
+    Member { offset: usize, stride: usize },
 }
 
 impl Array {
     /// All rows of a data set; `None` where it is not of rows of numbers.
     pub fn new(set: Dataset) -> Option<Self> {
         let name = set.name().rsplit('/').next().unwrap_or_default().to_owned();
-        let components = match *set.shape() {
-            [_] => 1,
-            [_, components @ 1..=MOST_COMPONENTS] => components as usize,
+        let (components, rows) = match *set.shape() {
+            [rows] => (1, rows),
+            [rows, components @ 1..=MOST_COMPONENTS] => (components as usize, rows),
             _ => return None,
         };
-        let ((scalar, endian), rows) = (scalar(set.dtype())?, set.shape()[0]);
-        Some(Self { set, name, scalar, endian, components, first: 0, rows })
+        let number = scalar(set.dtype())?;
+        Some(Self::of(Arc::new(set), name, number, rows, components, Part::Row))
+    }
+
+    /// A part of each row of a data set.
+    pub fn of(
+        set: Arc<Dataset>,
+        name: String,
+        (scalar, endian): (Scalar, Endian),
+        rows: u64,
+        components: usize,
+        part: Part,
+    ) -> Self {
+        Self { set, name, scalar, endian, components, first: 0, rows, part }
     }
 
     /// All of a group, as the file lists them.
@@ -80,8 +113,12 @@ impl Array {
         Ok(Self { first: self.first + first, rows, ..self })
     }
 
+    /// Bytes that are read for each row.
     fn stride(&self) -> usize {
-        self.components * self.scalar.size()
+        match self.part {
+            Part::Member { stride, .. } => stride,
+            _ => self.components * self.scalar.size(),
+        }
     }
 
     /// Refuses more rows than the file's size vouches for, beside what was decoded before.
@@ -96,12 +133,15 @@ impl Array {
         Ok(())
     }
 
-    /// Appends all rows, and says where their columns are.
-    fn decode(&self, decoded: &mut Unpacked, file: &File) -> Result<Vec<Column>, ReadFault> {
+    /// Appends all that is read for the rows.
+    fn decode(&self, decoded: &mut Unpacked, file: &File) -> Result<(), ReadFault> {
         self.check(decoded.len(), file.limit)?;
-        let start = decoded.len() as usize;
         let windows = self.windows();
-        let window = |index: usize| windows.rows(index, self.rows);
+        // Components that are stored apart are decoded one after the other.
+        let passes = if let Part::Columns = self.part { self.components } else { 1 };
+        let count = windows.count * passes;
+        let window =
+            |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
         // A batch of windows is decoded while another is kept.
         let held = 4
             * rayon::current_num_threads() as u64
@@ -109,25 +149,68 @@ impl Array {
         let mut keep = |bytes: &[u8]| decoded.push(bytes).map_err(io::Error::other);
         let read = if held <= file.unpacking.in_memory.max(WINDOW) {
             let make = |index: usize, out: &mut Vec<u8>| {
-                self.bytes(window(index), out).map_err(io::Error::other)
+                let (rows, component) = window(index);
+                self.bytes(rows, component, out).map_err(io::Error::other)
             };
-            in_order(windows.count, make, keep)
+            in_order(count, make, keep)
         } else {
             let mut bytes = Vec::new();
-            (0..windows.count).try_for_each(|index| {
+            (0..count).try_for_each(|index| {
                 bytes.clear();
-                self.bytes(window(index), &mut bytes).map_err(io::Error::other)?;
+                let (rows, component) = window(index);
+                self.bytes(rows, component, &mut bytes).map_err(io::Error::other)?;
                 keep(&bytes)
             })
         };
-        read.map_err(fault_of)?;
-        Ok(columns(start, self.stride(), self.components, self.scalar, NATIVE))
+        read.map_err(fault_of)
+    }
+
+    /// The columns of what was decoded, from byte `start` on.
+    fn decoded_columns(&self, start: usize) -> Vec<Column> {
+        let endian = if let Part::Member { .. } = self.part { self.endian } else { NATIVE };
+        self.columns(start, self.rows, endian)
+    }
+
+    /// The columns in the file, if the rows lie there as they are.
+    fn in_place(&self, file: &File) -> Option<Vec<Column>> {
+        let stride = self.stride() as u64;
+        let all = *self.set.shape().first()?;
+        let rows = match self.part {
+            Part::Frame(_) => all.checked_mul(self.rows)?,
+            Part::Columns => self.rows,
+            Part::Row | Part::Member { .. } => all,
+        };
+        let first = match self.part {
+            Part::Frame(frame) => frame.checked_mul(self.rows)?.checked_mul(stride)?,
+            _ => self.first.checked_mul(stride)?,
+        };
+        let start = file.place(&self.set, rows.checked_mul(stride)?)?.checked_add(first)?;
+        Some(self.columns(usize::try_from(start).ok()?, self.rows, self.endian))
+    }
+
+    fn columns(&self, start: usize, rows: u64, endian: Endian) -> Vec<Column> {
+        let Self { components, scalar, part, .. } = *self;
+        match part {
+            Part::Row | Part::Frame(_) => columns(start, self.stride(), components, scalar, endian),
+            Part::Member { offset, stride } => {
+                columns(start + offset, stride, components, scalar, endian)
+            }
+            Part::Columns => (0..components)
+                .map(|component| Column {
+                    offset: start + component * rows as usize * scalar.size(),
+                    stride: scalar.size(),
+                    scalar,
+                    endian,
+                })
+                .collect(),
+        }
     }
 
     /// Rows to read at once: whole chunks.
     pub fn windows(&self) -> Windows {
+        let axis = usize::from(matches!(self.part, Part::Frame(_) | Part::Columns));
         let chunk =
-            self.set.chunks().and_then(|chunks| chunks.first().copied()).unwrap_or(1).max(1);
+            self.set.chunks().and_then(|chunks| chunks.get(axis).copied()).unwrap_or(1).max(1);
         let chunk = u64::from(chunk).min(self.rows.max(1));
         let fit = WINDOW / (chunk * self.stride() as u64).max(1);
         let size = chunk * fit.max(1);
@@ -137,47 +220,60 @@ impl Array {
         Windows { lead, size, count }
     }
 
-    /// Appends some rows as the machine stores numbers.
-    fn bytes(&self, rows: [u64; 2], out: &mut Vec<u8>) -> Result<(), ReadFault> {
+    /// Appends some rows: numbers as the machine stores them, and other data sets as they are. Of
+    /// components that are stored apart it is that of a number.
+    fn bytes(&self, rows: [u64; 2], component: usize, out: &mut Vec<u8>) -> Result<(), ReadFault> {
         fn put<T: H5Type + NoUninit>(
             array: &Array,
             rows: [u64; 2],
+            component: usize,
             out: &mut Vec<u8>,
         ) -> Result<(), ReadFault> {
-            out.extend_from_slice(bytemuck::cast_slice(&array.values::<T>(rows)?));
+            let values = array.values::<T>(rows, component)?;
+            out.extend_from_slice(bytemuck::cast_slice(&values));
             Ok(())
         }
+        if let Part::Member { stride, .. } = self.part {
+            let before = out.len();
+            let read = checked(self.set.read_slice::<Stored>(&self.selection(rows, component)))?;
+            read.iter().for_each(|bytes| out.extend_from_slice(&bytes.0));
+            if out.len() - before != (rows[1] - rows[0]) as usize * stride {
+                let what = format!("{} is not of rows of {stride} bytes", self.name);
+                return Err(malformed(0, what));
+            }
+            return Ok(());
+        }
         match self.scalar {
-            Scalar::I8 => put::<i8>(self, rows, out),
-            Scalar::U8 => put::<u8>(self, rows, out),
-            Scalar::I16 => put::<i16>(self, rows, out),
-            Scalar::U16 => put::<u16>(self, rows, out),
-            Scalar::I32 => put::<i32>(self, rows, out),
-            Scalar::U32 => put::<u32>(self, rows, out),
-            Scalar::I64 => put::<i64>(self, rows, out),
-            Scalar::U64 => put::<u64>(self, rows, out),
-            Scalar::F32 => put::<f32>(self, rows, out),
-            Scalar::F64 => put::<f64>(self, rows, out),
+            Scalar::I8 => put::<i8>(self, rows, component, out),
+            Scalar::U8 => put::<u8>(self, rows, component, out),
+            Scalar::I16 => put::<i16>(self, rows, component, out),
+            Scalar::U16 => put::<u16>(self, rows, component, out),
+            Scalar::I32 => put::<i32>(self, rows, component, out),
+            Scalar::U32 => put::<u32>(self, rows, component, out),
+            Scalar::I64 => put::<i64>(self, rows, component, out),
+            Scalar::U64 => put::<u64>(self, rows, component, out),
+            Scalar::F32 => put::<f32>(self, rows, component, out),
+            Scalar::F64 => put::<f64>(self, rows, component, out),
         }
     }
 
     /// All numbers as doubles.
     pub fn doubles(&self, rows: [u64; 2]) -> Result<Vec<f64>, ReadFault> {
         Ok(match self.scalar {
-            Scalar::I8 => self.values::<i8>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::U8 => self.values::<u8>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::I16 => self.values::<i16>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::U16 => self.values::<u16>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::I32 => self.values::<i32>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::U32 => self.values::<u32>(rows)?.into_iter().map(f64::from).collect(),
+            Scalar::I8 => self.values::<i8>(rows, 0)?.into_iter().map(f64::from).collect(),
+            Scalar::U8 => self.values::<u8>(rows, 0)?.into_iter().map(f64::from).collect(),
+            Scalar::I16 => self.values::<i16>(rows, 0)?.into_iter().map(f64::from).collect(),
+            Scalar::U16 => self.values::<u16>(rows, 0)?.into_iter().map(f64::from).collect(),
+            Scalar::I32 => self.values::<i32>(rows, 0)?.into_iter().map(f64::from).collect(),
+            Scalar::U32 => self.values::<u32>(rows, 0)?.into_iter().map(f64::from).collect(),
             Scalar::I64 => {
-                self.values::<i64>(rows)?.into_iter().map(|value| value as f64).collect()
+                self.values::<i64>(rows, 0)?.into_iter().map(|value| value as f64).collect()
             }
             Scalar::U64 => {
-                self.values::<u64>(rows)?.into_iter().map(|value| value as f64).collect()
+                self.values::<u64>(rows, 0)?.into_iter().map(|value| value as f64).collect()
             }
-            Scalar::F32 => self.values::<f32>(rows)?.into_iter().map(f64::from).collect(),
-            Scalar::F64 => self.values::<f64>(rows)?,
+            Scalar::F32 => self.values::<f32>(rows, 0)?.into_iter().map(f64::from).collect(),
+            Scalar::F64 => self.values::<f64>(rows, 0)?,
         })
     }
 
@@ -195,26 +291,62 @@ impl Array {
     /// The numbers of some rows as integers.
     pub fn some_integers(&self, rows: [u64; 2]) -> Result<Vec<i64>, ReadFault> {
         let mut bytes = Vec::new();
-        self.bytes(rows, &mut bytes)?;
+        self.bytes(rows, 0, &mut bytes)?;
         let numbers =
             bytes.chunks_exact(self.scalar.size()).map(|bytes| integer(self.scalar, NATIVE, bytes));
         let no_integers = || malformed(0, format!("{} is not of integers", self.name));
         numbers.collect::<Option<_>>().ok_or_else(no_integers)
     }
 
-    fn values<T: H5Type>(&self, [start, end]: [u64; 2]) -> Result<Vec<T>, ReadFault> {
-        let all = SliceInfoElem::Slice { start: 0, end: u64::MAX, step: 1 };
-        let (first, last) = (self.first + start, self.first + end);
-        let mut selections = vec![SliceInfoElem::Slice { start: first, end: last, step: 1 }];
-        selections.extend((self.set.ndim() > 1).then_some(all));
-        let values = checked(self.set.read_slice::<T>(&SliceInfo { selections }))?;
+    /// The part of the data set that holds some rows.
+    fn selection(&self, [start, end]: [u64; 2], component: usize) -> SliceInfo {
+        let slice = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
+        let rows = slice(self.first + start, self.first + end);
+        let one = |index: u64| slice(index, index.saturating_add(1));
+        let mut selections = match self.part {
+            Part::Row | Part::Member { .. } => vec![rows],
+            Part::Frame(frame) => vec![one(frame), rows],
+            Part::Columns => vec![one(component as u64), rows],
+        };
+        selections.resize(self.set.ndim(), slice(0, u64::MAX));
+        SliceInfo { selections }
+    }
+
+    fn values<T: H5Type>(&self, rows: [u64; 2], component: usize) -> Result<Vec<T>, ReadFault> {
+        let values = checked(self.set.read_slice::<T>(&self.selection(rows, component)))?;
         let values: Vec<T> = values.iter().cloned().collect();
-        let expected = (end - start) as usize * self.components;
+        let components = if let Part::Columns = self.part { 1 } else { self.components };
+        let expected = (rows[1] - rows[0]) as usize * components;
         if values.len() != expected {
             let what = format!("{} has {} values of {expected}", self.name, values.len());
             return Err(malformed(0, what));
         }
         Ok(values)
+    }
+}
+
+/// Elements of any type as the file stores them. The first of several that are decoded at once
+/// holds the bytes of all, so that those of one are no allocation each.
+#[derive(Clone)]
+struct Stored(Vec<u8>);
+
+impl H5Type for Stored {
+    fn hdf5_type() -> Datatype {
+        Datatype::Opaque { size: 1, tag: String::new() }
+    }
+
+    fn from_bytes(bytes: &[u8], _: &Datatype) -> Parsed<Self> {
+        Ok(Self(bytes.to_vec()))
+    }
+
+    fn element_size(_: &Datatype) -> usize {
+        1
+    }
+
+    fn decode_vec(raw: &[u8], _: &Datatype, count: usize) -> Option<Parsed<Vec<Self>>> {
+        let mut all = vec![Self(Vec::new()); count];
+        all.first_mut()?.0 = raw.to_vec();
+        Some(Ok(all))
     }
 }
 
@@ -257,7 +389,8 @@ pub(super) fn fault_of(error: io::Error) -> ReadFault {
     }
 }
 
-fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
+/// The number that a type of data is, if it is one.
+pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
     let (scalar, order) = match kind {
         Datatype::FixedPoint { size, signed, byte_order } => {
             let scalar = match (size, signed) {
@@ -292,6 +425,8 @@ pub(super) struct Table {
     pub arrays: Vec<Array>,
     pub position: [Place; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Place>)>,
+    /// Numbers of the rows that are particles, where not all are.
+    pub present: Option<Sieve>,
 }
 
 impl Table {
@@ -310,7 +445,8 @@ impl Table {
             (info, (0..array.components).map(|component| (index, component)).collect())
         });
         let attributes = attributes.collect();
-        Some(Self { position: [0, 1, 2].map(|component| (found, component)), attributes, arrays })
+        let position = [0, 1, 2].map(|component| (found, component));
+        Some(Self { arrays, position, attributes, present: None })
     }
 
     /// Number of rows.
@@ -328,7 +464,7 @@ impl Table {
     ) -> Result<ParticleFile, ReadFault> {
         let rows = usize::try_from(self.rows())
             .map_err(|_| malformed(0, "more rows than can be addressed"))?;
-        let Self { arrays, position, attributes } = self;
+        let Self { arrays, position, attributes, present } = self;
         let infos: Vec<AttributeInfo> = attributes.iter().map(|(info, _)| info.clone()).collect();
         let mut reads = wanted.among(&infos).into_iter();
         let (attributes, unread): (Vec<_>, Vec<_>) =
@@ -339,17 +475,28 @@ impl Table {
             used[array] = true;
         }
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
-        let in_file = rows == 0 || wanted().all(|array| in_place(&file, array).is_some());
+        let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
         let mut decoded = Unpacked::new(file.unpacking);
+        // Where the rows start of which several arrays are members.
+        let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
-            found.push(match in_place(&file, array).filter(|_| in_file) {
+            found.push(match array.in_place(&file).filter(|_| in_file) {
                 _ if !used => Vec::new(),
                 Some(columns) => columns,
-                None if rows == 0 => {
-                    columns(0, array.stride(), array.components, array.scalar, NATIVE)
+                None if rows == 0 => array.decoded_columns(0),
+                None => {
+                    let before = match array.part {
+                        Part::Member { .. } => members.get(&array.set.address()).copied(),
+                        _ => None,
+                    };
+                    let start = before.unwrap_or(decoded.len() as usize);
+                    if before.is_none() {
+                        array.decode(&mut decoded, &file)?;
+                        members.insert(array.set.address(), start);
+                    }
+                    array.decoded_columns(start)
                 }
-                None => array.decode(&mut decoded, &file)?,
             });
         }
         let column = |&(array, component): &Place| found[array][component];
@@ -361,23 +508,10 @@ impl Table {
         drop(arrays);
         file.check()?;
         let bytes = if in_file { file.into_bytes() } else { Bytes::Kept(decoded.finish()?) };
-        let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows), position, attributes);
+        let rows = present.map_or(Rows::All(rows), Rows::Selected);
+        let particles: ColumnStore = ColumnStore::new(bytes, rows, position, attributes);
         Ok(ParticleFile { unread, ..ParticleFile::new(particles, format) })
     }
-}
-
-/// The columns of an array in the file.
-fn in_place(file: &File, array: &Array) -> Option<Vec<Column>> {
-    let stride = array.stride() as u64;
-    let end = array.first.checked_add(array.rows)?.checked_mul(stride)?;
-    let start = file.place(&array.set, end)?.checked_add(array.first * stride)?;
-    Some(columns(
-        usize::try_from(start).ok()?,
-        array.stride(),
-        array.components,
-        array.scalar,
-        array.endian,
-    ))
 }
 
 /// The type of particles that is meant: by its name, or `usual`, or the only one.
@@ -386,7 +520,10 @@ pub(super) fn chosen_type(
     named: Option<&str>,
     usual: Option<&str>,
 ) -> Result<String, ReadFault> {
-    let list = known.join(", ");
+    let mut list = known.iter().take(LISTED).cloned().collect::<Vec<_>>().join(", ");
+    if let more @ 1.. = known.len().saturating_sub(LISTED) {
+        list += &format!(", and {more} more");
+    }
     let is_there = |name: &&str| known.iter().any(|known| known == name);
     match (named, known) {
         (Some(name), _) if is_there(&name) => Ok(name.to_owned()),

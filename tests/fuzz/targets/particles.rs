@@ -36,14 +36,14 @@ pub fn targets() -> Vec<Target> {
         Target {
             name: "npy",
             runs: 20000,
-            run: |data| read_through(npy::read_particles(own(data))),
+            run: |data| read_through(npy::read_particles(own(data), None)),
             seeds: npys,
             words: NPY,
         },
         Target {
             name: "npz",
             runs: 3000,
-            run: |data| read_through(npz::read_particles(own(data), memory())),
+            run: |data| read_through(npz::read_particles(own(data), None, memory())),
             seeds: npzs,
             words: NPY,
         },
@@ -397,10 +397,14 @@ pub fn vtus() -> Vec<Vec<u8>> {
 
 fn hdf5s() -> Vec<Vec<u8>> {
     // Made by `tools/interop`.
-    let files: [&[u8]; 9] = [
+    let files: [&[u8]; 13] = [
+        include_bytes!("../../data/h5/columns.h5"),
+        include_bytes!("../../data/h5/groups.h5"),
+        include_bytes!("../../data/h5/h5md.h5"),
         include_bytes!("../../data/h5/huge.h5"),
         include_bytes!("../../data/h5/packed.h5"),
         include_bytes!("../../data/h5/steps.h5part"),
+        include_bytes!("../../data/h5/table.h5"),
         include_bytes!("../../data/simulations/gadget_005.1.hdf5"),
         include_bytes!("../../data/simulations/gadget_005.hdf5"),
         include_bytes!("../../data/simulations/steps.vtkhdf"),

@@ -70,7 +70,7 @@ fn run_npz(data: &[u8]) {
     }
     let compression =
         if choice & 1 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
-    read_through(npz::read_particles(own(&build::npz(&arrays, compression)), memory()));
+    read_through(npz::read_particles(own(&build::npz(&arrays, compression)), None, memory()));
 }
 
 fn arrays() -> Vec<Vec<u8>> {

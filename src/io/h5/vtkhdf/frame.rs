@@ -2,8 +2,8 @@
 
 use hdf5_reader::group::Group;
 
+use crate::io::error::several_steps;
 use crate::io::h5::file::{File, checked, time_of};
-use crate::io::h5::steps::a_sequence;
 use crate::io::h5::table::{Array, Table};
 use crate::io::{ReadFault, malformed};
 
@@ -24,7 +24,7 @@ impl Frame {
             (None, None) => return Ok(Self { step: None, parts: [0, all], point: 0 }),
             (None, Some(1)) => 0,
             (Some(step), Some(steps)) if step < steps => step,
-            (None, Some(steps)) if steps > 1 => return Err(a_sequence(0, steps - 1)),
+            (None, Some(steps)) if steps > 1 => return Err(several_steps(0, steps - 1)),
             (step, _) => {
                 let step = step.map_or("steps at all".to_owned(), |step| format!("step {step}"));
                 return Err(ReadFault::Unsupported(format!("there is no {step}")));

@@ -1,0 +1,307 @@
+//! Named arrays of numbers: which of them hold the position, along which axis their particles run,
+//! and which are attributes.
+
+use super::names::{Quantity, quantities};
+use super::error::{no_step, several_steps};
+use super::{ReadFault, malformed};
+
+/// Components that an attribute may have: more are a matrix or a spectrum.
+const MOST_COMPONENTS: u64 = 64;
+
+/// Names of vectors that are no position, in lower case and without what follows them.
+const NO_POSITIONS: [&str; 14] = [
+    "acc", "color", "colour", "disp", "force", "mom", "norm", "omega", "stress", "vel", "vort",
+    "grad", "spin", "torque",
+];
+
+/// A named array of numbers.
+#[derive(Debug, Clone)]
+pub struct Field {
+    /// Name of the array.
+    pub name: String,
+    /// Sizes of its axes.
+    pub shape: Vec<u64>,
+}
+
+/// Meaning of an array's axes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Axes {
+    /// Particles, and components: (N,), (N, 3) or (N, 3, 3).
+    Particles,
+    /// Components, and particles: (3, N).
+    Components,
+    /// Frames, particles and components: (T, N) or (T, N, 3).
+    Frames,
+}
+
+/// Numbers of frames, particles and components in an array.
+struct Extent {
+    frames: Option<u64>,
+    rows: u64,
+    components: u64,
+}
+
+/// A column of an array.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Place {
+    /// The array's number.
+    pub field: usize,
+    /// The component's number, in the order of the array's last axis.
+    pub component: usize,
+}
+
+/// One quantity, and where its components are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// Without unit and component.
+    pub name: String,
+    /// One place for each component.
+    pub places: Vec<Place>,
+}
+
+/// Arrays of equally many particles.
+#[derive(Debug)]
+pub struct Arrangement {
+    /// The number of particles, in each frame.
+    pub rows: u64,
+    /// The number of frames, where the position has that axis.
+    pub frames: Option<u64>,
+    /// The axes of every array; of no use for arrays that no quantity names.
+    pub axes: Vec<Axes>,
+    /// The position, of three components.
+    pub position: Found,
+    /// All other quantities of as many particles.
+    pub attributes: Vec<Found>,
+}
+
+impl Arrangement {
+    /// The numbers of the frames; none where there is one.
+    pub fn steps(&self) -> Vec<u64> {
+        (0..self.frames.unwrap_or(0)).filter(|_| self.frames > Some(1)).collect()
+    }
+
+    /// The frame that is number `step`, or the only one.
+    ///
+    /// # Errors
+    /// [`ReadFault::Unsupported`] where there are several or none, or not that one.
+    pub fn frame(&self, step: Option<u64>) -> Result<u64, ReadFault> {
+        match (step, self.frames) {
+            (None, None | Some(1)) => Ok(0),
+            (None, Some(0)) => {
+                Err(ReadFault::Unsupported("its arrays are of no frames".to_owned()))
+            }
+            (None, Some(frames)) => Err(several_steps(0, frames - 1)),
+            (Some(step), Some(frames)) if step < frames => Ok(step),
+            (Some(step), _) => Err(no_step(step)),
+        }
+    }
+}
+
+impl Axes {
+    /// The array's extent, if its axes can be these.
+    fn extent(self, shape: &[u64]) -> Option<Extent> {
+        let components = |axes: &[u64]| {
+            let product = axes.iter().try_fold(1u64, |product, &size| product.checked_mul(size))?;
+            (1..=MOST_COMPONENTS).contains(&product).then_some(product)
+        };
+        Some(match (self, shape) {
+            (Self::Particles, &[rows, ref axes @ ..]) => {
+                Extent { frames: None, rows, components: components(axes)? }
+            }
+            (Self::Components, &[first, rows]) => {
+                Extent { frames: None, rows, components: components(&[first])? }
+            }
+            (Self::Frames, &[frames, rows, ref axes @ ..]) => {
+                Extent { frames: Some(frames), rows, components: components(axes)? }
+            }
+            _ => return None,
+        })
+    }
+
+    /// The number of components of an array whose axes are these.
+    pub fn components(self, shape: &[u64]) -> usize {
+        self.extent(shape).map_or(0, |extent| extent.components as usize)
+    }
+}
+
+/// Names of the columns of some arrays, and where they are; a vector's are named so that they
+/// belong together.
+#[derive(Default)]
+struct Columns {
+    names: Vec<String>,
+    places: Vec<Place>,
+    others: Vec<Found>,
+}
+
+impl Columns {
+    fn push(&mut self, field: usize, name: &str, components: u64) {
+        let places = (0..components as usize).map(|component| Place { field, component });
+        match components {
+            1 => self.names.push(name.to_owned()),
+            3 => self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}"))),
+            _ => {
+                self.others.push(Found { name: name.to_owned(), places: places.collect() });
+                return;
+            }
+        }
+        self.places.extend(places);
+    }
+
+    /// The position and all other quantities.
+    fn position(self) -> Option<(Found, Vec<Found>)> {
+        let Self { names, places, others } = self;
+        let found = |q: Quantity| Found {
+            name: q.name,
+            places: q.columns.iter().map(|&column| places[column]).collect(),
+        };
+        let (position, rest) = quantities(&names)?;
+        Some((found(position), rest.into_iter().map(found).chain(others).collect()))
+    }
+}
+
+/// Finds the position among arrays, by its name: of shape (N, 3), else (3, N), else (T, N, 3); or
+/// three arrays of N numbers. An array of shape (3, 3) is of three particles. Every other array of
+/// as many particles is an attribute.
+///
+/// Returns `None` where no array is a position.
+///
+/// # Errors
+/// [`ReadFault::Malformed`] for a position in arrays that differ in length.
+pub fn arrange(fields: &[Field]) -> Result<Option<Arrangement>, ReadFault> {
+    for axes in [Axes::Particles, Axes::Components, Axes::Frames] {
+        if let Some(arrangement) = arrange_along(fields, axes)? {
+            return Ok(Some(arrangement));
+        }
+    }
+    Ok(None)
+}
+
+fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, ReadFault> {
+    let mut candidates = Columns::default();
+    for (number, Field { name, shape }) in fields.iter().enumerate() {
+        let Some(extent) = axes.extent(shape) else { continue };
+        // Arrays (T, N) called x, y and z are the nodes of a grid as often as they are frames.
+        let may_be = match axes {
+            Axes::Particles => shape.len() <= 2,
+            Axes::Components => true,
+            Axes::Frames => shape.len() == 3,
+        };
+        if may_be {
+            candidates.push(number, name, extent.components);
+        }
+    }
+    let Some((position, _)) = candidates.position() else { return Ok(None) };
+    let extent = |field: usize| axes.extent(&fields[field].shape).expect("looked at above");
+    let Extent { frames, rows, .. } = extent(position.places[0].field);
+    let is_of = |other: &Extent| other.rows == rows && other.frames == frames;
+    if !position.places.iter().all(|place| is_of(&extent(place.field))) {
+        let names = position.places.iter().map(|place| {
+            let Field { name, shape } = &fields[place.field];
+            format!("{name} {}", shown(shape))
+        });
+        let names: Vec<_> = names.collect();
+        let what = format!("the arrays of the position differ in length: {}", names.join(", "));
+        return Err(malformed(0, what));
+    }
+    // Those of the position first, then those that hold for each frame.
+    let mut columns = Columns::default();
+    let mut chosen = vec![Axes::Particles; fields.len()];
+    for (number, Field { name, shape }) in fields.iter().enumerate() {
+        let fitting = [axes, Axes::Particles, Axes::Components].into_iter().find_map(|axes| {
+            let extent = axes.extent(shape)?;
+            let fits = extent.rows == rows && (extent.frames.is_none() || extent.frames == frames);
+            fits.then_some((axes, extent))
+        });
+        if let Some((axes, extent)) = fitting {
+            chosen[number] = axes;
+            columns.push(number, name, extent.components);
+        }
+    }
+    let found = columns.position();
+    Ok(found.map(|(position, attributes)| Arrangement {
+        rows,
+        frames,
+        axes: chosen,
+        position,
+        attributes,
+    }))
+}
+
+/// The only array of shape (N, 3), (3, N) or (T, N, 3) whose name is not that of another vector.
+pub fn only_vector(fields: &[Field]) -> Option<usize> {
+    let is_other = |name: &str| {
+        let name = name.to_ascii_lowercase();
+        let stem = name.rsplit(['_', '/', '.']).find(|part| !part.is_empty()).unwrap_or(&name);
+        matches!(stem, "a" | "b" | "e" | "f" | "n" | "u" | "v" | "w" | "cd" | "rgb")
+            || NO_POSITIONS.iter().any(|other| stem.starts_with(other))
+    };
+    [Axes::Particles, Axes::Components, Axes::Frames].into_iter().find_map(|axes| {
+        let vectors = fields.iter().enumerate().filter(|(_, Field { name, shape })| {
+            let rank = if axes == Axes::Frames { 3 } else { 2 };
+            shape.len() == rank && axes.components(shape) == 3 && !is_other(name)
+        });
+        match vectors.map(|(number, _)| number).collect::<Vec<_>>()[..] {
+            [only] => Some(only),
+            _ => None,
+        }
+    })
+}
+
+/// A shape as Python writes it.
+pub fn shown(shape: &[u64]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        _ => format!("({})", shape.iter().map(u64::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fields(all: &[(&str, &[u64])]) -> Vec<Field> {
+        all.iter()
+            .map(|(name, shape)| Field { name: (*name).to_owned(), shape: shape.to_vec() })
+            .collect()
+    }
+
+    #[test]
+    fn particles_run_along_the_first_axis_where_both_fit() {
+        let found = |shape: &[u64]| {
+            let arranged = arrange(&fields(&[("pos", shape)])).unwrap();
+            arranged.map(|a| (a.axes[0], a.rows, a.frames))
+        };
+        assert_eq!(found(&[3, 3]), Some((Axes::Particles, 3, None)));
+        assert_eq!(found(&[3, 9]), Some((Axes::Components, 9, None)));
+        assert_eq!(found(&[3, 9, 3]), Some((Axes::Frames, 9, Some(3))));
+        assert_eq!(found(&[5, 1, 3]), Some((Axes::Frames, 1, Some(5))));
+        assert_eq!(found(&[9, 6]), None);
+    }
+
+    #[test]
+    fn attributes_are_of_as_many_particles_along_whichever_axis() {
+        let all = fields(&[
+            ("C", &[9, 20]),
+            ("F", &[20, 3, 3]),
+            ("time", &[1]),
+            ("v", &[3, 20]),
+            ("volume", &[20]),
+            ("x", &[3, 20]),
+        ]);
+        let arranged = arrange(&all).unwrap().unwrap();
+        let names: Vec<_> =
+            arranged.attributes.iter().map(|f| (&*f.name, f.places.len())).collect();
+        assert_eq!(names, [("v", 3), ("volume", 1), ("C", 9), ("F", 9)]);
+        assert_eq!((arranged.rows, &*arranged.position.name), (20, "x"));
+    }
+
+    #[test]
+    fn grids_and_velocities_are_no_positions() {
+        let grid = fields(&[("x", &[8, 8]), ("y", &[8, 8]), ("z", &[8, 8])]);
+        assert!(arrange(&grid).unwrap().is_none());
+        let axes = fields(&[("x", &[8]), ("y", &[9]), ("z", &[10])]);
+        assert!(matches!(arrange(&axes), Err(ReadFault::Malformed { .. })));
+        assert_eq!(only_vector(&fields(&[("vel", &[8, 3])])), None);
+        assert_eq!(only_vector(&fields(&[("arr_0", &[8, 3]), ("grid_v", &[8, 3])])), Some(0));
+    }
+}

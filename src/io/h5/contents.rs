@@ -1,0 +1,119 @@
+//! Contents of a file in a few lines: what an error lists where no position is found.
+
+use std::collections::BTreeSet;
+
+use hdf5_reader::Datatype;
+use hdf5_reader::group::Group;
+
+use crate::io::ReadFault;
+use crate::io::fields::shown;
+
+use super::file::checked;
+use super::groups::last_name;
+use super::table::scalar;
+
+/// Groups that are looked into.
+pub const MOST_GROUPS: usize = 1 << 10;
+/// Levels of groups below the first.
+pub const DEEPEST: usize = 8;
+/// Lines of a list.
+const LINES: usize = 20;
+/// Members of a compound type that are named.
+const MEMBERS: usize = 12;
+/// Prefix of the members of pandas' tables whose columns' names are pickled.
+const PANDAS: &str = "values_block_";
+/// Letters of a name.
+const LETTERS: usize = 100;
+
+/// Says what a position may be, and what `root` holds instead.
+///
+/// # Errors
+/// Where what it holds cannot be read.
+pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
+    let (lines, more) = lines(root)?;
+    let mut what = "no positions found. Store float32 or float64 in a data set called position, \
+                    pos or x, of shape (N, 3), (3, N) or (frames, N, 3), or in three called x, y \
+                    and z, of shape (N,)."
+        .to_owned();
+    if lines.iter().any(|line| line.contains(PANDAS)) {
+        what += " A table of pandas needs data_columns=True, else its columns have no names.";
+    }
+    what += " The file holds";
+    match lines.is_empty() {
+        true => what += " nothing",
+        false => what += &format!(":\n  {}", lines.join("\n  ")),
+    }
+    if more > 0 {
+        what += &format!("\n  and {more} more");
+    }
+    Ok(ReadFault::Unsupported(what))
+}
+
+/// The first groups and data sets below `root`, and how many more there are.
+fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
+    let (mut lines, mut more) = (Vec::new(), 0);
+    let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
+        true => lines.push(line()),
+        false => more += 1,
+    };
+    let mut seen = BTreeSet::new();
+    let mut ahead = vec![(String::new(), root.clone(), 0)];
+    while let Some((path, group, depth)) = ahead.pop() {
+        if !seen.insert(group.address()) || seen.len() > MOST_GROUPS {
+            continue;
+        }
+        let (mut groups, mut sets) = checked(group.members())?;
+        groups.sort_by(|a, b| a.name().cmp(b.name()));
+        sets.sort_by(|a, b| a.name().cmp(b.name()));
+        if depth > 0 && sets.is_empty() && groups.is_empty() {
+            push(&|| format!("{} (an empty group)", short(&path)));
+        }
+        for set in &sets {
+            push(&|| {
+                let path = format!("{path}/{}", last_name(set.name()));
+                format!("{} {} {}", short(&path), shown(set.shape()), kind(set.dtype()))
+            });
+        }
+        if depth < DEEPEST {
+            ahead.extend(
+                groups
+                    .into_iter()
+                    .rev()
+                    .map(|group| (format!("{path}/{}", last_name(group.name())), group, depth + 1)),
+            );
+        }
+    }
+    Ok((lines, more))
+}
+
+/// A name that a terminal shows on a line.
+fn short(name: &str) -> String {
+    let shown: String = name.chars().take(LETTERS).flat_map(char::escape_debug).collect();
+    if name.chars().nth(LETTERS).is_some() { format!("{shown}...") } else { shown }
+}
+
+/// A type of data in NumPy's words.
+fn kind(kind: &Datatype) -> String {
+    match kind {
+        Datatype::FixedPoint { size, signed, .. } => {
+            format!("{}int{}", if *signed { "" } else { "u" }, u32::from(*size) * 8)
+        }
+        Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
+        Datatype::Compound { fields, .. } => {
+            let members = fields.iter().take(MEMBERS);
+            let members = members.map(|field| match scalar(&field.datatype) {
+                Some(_) => short(&field.name),
+                None => format!("{}: {}", short(&field.name), self::kind(&field.datatype)),
+            });
+            let members = members.collect::<Vec<_>>().join(", ");
+            match fields.len().saturating_sub(MEMBERS) {
+                0 => format!("table of {members}"),
+                more => format!("table of {members} and {more} more"),
+            }
+        }
+        Datatype::Array { base, dims } => format!("{} of {}", shown(dims), self::kind(base)),
+        Datatype::Enum { .. } => "enumeration".to_owned(),
+        Datatype::String { .. } | Datatype::VarLen { .. } => "text or lists".to_owned(),
+        _ => "other data".to_owned(),
+    }
+}

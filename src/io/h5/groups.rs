@@ -1,0 +1,319 @@
+//! Groups that hold particles, wherever they are in a file: data sets of equally many rows, tables
+//! of a compound type, and elements as H5MD has them.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use hdf5_reader::group::Group;
+use hdf5_reader::{Dataset, Datatype};
+
+use crate::io::columns::{Endian, Scalar};
+use crate::io::fields::{Arrangement, Axes, Field, Place, arrange};
+use crate::io::{ReadFault, malformed};
+use crate::particles::AttributeInfo;
+
+use super::contents::{self, DEEPEST, MOST_GROUPS};
+use super::file::{File, checked, time_of, times_in};
+use super::h5md;
+use super::table::{Array, Part, Table, chosen_type, scalar};
+
+/// Type of particles that is read of several, where it is there: gas, as in snapshots.
+const USUAL: &str = "PartType0";
+
+/// A group, or a table in one, that holds the positions of particles.
+pub(super) struct Candidate {
+    /// Path from the group that was searched; `/` for that group.
+    path: String,
+    group: Group,
+    fields: Vec<Field>,
+    sources: Vec<Source>,
+    pub arrangement: Arrangement,
+}
+
+/// Where a field is stored.
+struct Source {
+    set: Arc<Dataset>,
+    number: (Scalar, Endian),
+    member: Option<Member>,
+}
+
+/// Place of a field in the rows of a data set, in bytes.
+#[derive(Clone, Copy)]
+struct Member {
+    offset: usize,
+    stride: usize,
+}
+
+impl Candidate {
+    /// The number of frames, where the position is stored for several.
+    pub fn frames(&self) -> Option<u64> {
+        self.arrangement.frames
+    }
+
+    /// Refuses more frames than the file's size vouches for.
+    pub fn check_frames(&self, file: &File) -> Result<(), ReadFault> {
+        let Arrangement { frames, rows, .. } = self.arrangement;
+        let bytes = frames.unwrap_or(1).checked_mul(rows.max(1)).and_then(|n| n.checked_mul(12));
+        match bytes.is_some_and(|bytes| bytes <= file.limit) {
+            true => Ok(()),
+            false => Err(ReadFault::Compression(format!(
+                "{} frames of {rows} particles are beyond all reason for this file",
+                frames.unwrap_or(1)
+            ))),
+        }
+    }
+
+    /// The time of a frame.
+    pub fn time(&self, frame: u64) -> Option<f64> {
+        match self.frames() {
+            None => time_of(&self.group).or_else(|| times_in(&self.group, None)),
+            Some(frames) => h5md::time(&self.group, frame)
+                .or_else(|| times_in(&self.group, Some((frame, frames)))),
+        }
+    }
+
+    /// Edges of the box in a frame, where H5MD says them.
+    pub fn box_size(&self, frame: u64) -> Option<[f64; 3]> {
+        h5md::box_size(&self.group, frame)
+    }
+
+    /// The columns of a frame.
+    pub fn table(&self, frame: u64) -> Result<Table, ReadFault> {
+        let Arrangement { rows, axes, position, attributes, .. } = &self.arrangement;
+        let arrays = self.fields.iter().zip(&self.sources).zip(axes);
+        let arrays: Vec<Array> = arrays
+            .map(|((field, source), axes)| {
+                let part = match (source.member, axes) {
+                    (Some(Member { offset, stride }), _) => Part::Member { offset, stride },
+                    (None, Axes::Particles) => Part::Row,
+                    (None, Axes::Components) => Part::Columns,
+                    (None, Axes::Frames) => Part::Frame(frame),
+                };
+                let components = axes.components(&field.shape);
+                let set = Arc::clone(&source.set);
+                Array::of(set, field.name.clone(), source.number, *rows, components, part)
+            })
+            .collect();
+        let places = |places: &[Place]| -> Vec<_> {
+            places.iter().map(|place| (place.field, place.component)).collect()
+        };
+        let attributes = attributes.iter().map(|found| {
+            let info = AttributeInfo { name: found.name.clone(), components: found.places.len() };
+            (info, places(&found.places))
+        });
+        let attributes: Vec<_> = attributes.collect();
+        let position = places(&position.places).try_into().expect("found with three");
+        let present = match h5md::is_group(&self.group)? {
+            true => h5md::present(&arrays, &attributes)?,
+            false => None,
+        };
+        Ok(Table { arrays, position, attributes, present })
+    }
+}
+
+/// Groups and tables below `root` that hold positions, in the order of their paths.
+pub(super) struct Search {
+    pub candidates: Vec<Candidate>,
+    /// What is wrong with one that would hold positions otherwise.
+    fault: Option<ReadFault>,
+}
+
+impl Search {
+    /// Looks into `root` and all groups below.
+    pub fn of(root: &Group, file: &File) -> Result<Self, ReadFault> {
+        let mut search = Self { candidates: Vec::new(), fault: None };
+        let mut seen = BTreeSet::new();
+        // Groups ahead, the next one last.
+        let mut ahead = vec![(String::new(), root.clone(), 0)];
+        while let Some((path, group, depth)) = ahead.pop() {
+            if !seen.insert(group.address()) || seen.len() > MOST_GROUPS {
+                continue;
+            }
+            let (mut groups, mut sets) = checked(group.members())?;
+            groups.sort_by(|a, b| a.name().cmp(b.name()));
+            sets.sort_by(|a, b| a.name().cmp(b.name()));
+            let elements = h5md::elements(&groups, file)?;
+            let joined = |name: &str| match path.as_str() {
+                "" => name.to_owned(),
+                path => format!("{path}/{name}"),
+            };
+            let (mut fields, mut tables) = (Fields::default(), Vec::new());
+            let items = pandas_items(&sets)?;
+            for set in sets {
+                let name = last_name(set.name()).to_owned();
+                match set.dtype() {
+                    Datatype::Compound { .. } => tables.push((name, set)),
+                    _ => match items.iter().find(|(values, _)| *values == name) {
+                        Some((_, items)) => fields.push_block(set, items),
+                        None => fields.push(name, set),
+                    },
+                }
+            }
+            for (name, set) in elements {
+                fields.push(name, set);
+            }
+            let own = if path.is_empty() { "/".to_owned() } else { path.clone() };
+            search.push(own, &group, fields);
+            for (name, set) in tables {
+                let mut fields = Fields::default();
+                fields.push_table(set)?;
+                search.push(joined(&name), &group, fields);
+            }
+            // Names of that kind are of references, as MATLAB writes them.
+            let below = groups.into_iter().rev().filter(|group| !group.name().starts_with('#'));
+            if depth < DEEPEST {
+                ahead
+                    .extend(below.map(|group| (joined(last_name(group.name())), group, depth + 1)));
+            }
+        }
+        Ok(search)
+    }
+
+    fn push(&mut self, path: String, group: &Group, fields: Fields) {
+        let Fields { fields, sources } = fields;
+        match arrange(&fields) {
+            Ok(Some(arrangement)) => {
+                let group = group.clone();
+                self.candidates.push(Candidate { path, group, fields, sources, arrangement });
+            }
+            Ok(None) => {}
+            Err(fault) => {
+                self.fault.get_or_insert(fault);
+            }
+        }
+    }
+
+    /// The candidate that is `named`, or the only one.
+    ///
+    /// # Errors
+    /// [`ReadFault::Unsupported`] where there is none, which lists what `root` holds, or several.
+    pub fn chosen(mut self, root: &Group, named: Option<&str>) -> Result<Candidate, ReadFault> {
+        if self.candidates.is_empty() {
+            return Err(match self.fault {
+                Some(fault) => fault,
+                None => contents::no_position(root)?,
+            });
+        }
+        // The last part of a path names it where that is no other's.
+        let last = |path: &str| path.rsplit('/').next().unwrap_or_default().to_owned();
+        let paths: Vec<String> = self.candidates.iter().map(|c| c.path.clone()).collect();
+        let names = paths.iter().map(|path| {
+            let short = last(path);
+            let is_unique = paths.iter().filter(|other| last(other) == short).count() == 1;
+            if is_unique && !short.is_empty() { short } else { path.clone() }
+        });
+        let names: Vec<String> = names.collect();
+        let by_path = named.and_then(|named| paths.iter().position(|path| path == named));
+        let index = match by_path {
+            Some(index) => index,
+            None => {
+                let chosen = chosen_type(&names, named, Some(USUAL))?;
+                names.iter().position(|name| *name == chosen).expect("one of them")
+            }
+        };
+        Ok(self.candidates.swap_remove(index))
+    }
+}
+
+/// Fields of a group or of a table.
+#[derive(Default)]
+struct Fields {
+    fields: Vec<Field>,
+    sources: Vec<Source>,
+}
+
+impl Fields {
+    fn add(&mut self, name: String, shape: Vec<u64>, source: Source) {
+        self.fields.push(Field { name, shape });
+        self.sources.push(source);
+    }
+
+    /// A data set, if it is of numbers.
+    fn push(&mut self, name: String, set: Dataset) {
+        if let Some(number) = scalar(set.dtype()).filter(|_| set.ndim() > 0) {
+            let shape = set.shape().to_vec();
+            self.add(name, shape, Source { set: Arc::new(set), number, member: None });
+        }
+    }
+
+    /// A block of columns, as pandas writes them.
+    fn push_block(&mut self, set: Dataset, items: &[String]) {
+        let (Some(number), &[rows, width]) = (scalar(set.dtype()), set.shape()) else { return };
+        if width != items.len() as u64 {
+            return;
+        }
+        let (set, size) = (Arc::new(set), number.0.size());
+        for (index, name) in items.iter().enumerate() {
+            let member = Some(Member { offset: index * size, stride: items.len() * size });
+            let source = Source { set: Arc::clone(&set), number, member };
+            self.add(name.clone(), vec![rows], source);
+        }
+    }
+
+    /// The members of a compound type that are numbers, or arrays of numbers.
+    fn push_table(&mut self, set: Dataset) -> Result<(), ReadFault> {
+        let (&[rows], Datatype::Compound { size, .. }) = (set.shape(), set.dtype()) else {
+            return Ok(());
+        };
+        let (stride, kind) = (*size as usize, set.dtype().clone());
+        self.push_members(&Arc::new(set), &kind, "", rows, 0, stride)
+    }
+
+    fn push_members(
+        &mut self,
+        set: &Arc<Dataset>,
+        kind: &Datatype,
+        name: &str,
+        rows: u64,
+        offset: usize,
+        stride: usize,
+    ) -> Result<(), ReadFault> {
+        let (number, dims) = match kind {
+            Datatype::Compound { fields, .. } => {
+                for field in fields {
+                    let full = match name {
+                        "" => field.name.clone(),
+                        _ => format!("{name}.{}", field.name),
+                    };
+                    let offset = offset.saturating_add(field.byte_offset as usize);
+                    self.push_members(set, &field.datatype, &full, rows, offset, stride)?;
+                }
+                return Ok(());
+            }
+            Datatype::Array { base, dims } => (scalar(base), &dims[..]),
+            Datatype::Enum { base, .. } => (scalar(base), &[][..]),
+            other => (scalar(other), &[][..]),
+        };
+        let Some(number) = number else { return Ok(()) };
+        let numbers = dims.iter().try_fold(1u64, |product, &size| product.checked_mul(size));
+        let end = numbers
+            .and_then(|numbers| usize::try_from(numbers).ok()?.checked_mul(number.0.size()))
+            .and_then(|bytes| bytes.checked_add(offset));
+        if end.is_none_or(|end| end > stride) {
+            let what = format!("{name} ends beyond the {stride} bytes of a row");
+            return Err(malformed(0, what));
+        }
+        let shape = [rows].into_iter().chain(dims.iter().copied()).collect();
+        let member = Some(Member { offset, stride });
+        self.add(name.to_owned(), shape, Source { set: Arc::clone(set), number, member });
+        Ok(())
+    }
+}
+
+/// The last part of a path.
+pub(super) fn last_name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or_default()
+}
+
+/// Names of the data sets that are blocks of columns in pandas' fixed format, and their columns'.
+fn pandas_items(sets: &[Dataset]) -> Result<Vec<(String, Vec<String>)>, ReadFault> {
+    let mut all = Vec::new();
+    for set in sets {
+        let Some(block) = last_name(set.name()).strip_suffix("_items") else { continue };
+        let is_text = matches!(set.dtype(), Datatype::String { .. } | Datatype::VarLen { .. });
+        if block.starts_with("block") && is_text && set.ndim() == 1 {
+            all.push((format!("{block}_values"), checked(set.read_strings())?));
+        }
+    }
+    Ok(all)
+}

@@ -1,0 +1,112 @@
+//! H5MD: elements of a group of particles, each a group of its own with values, steps and times.
+
+use hdf5_reader::Dataset;
+use hdf5_reader::group::Group;
+
+use crate::io::ReadFault;
+use crate::particles::AttributeInfo;
+use crate::particles::sieve::Sieve;
+
+use super::file::{File, checked, number_of, numbers};
+use super::groups::last_name;
+use super::table::{Array, Place};
+
+const POSITION: &str = "position";
+const VALUE: &str = "value";
+const STEP: &str = "step";
+const TIME: &str = "time";
+/// Name of the particles' numbers; a row whose number is -1 is no particle of this frame.
+const ID: &str = "id";
+/// Rows whose numbers are read at once.
+const WINDOW: u64 = 1 << 16;
+
+/// The values of the elements among some groups, by their names. Elements that were stored at other
+/// steps than the position are left out.
+pub fn elements(groups: &[Group], file: &File) -> Result<Vec<(String, Dataset)>, ReadFault> {
+    let mut all = Vec::new();
+    for group in groups {
+        let (_, sets) = checked(group.member_names())?;
+        if sets.iter().any(|name| name == VALUE) {
+            let name = last_name(group.name()).to_owned();
+            all.push((name, checked(group.dataset(VALUE))?, steps(group, &sets, file)?));
+        }
+    }
+    let expected = all.iter().find(|(name, ..)| name == POSITION).map(|(.., steps)| steps.clone());
+    let fits = |steps: &Option<Vec<i64>>| match (steps, expected.as_ref()) {
+        (Some(steps), Some(Some(expected))) => steps == expected,
+        _ => true,
+    };
+    let all = all.into_iter().filter(|(.., steps)| fits(steps));
+    Ok(all.map(|(name, values, _)| (name, values)).collect())
+}
+
+/// The steps of an element, where each is stored.
+fn steps(group: &Group, sets: &[String], file: &File) -> Result<Option<Vec<i64>>, ReadFault> {
+    if !sets.iter().any(|name| name == STEP) {
+        return Ok(None);
+    }
+    let steps = Array::new(checked(group.dataset(STEP))?);
+    let steps = steps.filter(|steps| steps.components == 1 && !steps.scalar.is_float());
+    steps.map(|steps| steps.integers(file)).transpose()
+}
+
+/// Whether a group of particles is one of H5MD.
+pub fn is_group(group: &Group) -> Result<bool, ReadFault> {
+    let (groups, _) = checked(group.member_names())?;
+    if !groups.iter().any(|name| name == POSITION) {
+        return Ok(false);
+    }
+    let (_, sets) = checked(checked(group.group(POSITION))?.member_names())?;
+    Ok(sets.iter().any(|name| name == VALUE))
+}
+
+/// The time of a frame, which the position's element says.
+pub fn time(group: &Group, frame: u64) -> Option<f64> {
+    let times = group.group(POSITION).ok()?.dataset(TIME).ok()?;
+    let time = match times.ndim() {
+        // The time between frames.
+        0 => number_of(times, 0)? * frame as f64,
+        _ => number_of(times, frame)?,
+    };
+    time.is_finite().then_some(time)
+}
+
+/// Edges of a box whose axes are those of the coordinates.
+pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
+    let all = group.group("box").ok()?;
+    let fixed = || all.dataset("edges").ok();
+    let edges = match all.group("edges") {
+        Ok(element) => {
+            let edges = Array::new(element.dataset(VALUE).ok()?).filter(|a| a.components == 3)?;
+            (frame < edges.rows).then(|| edges.doubles([frame, frame + 1]).ok())??
+        }
+        Err(_) => match fixed().and_then(Array::new) {
+            Some(edges) if edges.components == 1 && edges.rows == 3 => {
+                edges.doubles([0, 3]).ok()?
+            }
+            _ => numbers(&all, "edges")?,
+        },
+    };
+    let edges: [f64; 3] = edges.try_into().ok()?;
+    edges.iter().all(|edge| edge.is_finite() && *edge > 0.0).then_some(edges)
+}
+
+/// Numbers of the rows that are particles, where not all are.
+pub fn present(
+    arrays: &[Array],
+    attributes: &[(AttributeInfo, Vec<Place>)],
+) -> Result<Option<Sieve>, ReadFault> {
+    let ids = attributes.iter().find(|(info, places)| info.name == ID && places.len() == 1);
+    let Some(array) = ids.map(|(_, places)| &arrays[places[0].0]) else { return Ok(None) };
+    if array.scalar.is_float() {
+        return Ok(None);
+    }
+    let mut present = Sieve::none(array.rows as usize);
+    for start in (0..array.rows).step_by(WINDOW as usize) {
+        let ids = array.some_integers([start, array.rows.min(start + WINDOW)])?;
+        let rows = (start as usize..).zip(ids).filter(|(_, id)| *id != -1);
+        rows.for_each(|(row, _)| Sieve::set(&mut present, row));
+    }
+    let present = Sieve::new(present);
+    Ok((present.count() as u64 != array.rows).then_some(present))
+}

@@ -1,0 +1,62 @@
+//! LZF, h5py's own compression: runs of bytes as they are, and copies of bytes before.
+
+use hdf5_reader::error::{Error, Result};
+
+/// The filter's number in HDF5.
+pub const ID: u16 = 32000;
+
+/// Unpacks a chunk. Three bytes unpack to 264 at most, so the chunk's size bounds the memory.
+pub fn unpack(packed: &[u8]) -> Result<Vec<u8>> {
+    read(packed).ok_or_else(|| Error::InvalidData("damaged LZF data".to_owned()))
+}
+
+fn read(mut packed: &[u8]) -> Option<Vec<u8>> {
+    let mut unpacked = Vec::new();
+    while let Some((&control, rest)) = packed.split_first() {
+        packed = rest;
+        let low = usize::from(control & 0x1f);
+        let mut length = usize::from(control >> 5);
+        if length == 0 {
+            let (run, rest) = packed.split_at_checked(low + 1)?;
+            unpacked.extend_from_slice(run);
+            packed = rest;
+            continue;
+        }
+        let mut byte = || {
+            let (&byte, rest) = packed.split_first()?;
+            packed = rest;
+            Some(usize::from(byte))
+        };
+        if length == 7 {
+            length += byte()?;
+        }
+        let distance = (low << 8) + byte()? + 1;
+        let start = unpacked.len().checked_sub(distance)?;
+        // The copy may reach into what it appends.
+        for at in start..start + length + 2 {
+            unpacked.push(unpacked[at]);
+        }
+    }
+    Some(unpacked)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_copy_may_overlap_itself() {
+        assert_eq!(unpack(&[1, 7, 8, 0x20, 1, 0xe0, 2, 0]).unwrap(), {
+            let mut all = vec![7, 8, 7, 8, 7];
+            all.extend([7; 11]);
+            all
+        });
+    }
+
+    #[test]
+    fn every_cut_and_every_distance_is_checked() {
+        for damaged in [&[3, 1, 2][..], &[0x20], &[0x20, 0], &[0, 5, 0x20, 1], &[0, 5, 0xe0, 3]] {
+            assert!(unpack(damaged).is_err(), "{damaged:?}");
+        }
+    }
+}
