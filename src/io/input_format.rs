@@ -17,7 +17,7 @@ pub enum InputFormat {
     Bi4,
     /// Tables of text, as in .csv, .txt and .dat, also of Tecplot.
     Csv,
-    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
+    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD, or any groups and tables.
     Hdf5,
     /// A list of positions in JSON.
     Json,

@@ -76,8 +76,9 @@ pub struct ParticleFile {
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres, where the file says it; coordinates are in that unit.
     pub unit_metres: Option<f64>,
-    /// The type of the particles, where the file holds several.
-    pub particle_type: Option<String>,
+    /// Types of particles that the file holds, the one that was read first; none where it holds
+    /// but one without a name.
+    pub particle_types: Vec<String>,
     /// Number of particles that were left out as copies of those of other pieces.
     pub ghosts: usize,
     /// Number of particles that were left out as they fail a condition.
@@ -126,7 +127,7 @@ impl ParticleFile {
             time: None,
             box_size: None,
             unit_metres: None,
-            particle_type: None,
+            particle_types: Vec::new(),
             ghosts: 0,
             unselected: 0,
             none_selected: None,

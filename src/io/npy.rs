@@ -14,6 +14,8 @@ use super::{ParticleFile, ReadFault, malformed};
 
 /// Name that an array of positions would have among others.
 pub(super) const POSITION: &str = "pos";
+/// The element of a structured array, for people.
+const STRUCTURE: &str = "of a structure";
 /// Members of a structure that are read.
 const MOST_MEMBERS: usize = 1 << 10;
 
@@ -116,10 +118,10 @@ impl Header {
         let (descr, members, element_bytes) = match descr.starts_with('[') {
             true => {
                 let (members, bytes) = structure(descr).unwrap_or_default();
-                ("of a structure".to_owned(), members, bytes)
+                (STRUCTURE.to_owned(), members, bytes)
             }
             false => {
-                let name = quoted(descr).map_or("of a structure", |(name, _)| name);
+                let name = quoted(descr).map_or(STRUCTURE, |(name, _)| name);
                 let element = element(name);
                 let member = element.map(|(endian, scalar)| Member {
                     name: String::new(),
@@ -178,6 +180,10 @@ impl Header {
         ReadFault::Unsupported(match self.is_pickled() {
             true => "pickled objects of Python, which are not read; save an array of numbers, of \
                      shape (N, 3)"
+                .to_owned(),
+            false if self.descr == STRUCTURE => "elements of a structure whose members are \
+                                                 structures or objects, which are not read; save \
+                                                 an array of numbers, of shape (N, 3)"
                 .to_owned(),
             false => format!(
                 "elements {}; positions are read from float32 and float64 (.astype(np.float32))",

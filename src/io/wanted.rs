@@ -120,7 +120,7 @@ impl ParticleFile {
         let mut tested = Vec::new();
         for condition in conditions.iter().flat_map(Where::conditions) {
             // The reader has chosen a type, unless that is an attribute.
-            match &self.particle_type {
+            match self.particle_types.first() {
                 Some(own) if condition.is_of_type() && condition.attribute(infos).is_none() => {
                     let name = condition.name.clone();
                     let order = || ReadFault::Selection(SelectionFault::Order { name });

@@ -58,8 +58,6 @@ pub struct ParticlesInfo {
     pub attributes: Vec<AttributeInfo>,
     /// The attributes of few values, and how often each value occurs.
     pub values: Vec<Occurring>,
-    /// The type of the particles, where the file holds several.
-    pub particle_type: Option<String>,
     /// The number of particles that fail the conditions.
     pub unselected: usize,
     /// The number of particles that are left out, as copies of those of other pieces.
@@ -70,6 +68,9 @@ pub struct ParticlesInfo {
     pub box_size: Option<[f64; 3]>,
     /// The unit of length in metres, by the file.
     pub unit_metres: Option<f64>,
+    /// Types of particles that the file holds, the one that was read first; none where it holds
+    /// but one without a name.
+    pub particle_types: Vec<String>,
     /// Distance between neighbouring particles.
     pub spacing: Option<f64>,
     /// Where the spacing comes from.
@@ -231,12 +232,12 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         bounds: bounds.map(|b| [b.lo.to_array(), b.hi.to_array()]),
         attributes: particles.attributes().iter().chain(&file.unread).cloned().collect(),
         values: occurring(particles),
-        particle_type: file.particle_type.clone(),
         unselected: file.unselected,
         ghosts: file.ghosts,
         left_out: file.left_out.iter().map(ToString::to_string).collect(),
         box_size: file.box_size,
         unit_metres: file.unit_metres,
+        particle_types: file.particle_types,
         memory_bytes: cells.as_ref().and_then(|cells| memory(particles, cells)),
         spacing: known.as_ref().map(|(spacing, _)| *spacing),
         spacing_source: known.map(|(_, source)| match source {

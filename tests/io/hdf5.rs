@@ -155,7 +155,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic() {
                 assert_eq!(positions(&file), values, "{name} cut at {length}");
             }
         }
-        for at in 0..whole.len() {
+        for at in (0..whole.len()).step_by(whole.len() / (8 << 10) + 1) {
             for flip in [0x01, 0x80, 0xff] {
                 let mut bytes = whole.clone();
                 bytes[at] ^= flip;

@@ -82,14 +82,21 @@ fn describe(info: &Info) -> String {
             memory_bytes,
             ghosts,
             values,
-            particle_type,
             unselected,
             left_out,
             box_size,
             unit_metres,
+            particle_types,
             ..
         }) => {
             line("particles", particles.to_string());
+            match &particle_types[..] {
+                [] => {}
+                [only] => line("type", format!("{only}, the only one")),
+                [read, others @ ..] => {
+                    line("type", format!("{read}; not read: {}", others.join(", ")))
+                }
+            }
             if *not_finite > 0 {
                 line("not finite", not_finite.to_string());
             }
@@ -103,9 +110,6 @@ fn describe(info: &Info) -> String {
             }
             if let Some(metres) = unit_metres {
                 line("unit", format!("of length {metres:?} m, by the file"));
-            }
-            if let Some(kind) = particle_type {
-                line("type", kind.clone());
             }
             if *unselected > 0 {
                 line("left out", format!("{unselected} particles that fail the conditions"));

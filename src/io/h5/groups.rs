@@ -15,7 +15,7 @@ use crate::particles::AttributeInfo;
 use super::contents::{self, DEEPEST, MOST_GROUPS};
 use super::file::{File, checked, time_of, times_in};
 use super::h5md;
-use super::table::{Array, Part, Table, chosen_type, scalar};
+use super::table::{Array, Part, Table, chosen_type, scalar, types};
 
 /// Type of particles that is read of several, where it is there: gas, as in snapshots.
 const USUAL: &str = "PartType0";
@@ -183,11 +183,16 @@ impl Search {
         }
     }
 
-    /// The candidate that is `named`, or the only one.
+    /// The candidate that is `named`, or the only one, and the names of all, its own first; none
+    /// where it is the only one.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] where there is none, which lists what `root` holds, or several.
-    pub fn chosen(mut self, root: &Group, named: Option<&str>) -> Result<Candidate, ReadFault> {
+    pub fn chosen(
+        mut self,
+        root: &Group,
+        named: Option<&str>,
+    ) -> Result<(Candidate, Vec<String>), ReadFault> {
         if self.candidates.is_empty() {
             return Err(match self.fault {
                 Some(fault) => fault,
@@ -211,7 +216,9 @@ impl Search {
                 names.iter().position(|name| *name == chosen).expect("one of them")
             }
         };
-        Ok(self.candidates.swap_remove(index))
+        let (chosen, is_only) = (names[index].clone(), names.len() == 1);
+        let names = if is_only { Vec::new() } else { types(names, &chosen) };
+        Ok((self.candidates.swap_remove(index), names))
     }
 }
 

@@ -17,8 +17,7 @@ use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::file::{File, checked, number, numbers, time_of};
-use super::table::chosen_type;
-use super::table::{Array, Windows, fault_of};
+use super::table::{Array, Windows, chosen_type, fault_of, types};
 
 /// Groups of a species that are no records of its particles.
 const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
@@ -72,7 +71,7 @@ pub fn read_particles(
     Ok(ParticleFile {
         time,
         unit_metres: Some(1.0),
-        particle_type: Some(kind),
+        particle_types: types(known, &kind),
         ..particles(&species, &file, wanted.attributes)?
     })
 }

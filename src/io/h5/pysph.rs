@@ -6,8 +6,7 @@ use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::file::{File, checked, time_of};
-use super::table::chosen_type;
-use super::table::{Array, Place, Table};
+use super::table::{Array, Place, Table, chosen_type, types};
 
 /// Name of the group of the arrays of particles.
 pub const PARTICLES: &str = "particles";
@@ -22,7 +21,8 @@ pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFa
     let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
     let arrays = Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
-    Ok(ParticleFile { time, particle_type: Some(kind), ..file.without(TAG) })
+    let particle_types = types(known, &kind);
+    Ok(ParticleFile { time, particle_types, ..file.without(TAG) })
 }
 
 /// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.

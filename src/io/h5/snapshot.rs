@@ -16,8 +16,7 @@ use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::particles::Particles;
 
 use super::file::{File, checked, number, numbers, time_of};
-use super::table::chosen_type;
-use super::table::{Array, Table};
+use super::table::{Array, Table, chosen_type, types};
 
 /// Name of the group of all that is said of the snapshot.
 pub const HEADER: &str = "Header";
@@ -149,8 +148,9 @@ pub fn open_particles(
     if let WantedPieces::All = wanted.pieces {
         check_total(&header, &kind, read.particles.len()).map_err(fail)?;
     }
+    let particle_types = types(header.types(), &kind);
     let Header { time, box_size, unit_metres, .. } = header;
-    Ok(ParticleFile { time, box_size, unit_metres, particle_type: Some(kind), ..read })
+    Ok(ParticleFile { time, box_size, unit_metres, particle_types, ..read })
 }
 
 /// Refuses files that hold other particles together than each of them says.

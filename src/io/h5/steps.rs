@@ -63,7 +63,8 @@ pub fn read_particles(
         (None, [(_, only)]) => (only.clone(), None),
         (None, [(first, _), .., (last, _)]) => return Err(several_steps(*first, *last)),
     };
-    let candidate = Search::of(&group, &file)?.chosen(&group, wanted.particle_type)?;
+    let (candidate, particle_types) =
+        Search::of(&group, &file)?.chosen(&group, wanted.particle_type)?;
     candidate.check_frames(&file)?;
     let frame = candidate.arrangement.frame(frame)?;
     let time = candidate.time(frame).or_else(|| match candidate.frames() {
@@ -75,7 +76,12 @@ pub fn read_particles(
     let box_size = candidate.box_size(frame);
     let table = candidate.table(frame)?;
     drop((candidate, numbered, group, root));
-    Ok(ParticleFile { time, box_size, ..table.read(file, "HDF5", wanted.attributes)? })
+    Ok(ParticleFile {
+        time,
+        box_size,
+        particle_types,
+        ..table.read(file, "HDF5", wanted.attributes)?
+    })
 }
 
 /// The numbers of the frames, in order; none in a file that is one frame.

@@ -514,6 +514,12 @@ impl Table {
     }
 }
 
+/// All types of particles, the chosen one first.
+pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
+    let others = known.into_iter().filter(|name| name != chosen);
+    [chosen.to_owned()].into_iter().chain(others).collect()
+}
+
 /// The type of particles that is meant: by its name, or `usual`, or the only one.
 pub(super) fn chosen_type(
     known: &[String],
