@@ -126,8 +126,15 @@ impl Search {
         // Groups ahead, the next one last.
         let mut ahead = vec![(String::new(), root.clone(), 0)];
         while let Some((path, group, depth)) = ahead.pop() {
-            if !seen.insert(group.address()) || seen.len() > MOST_GROUPS {
+            if !seen.insert(group.address()) {
                 continue;
+            }
+            if seen.len() > MOST_GROUPS {
+                // One that is not looked into may hold positions as well.
+                return Err(ReadFault::Unsupported(format!(
+                    "HDF5 with more than {MOST_GROUPS} groups; copy the group of the particles to \
+                     a file of its own, such as by h5copy"
+                )));
             }
             let (mut groups, mut sets) = checked(group.members())?;
             groups.sort_by(|a, b| a.name().cmp(b.name()));

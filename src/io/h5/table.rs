@@ -539,7 +539,9 @@ pub(super) fn chosen_type(
         (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
         (None, [only]) => Ok(only.clone()),
         (None, _) => usual.filter(is_there).map(str::to_owned).ok_or_else(|| {
-            ReadFault::Unsupported(format!("particles of several types: {list}; name one"))
+            ReadFault::Unsupported(format!(
+                "particles of several types: {list}; choose one as the particle type"
+            ))
         }),
     }
 }
