@@ -97,7 +97,7 @@ struct Array {
 /// The numbers in all arrays.
 struct Contents {
     fields: Vec<Field>,
-    /// Of each field the number of its array, and that of the member there.
+    /// Array and member that each field is.
     sources: Vec<(usize, usize)>,
 }
 

@@ -125,6 +125,7 @@ fn of_several_groups_of_particles_one_has_to_be_named() {
     );
     let sand = open(Some("sand")).unwrap();
     assert_eq!((positions(&sand), sand.time), (points(20.0), Some(5.0)));
+    assert_eq!(sand.particle_types, ["sand", "wall"]);
     assert_eq!(open(Some("ParticleTypes/wall")).unwrap().particles.len(), 4);
     assert!(open(Some("PartType0")).is_err());
 }

@@ -114,7 +114,7 @@ impl Candidate {
 /// Groups and tables below `root` that hold positions, in the order of their paths.
 pub(super) struct Search {
     pub candidates: Vec<Candidate>,
-    /// What is wrong with one that would hold positions otherwise.
+    /// Fault of a group that would hold positions otherwise.
     fault: Option<ReadFault>,
 }
 
