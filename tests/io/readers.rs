@@ -940,7 +940,7 @@ fn a_cell_is_parsed_only_where_its_column_is_wanted() {
     let table = "x,y,z,p,vx,vy,vz\n1,2,3,1,4,5,6\n1,2,3,,4,5,6\n1,2,3,bad,4,5,6\n,2,3,1,NA,5,6\n";
     let read = |names: &[&str]| {
         let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
-        let wanted = WantedAttributes::Named(&names);
+        let wanted = WantedAttributes::Only { names: Some(&names), conditions: &[] };
         read_text(table.as_bytes().to_vec().into(), InputFormat::Csv, None, wanted)
     };
     let file = read(&["velocity"]).unwrap();
