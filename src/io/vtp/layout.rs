@@ -282,10 +282,12 @@ impl<'a> Layout<'a> {
         xml: &[u8],
         behind: usize,
     ) -> Result<(), ReadFault> {
-        let name = tag.value("Name")?.unwrap_or_default();
+        let is_points = section == Section::Points;
+        let unnamed = || if is_points { "Points".to_owned() } else { String::new() };
+        let name = tag.value("Name")?.unwrap_or_else(unnamed);
         let kind = tag.value("type")?.unwrap_or_default();
         let Some(scalar) = scalar_named(&kind) else {
-            if section == Section::Points {
+            if is_points {
                 let what = format!("the points are of type {kind:?}, and no numbers");
                 return Err(malformed(tag.at, what));
             }
@@ -299,8 +301,11 @@ impl<'a> Layout<'a> {
             (_, Some(piece)) => Some(&mut piece.arrays),
             (_, None) => return Err(malformed(tag.at, format!("array {name} is in no <Piece>"))),
         };
-        let default = if section == Section::Points { 3 } else { 1 };
+        let default = if is_points { 3 } else { 1 };
         let components = tag.number("NumberOfComponents")?.unwrap_or(default);
+        if components == 0 && section == Section::PointData {
+            return Ok(());
+        }
         let data = match tag.value("format")?.as_deref() {
             Some("appended") => {
                 let offset = tag.number("offset")?;
