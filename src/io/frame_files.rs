@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::input::file_and_step;
-use super::input_format::{InputFormat, extension};
+use super::input_format::InputFormat;
+#[cfg(feature = "hdf5")]
+use super::input_format::extension;
 use super::{ReadError, bi4, vtp};
 
 /// The pieces that a file names, whose particles are its own; none of another format.
