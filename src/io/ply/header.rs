@@ -16,7 +16,7 @@ pub(super) enum Encoding {
 }
 
 /// One value of a row, or a list of them behind their number.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Property {
     pub name: String,
     pub scalar: Scalar,
@@ -38,9 +38,16 @@ impl Element {
         self.properties.iter().map(|p| p.list.is_none().then(|| p.scalar.size())).sum()
     }
 
-    /// The number of the property of that name.
+    /// The element without its properties that are lists.
+    pub fn without_lists(&self) -> Self {
+        let properties = self.properties.iter().filter(|p| p.list.is_none()).cloned().collect();
+        Self { name: self.name.clone(), count: self.count, properties }
+    }
+
+    /// The number of the property of that name, or of one that differs in capitals only.
     pub fn property(&self, name: &str) -> Option<usize> {
-        self.properties.iter().position(|p| p.name == name)
+        let exact = self.properties.iter().position(|p| p.name == name);
+        exact.or_else(|| self.properties.iter().position(|p| p.name.eq_ignore_ascii_case(name)))
     }
 }
 

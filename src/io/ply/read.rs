@@ -14,6 +14,9 @@ use crate::surface::mesh::Mesh;
 use super::header::{Element, Encoding, Header, Property};
 use super::{GROUPS, NORMAL};
 
+/// Bytes of rows that are handed on at once.
+const PIECE: usize = 1 << 16;
+
 /// Reads a file of particles, by [`read_points`].
 ///
 /// # Errors
@@ -33,14 +36,14 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 ///
 /// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...)
 /// are the attribute `velocity`, nx, ny and nz `normal`; properties `a_0`, `a_1`, ... that follow
-/// each other are one attribute `a`, and any other is an attribute of its own. Elements that follow
-/// are not looked at.
+/// each other are one attribute `a`, and any other is an attribute of its own. Lists are passed
+/// over, and elements that follow are not looked at.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for a header, or a row of text, that does not parse,
 /// [`ReadFault::Truncated`] for fewer rows than the header counts, [`ReadFault::Malformed`] where
-/// there are no vertices with x, y and z, and [`ReadFault::Unsupported`] for lists on vertices;
-/// [`ReadFault::Scratch`] where text is decoded into a scratch file that fails.
+/// there are no vertices with x, y and z; [`ReadFault::Scratch`] where rows of text, or rows with
+/// lists, are decoded into a scratch file that fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = Header::parse(bytes.view())?;
     points(bytes, &header, unpacking)
@@ -54,8 +57,9 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
     };
     let is_text = header.encoding == Encoding::Ascii;
     // Where rows end that hold lists, each of them tells.
-    let mut before = header.elements.iter().take_while(|element| element.name != "vertex");
-    let whole = is_text || before.any(|element| element.row().is_none());
+    let vertex = header.elements.iter().position(|element| element.name == "vertex");
+    let mut upto = header.elements.iter().take(vertex.map_or(0, |vertex| vertex + 1));
+    let whole = is_text || upto.any(|element| element.row().is_none());
     let bytes = if whole { Bytes::Kept(bytes.read_whole(unpacking)?) } else { bytes };
     Ok(vertices(bytes.view(), header, unpacking)?.into_particles(bytes, format))
 }
@@ -96,26 +100,27 @@ pub(super) fn vertices(
     let element = header.elements.iter().find(|element| element.name == "vertex");
     let element =
         element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
-    if let Some(list) = element.properties.iter().find(|p| p.list.is_some()) {
-        let what = format!("vertices hold a list ({}); save the file without it", list.name);
-        return Err(ReadFault::Unsupported(what));
-    }
+    let plain = element.without_lists();
     let axis = |name| {
-        let index = element.property(name);
+        let index = plain.property(name);
         index.ok_or_else(|| malformed(header.body, format!("vertices have no property `{name}`")))
     };
     let position = [axis("x")?, axis("y")?, axis("z")?];
     let at = start(bytes, header, element)?;
     let (decoded, columns) = match header.encoding {
         Encoding::Ascii => {
-            (Some(decode(bytes.kept()?, at, element, unpacking)?), text_columns(element))
+            (Some(decode(bytes.kept()?, at, element, unpacking)?), text_columns(&plain))
+        }
+        Encoding::Binary(endian) if element.row().is_none() => {
+            let rows = plain_rows(bytes.kept()?.bytes(), header.encoding, element, at, unpacking)?;
+            (Some(rows), binary_columns(&plain, 0, endian))
         }
         Encoding::Binary(endian) => {
             skip(bytes, header.encoding, element, at)?;
-            (None, binary_columns(element, at, endian))
+            (None, binary_columns(&plain, at, endian))
         }
     };
-    let attributes: Vec<_> = group(&element.properties, position)
+    let attributes: Vec<_> = group(&plain.properties, position)
         .into_iter()
         .map(|(name, members)| {
             let members: Vec<_> = members.into_iter().map(|index| columns[index]).collect();
@@ -131,7 +136,7 @@ pub(super) fn vertices(
 /// The attributes that `properties` without those of `position` make: names, and numbers of
 /// properties.
 fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
-    let named = |name: &str| properties.iter().position(|p| p.name == name);
+    let named = |name: &str| properties.iter().position(|p| p.name.eq_ignore_ascii_case(name));
     let groups = GROUPS.map(|(name, members)| (name, members.map(named)));
     let whole =
         |members: &[Option<usize>; 3]| members.iter().copied().collect::<Option<Vec<usize>>>();
@@ -186,19 +191,49 @@ fn text_columns(element: &Element) -> Vec<Column> {
     columns(0, 8 * components, components, Scalar::F64, Endian::Little)
 }
 
-/// Rows of text as little-endian f64.
+/// Rows of binary without their lists, so that all are alike.
+fn plain_rows(
+    bytes: &[u8],
+    encoding: Encoding,
+    element: &Element,
+    at: usize,
+    unpacking: Unpacking,
+) -> Result<Kept, ReadFault> {
+    let mut scan = Scanner::new(bytes, at);
+    let mut rows = Unpacked::new(unpacking);
+    let mut piece = Vec::with_capacity(2 * PIECE);
+    for _ in 0..element.count {
+        for property in &element.properties {
+            let start = scan.at();
+            let length = list_length(&mut scan, encoding, element, property)?;
+            pass(&mut scan, encoding, property.scalar, length)?;
+            if property.list.is_none() {
+                piece.extend_from_slice(&bytes[start..scan.at()]);
+            }
+        }
+        if piece.len() >= PIECE {
+            rows.push(&piece)?;
+            piece.clear();
+        }
+    }
+    rows.push(&piece)?;
+    rows.finish()
+}
+
+/// Rows of text as little-endian f64, without their lists.
 fn decode(
     source: Slice,
     at: usize,
     element: &Element,
     unpacking: Unpacking,
 ) -> Result<Kept, ReadFault> {
-    let width = element.properties.len();
     let scan = Scanner::new(source.bytes(), at);
-    scan.expect_numbers(element.count.saturating_mul(width), "the text of `vertex`")?;
+    let words = element.count.saturating_mul(element.properties.len());
+    scan.expect_numbers(words, "the text of `vertex`")?;
+    let width = element.properties.iter().filter(|property| property.list.is_none()).count();
     let all = Scalar::F64.size() * width * element.count;
     let mut decoded = Unpacked::new(unpacking);
-    let decode = |piece| decode_rows(source, piece, width);
+    let decode = |piece| decode_rows(source, piece, element);
     decode_pieces(
         source,
         at..source.len(),
@@ -225,7 +260,7 @@ fn decode(
 fn decode_rows(
     source: Slice,
     lines: Range<usize>,
-    width: usize,
+    element: &Element,
 ) -> (Vec<u8>, Result<(), ReadFault>) {
     let mut scan = Scanner::new(source.bytes(), lines.start);
     let mut rows = Vec::new();
@@ -235,17 +270,22 @@ fn decode_rows(
             return (rows, Ok(()));
         }
         let whole = rows.len();
-        if let Err(fault) = decode_row(&mut scan, width, &mut rows) {
+        if let Err(fault) = decode_row(&mut scan, element, &mut rows) {
             rows.truncate(whole);
             return (rows, Err(fault));
         }
     }
 }
 
-fn decode_row(scan: &mut Scanner, width: usize, rows: &mut Vec<u8>) -> Result<(), ReadFault> {
-    for _ in 0..width {
-        scan.skip_blanks();
-        rows.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+fn decode_row(scan: &mut Scanner, element: &Element, rows: &mut Vec<u8>) -> Result<(), ReadFault> {
+    for property in &element.properties {
+        if property.list.is_some() {
+            let length = list_length(scan, Encoding::Ascii, element, property)?;
+            pass(scan, Encoding::Ascii, property.scalar, length)?;
+        } else {
+            scan.skip_blanks();
+            rows.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+        }
     }
     end_row(scan)
 }
@@ -337,13 +377,7 @@ fn walk(
         }
         let start = scan.at();
         for (index, property) in element.properties.iter().enumerate() {
-            let length = match property.list {
-                Some(scalar) => next_integer(&mut scan, encoding, scalar)?,
-                None => 1,
-            };
-            let length = usize::try_from(length).map_err(|_| {
-                malformed(start, format!("row {row} of `{}` has a list of {length}", element.name))
-            })?;
+            let length = list_length(&mut scan, encoding, element, property)?;
             if list == Some(index) {
                 values.clear();
                 for _ in 0..length {
@@ -359,6 +393,22 @@ fn walk(
         visit(row, start, &values)?;
     }
     Ok(scan.at())
+}
+
+/// How many values of `property` follow: as many as its list says, or one.
+fn list_length(
+    scan: &mut Scanner,
+    encoding: Encoding,
+    element: &Element,
+    property: &Property,
+) -> Result<usize, ReadFault> {
+    let Some(scalar) = property.list else { return Ok(1) };
+    let at = scan.at();
+    let length = next_integer(scan, encoding, scalar)?;
+    usize::try_from(length).map_err(|_| {
+        let (name, list) = (&element.name, &property.name);
+        malformed(at, format!("the list `{list}` of a row of `{name}` has the length {length}"))
+    })
 }
 
 fn next_integer(scan: &mut Scanner, encoding: Encoding, scalar: Scalar) -> Result<i64, ReadFault> {

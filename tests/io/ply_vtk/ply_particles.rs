@@ -141,11 +141,55 @@ fn ply_headers_may_have_line_ends_of_either_kind() {
 }
 
 #[test]
+fn lists_of_ply_vertices_are_passed_and_capitals_name_the_same_axes() {
+    let header = "element vertex 2\nproperty list uchar int near\nproperty double X\n\
+                  property float Z\nproperty double Y\nproperty int64 id\n\
+                  property list ushort double weights\n";
+    for encoding in ENCODINGS {
+        let file = PlyBuilder::new(encoding, header)
+            .row(&[
+                ("uchar", 2.0),
+                ("int", 7.0),
+                ("int", 8.0),
+                ("double", 1.5),
+                ("float", 3.5),
+                ("double", 2.5),
+                ("long", 77.0),
+                ("ushort", 1.0),
+                ("double", 0.25),
+            ])
+            .row(&[
+                ("uchar", 0.0),
+                ("double", 4.5),
+                ("float", 6.5),
+                ("double", 5.5),
+                ("long", 78.0),
+                ("ushort", 0.0),
+            ])
+            .bytes;
+        let read = PLY.particles(&file).unwrap();
+        assert_eq!(positions(&read), [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5]], "{encoding}");
+        assert_eq!(attribute(&read, "id"), [77.0, 78.0], "{encoding}");
+        assert_eq!(read.particles.attributes().len(), 1, "lists are no attributes");
+        for cut in 2..8 {
+            assert!(PLY.particles(&file[..file.len() - cut]).is_err(), "{encoding} {cut}");
+        }
+    }
+}
+
+#[test]
 fn ply_files_that_we_do_not_read_are_refused_with_the_reason() {
     let xyz = "property float x\nproperty float y\nproperty float z\n";
     let header = |lines: &str| format!("ply\nformat ascii 1.0\n{lines}end_header\n");
     let refused = [
-        (header(&format!("element vertex 0\n{xyz}property list uchar int n\n")), "a list (n)"),
+        (
+            header(&format!("element vertex 1\nproperty list char int n\n{xyz}")) + "-1 1 2 3 4\n",
+            "has the length -1",
+        ),
+        (
+            header(&format!("element vertex 1\nproperty list char int n\n{xyz}")) + "4 1 2 3 4\n",
+            "line 9: the line ends where a number",
+        ),
         (header("element vertex 0\nproperty float x\nproperty float y\n"), "no property `z`"),
         (header("element point 0\n"), "no element `vertex`"),
         (
