@@ -6,6 +6,8 @@ mod advice;
 mod arguments;
 #[path = "../../src/bin/meniscus/devices.rs"]
 mod devices;
+#[path = "../../src/bin/meniscus/foreign.rs"]
+mod foreign;
 #[path = "../../src/bin/meniscus/info.rs"]
 mod info;
 #[path = "../../src/bin/meniscus/inspect.rs"]

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 use crate::common::files::{raw, tree};
 use crate::common::fill;
-use crate::common::program::command;
+use crate::common::program::{command, run};
 use crate::common::scene::Random;
 
 /// Combinations in a run that nobody asked for more of.
@@ -175,4 +175,25 @@ fn every_combination_of_options_gives_a_whole_result_or_a_refusal_that_leaves_no
         Some(seed) => try_combination(seed),
         None => (0..number("MENISCUS_OPTIONS").unwrap_or(COMBINATIONS)).for_each(try_combination),
     }
+}
+
+#[test]
+fn options_of_other_programs_are_answered_with_ours() {
+    let folder = TempDir::new().unwrap();
+    let pairs = [
+        ("--particle-radius=0.025", "'--radius'"),
+        ("-r=0.025", "'--radius'"),
+        ("--cube-size=0.5", "'--cell-size'"),
+        ("--smoothing-length=2", "'--smooth'"),
+        ("--surface-threshold=0.6", "'--iso'"),
+        ("--num-threads=4", "'--threads'"),
+        ("--particle-aabb-min", "'--domain'"),
+        ("--output-file=a.ply", "'--output'"),
+    ];
+    for (theirs, ours) in pairs {
+        let errors = run(folder.path(), &["reconstruct", "a.npy", theirs], 2);
+        assert!(errors.contains(ours) && !errors.contains("similar"), "{theirs}: {errors}");
+    }
+    let errors = run(folder.path(), &["check", "--cube-size=3"], 2);
+    assert!(!errors.contains("--cell-size"), "`check` has no such option: {errors}");
 }

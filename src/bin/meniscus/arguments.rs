@@ -3,7 +3,7 @@
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use meniscus::Settings;
 
-use crate::{devices, info, inspect, options, pack, render, shells};
+use crate::{devices, foreign, info, inspect, options, pack, render, shells};
 
 /// Turn particle fluids into watertight surface meshes.
 #[derive(Parser)]
@@ -39,7 +39,11 @@ impl Arguments {
     /// Reads the command line, and ends the program where it is wrong or asks for help.
     pub fn of_command_line() -> Self {
         let mut command = Self::as_command();
-        let matches = command.clone().get_matches();
+        let matches = command.try_get_matches_from_mut(std::env::args_os());
+        let matches = matches.unwrap_or_else(|error| {
+            let subcommand = std::env::args().nth(1);
+            foreign::explained(error, &mut command, subcommand.as_deref()).exit()
+        });
         Self::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
     }
 

@@ -3,6 +3,7 @@
 mod advice;
 mod arguments;
 mod devices;
+mod foreign;
 mod info;
 mod inspect;
 mod interrupt;

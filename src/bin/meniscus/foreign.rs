@@ -1,0 +1,73 @@
+//! Options of other programs, with ours that do the same: a tip for those who type the former.
+
+use clap::Command;
+use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
+
+/// Names in other programs, our option, and what to know of it.
+const FOREIGN: &[(&[&str], &str, &str)] = &[
+    (&["-r", "--particle-radius"], "radius", "is the same length"),
+    (
+        &["--particle-spacing", "--particle-separation", "--particle-diameter", "--dp"],
+        "spacing",
+        "is the distance between neighbouring particles",
+    ),
+    (
+        &["-l", "--smoothing-length", "--smoothing-radius", "--kernel-radius"],
+        "smooth",
+        "sets the smoothing width, in spacings; a spacing is two particle radii",
+    ),
+    (
+        &["--mesh-smoothing-iters", "--mesh-smoothing-weights", "--smoothing-iterations"],
+        "smooth",
+        "makes the surface smoother, by its width in spacings",
+    ),
+    (
+        &["-c", "--cube-size"],
+        "cell-size",
+        "sets the edge of a cell as a length; --cell sets it in spacings, two particle radii each",
+    ),
+    (&["--voxel-size", "--grid-size", "--resolution"], "cell-size", "sets the edge of a cell"),
+    (
+        &["-t", "--surface-threshold", "--threshold", "--isovalue", "--iso-value", "--iso-level"],
+        "iso",
+        "sets the isovalue, for the indicators counting and symmetry and for kernel methods",
+    ),
+    (&["--mesh-cleanup", "--decimate", "--decimation"], "simplify", "makes fewer triangles"),
+    (&["-a", "--interpolate-attribute"], "attributes", "takes all names, with commas between"),
+    (&["--sph-normals", "--normals-smoothing-iters"], "normals", "takes them from the field"),
+    (
+        &["--particle-aabb-min", "--particle-aabb-max", "--domain-min", "--domain-max", "--aabb"],
+        "domain",
+        "takes both corners: X0,Y0,Z0,X1,Y1,Z1",
+    ),
+    (&["--output-file", "--output-dir", "--out"], "output", "names the mesh, or their folder"),
+    (&["-s", "--start-index", "--start-frame"], "start", "is the first frame"),
+    (&["-e", "--end-index", "--end-frame"], "end", "is the last frame"),
+    (&["-n", "-j", "--num-threads", "--jobs"], "threads", "sets their number"),
+];
+
+/// Options that name the input in other programs.
+const INPUT: &[&str] = &["-i", "--input", "--input-file", "--input-dir"];
+
+/// Adds a tip to an error of the arguments of `command` where it is about an option of another
+/// program.
+pub fn explained(mut error: Error, command: &mut Command, subcommand: Option<&str>) -> Error {
+    let Some(command) = subcommand.and_then(|name| command.find_subcommand_mut(name)) else {
+        return error;
+    };
+    let named = match (error.kind(), error.get(ContextKind::InvalidArg)) {
+        (ErrorKind::UnknownArgument, Some(ContextValue::String(named))) => named.clone(),
+        _ => return error,
+    };
+    let is_ours = |long: &str| command.get_arguments().any(|arg| arg.get_long() == Some(long));
+    let same = FOREIGN.iter().find(|(names, ours, _)| names.contains(&&*named) && is_ours(ours));
+    let tip = match same {
+        Some((_, ours, what)) => format!("use '--{ours}', which {what}"),
+        None if INPUT.contains(&&*named) => "inputs have no option: give their paths alone".into(),
+        None => return error,
+    };
+    error.remove(ContextKind::SuggestedArg);
+    error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    error.insert(ContextKind::Usage, ContextValue::StyledStr(command.render_usage()));
+    error
+}
