@@ -207,6 +207,19 @@ fn a_box_has_its_exact_volume_wherever_it_lies() {
 }
 
 #[test]
+fn pieces_far_from_each_other_keep_the_digits_of_their_volumes() {
+    let far = [3e9, -2e9, 1e9];
+    let mut mesh = cuboid([0.; 3], [0.5, 2., 3.25]);
+    let other = moved(&mesh, far);
+    let first = mesh.positions.len() as u32;
+    mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + first)));
+    mesh.positions.extend(other.positions);
+    let measures = measure(&mesh);
+    assert_eq!((measures.volume, measures.components), (Some(6.5), 2));
+    assert_eq!(measures.area, 4. * (1. + 6.5 + 1.625));
+}
+
+#[test]
 fn a_sphere_has_about_the_volume_and_area_of_a_ball() {
     let measures = measure(&sphere(2., 6));
     let (volume, area) = (32. / 3. * std::f64::consts::PI, 16. * std::f64::consts::PI);

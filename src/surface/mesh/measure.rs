@@ -1,9 +1,9 @@
 //! Area, volume, pieces, genus and the shapes of the triangles.
 //!
-//! Volume is the sum of the tetrahedra between the triangles and the centre of the mesh's box (the
-//! divergence theorem), so that a mesh far from the origin keeps its digits. Genus follows from
-//! Euler's `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in
-//! order.
+//! Volume is the sum of the tetrahedra between the triangles and a vertex of their own piece (the
+//! divergence theorem), with the rounding errors added up as well (Neumaier 1974): neither the
+//! distance from the origin nor that between pieces costs digits. Genus follows from Euler's
+//! `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in order.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -72,17 +72,16 @@ pub struct Quality {
 pub fn measure(mesh: &Mesh) -> Measures {
     let topology = topology(mesh);
     let vertices = mesh.positions.len() - topology.unreferenced_vertices.count;
-    let bounds = bounds(mesh);
-    let centre = bounds.map_or(DVec3::ZERO, |[low, high]| (low + high) / 2.0);
-    let sums = Sums::of(mesh, centre);
+    let sums = Sums::of(mesh);
     let pieces = pieces(mesh);
     let components = pieces.len();
+    let sextuple_volume: Total = pieces.iter().map(|piece| piece.sextuple_volume.value()).collect();
     let euler = vertices as i64 - topology.edges as i64 + topology.sound_triangles as i64;
     Measures {
-        bounds: bounds.map(|corners| corners.map(|corner| corner.to_array())),
-        area: sums.doubled_area / 2.0,
+        bounds: bounds(mesh).map(|corners| corners.map(|corner| corner.to_array())),
+        area: sums.doubled_area.value() / 2.0,
         volume: (topology.is_closed() && topology.is_oriented())
-            .then_some(sums.sextuple_volume / 6.0),
+            .then(|| sextuple_volume.value() / 6.0),
         components,
         flat_components: pieces.iter().filter(|piece| piece.is_flat()).count(),
         euler_characteristic: euler,
@@ -101,17 +100,47 @@ fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
     used.map(|p| [p, p]).reduce(|[low, high], [p, _]| [low.min(p), high.max(p)])
 }
 
+/// A sum that keeps what rounding takes off it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Total {
+    sum: f64,
+    lost: f64,
+}
+
+impl Total {
+    fn add(&mut self, term: f64) {
+        let sum = self.sum + term;
+        let (greater, lesser) =
+            if self.sum.abs() >= term.abs() { (self.sum, term) } else { (term, self.sum) };
+        self.lost += (greater - sum) + lesser;
+        self.sum = sum;
+    }
+
+    fn value(self) -> f64 {
+        // What is infinite has lost nothing that could be told.
+        if self.lost.is_finite() { self.sum + self.lost } else { self.sum }
+    }
+}
+
+impl FromIterator<f64> for Total {
+    fn from_iter<I: IntoIterator<Item = f64>>(terms: I) -> Self {
+        let mut total = Self::default();
+        terms.into_iter().for_each(|term| total.add(term));
+        total
+    }
+}
+
 /// A piece that shares no vertex with others.
 #[derive(Default)]
 struct Piece {
-    doubled_area: f64,
-    sextuple_volume: f64,
+    doubled_area: Total,
+    sextuple_volume: Total,
 }
 
 impl Piece {
     /// Whether it encloses less than rounding leaves of nothing.
     fn is_flat(&self) -> bool {
-        self.sextuple_volume.abs() <= FLAT * self.doubled_area.powf(1.5)
+        self.sextuple_volume.value().abs() <= FLAT * self.doubled_area.value().powf(1.5)
     }
 }
 
@@ -131,11 +160,11 @@ fn pieces(mesh: &Mesh) -> Vec<Piece> {
     for triangle in sound(mesh) {
         let least = root(&mut lesser, triangle[0]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
-        // As seen from a vertex of its own: far from others a small piece keeps its digits.
+        // As seen from a vertex of the piece: far from others a small one keeps its digits.
         let from = DVec3::from(mesh.positions[least as usize]);
         let piece = pieces.entry(least).or_default();
-        piece.doubled_area += (b - a).cross(c - a).length();
-        piece.sextuple_volume += (a - from).dot((b - from).cross(c - from));
+        piece.doubled_area.add((b - a).cross(c - a).length());
+        piece.sextuple_volume.add((a - from).dot((b - from).cross(c - from)));
     }
     pieces.into_values().collect()
 }
@@ -151,8 +180,7 @@ fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {
 /// Partial results that are summed over triangles.
 #[derive(Default)]
 struct Sums {
-    doubled_area: f64,
-    sextuple_volume: f64,
+    doubled_area: Total,
     angles: f64,
     least_angles: [usize; ANGLE_CLASSES],
     worst: Option<(f64, usize)>,
@@ -161,24 +189,23 @@ struct Sums {
 }
 
 impl Sums {
-    fn of(mesh: &Mesh, centre: DVec3) -> Self {
+    fn of(mesh: &Mesh) -> Self {
         let chunks: Vec<Self> = (0..mesh.triangles.len().div_ceil(CHUNK))
             .into_par_iter()
             .map(|chunk| {
                 let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(mesh.triangles.len());
-                Self::of_range(mesh, centre, range)
+                Self::of_range(mesh, range)
             })
             .collect();
         chunks.into_iter().fold(Self::default(), Self::add)
     }
 
-    fn of_range(mesh: &Mesh, centre: DVec3, range: Range<usize>) -> Self {
+    fn of_range(mesh: &Mesh, range: Range<usize>) -> Self {
         let mut sums = Self::default();
         for number in range {
             let triangle = mesh.triangles[number];
             if is_sound(triangle, mesh.positions.len()) {
-                let corners = triangle.map(|v| DVec3::from(mesh.positions[v as usize]) - centre);
-                sums.note(number, corners);
+                sums.note(number, triangle.map(|v| DVec3::from(mesh.positions[v as usize])));
             }
         }
         sums
@@ -186,8 +213,7 @@ impl Sums {
 
     fn note(&mut self, number: usize, [a, b, c]: [DVec3; 3]) {
         let doubled = (b - a).cross(c - a).length();
-        self.doubled_area += doubled;
-        self.sextuple_volume += a.dot(b.cross(c));
+        self.doubled_area.add(doubled);
         let angle = least_angle([a, b, c], doubled);
         self.angles += angle;
         self.least_angles[((angle / 5.0) as usize).min(ANGLE_CLASSES - 1)] += 1;
@@ -206,8 +232,9 @@ impl Sums {
 
     fn add(self, later: Self) -> Self {
         Self {
-            doubled_area: self.doubled_area + later.doubled_area,
-            sextuple_volume: self.sextuple_volume + later.sextuple_volume,
+            doubled_area: [self.doubled_area.value(), later.doubled_area.value()]
+                .into_iter()
+                .collect(),
             angles: self.angles + later.angles,
             least_angles: std::array::from_fn(|class| {
                 self.least_angles[class] + later.least_angles[class]
