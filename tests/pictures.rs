@@ -149,12 +149,8 @@ fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
     let mut mesh = sphere(1.0, 5);
     let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
     let velocities = mesh.positions.iter().flat_map(|_| [3.0, 0.0, 4.0]).collect();
-    mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
-    mesh.attributes.push(VertexAttribute {
-        name: "velocity".into(),
-        components: 3,
-        values: velocities,
-    });
+    mesh.attributes.push(VertexAttribute::new("height", 1, heights));
+    mesh.attributes.push(VertexAttribute::new("velocity", 3, velocities));
     let by = |name: &str, map: &str| {
         small().colour(Colour::Attribute { name: name.into(), map: map.parse().unwrap() })
     };
@@ -380,7 +376,7 @@ fn a_draft_has_the_same_bytes_for_any_number_of_threads_and_any_memory() {
 fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
     let mut mesh = torus(1200, 600);
     let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
-    mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
+    mesh.attributes.push(VertexAttribute::new("height", 1, heights));
     let by_height = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
     let mut dressed = mesh.clone();
     dressed.normals = Some(mesh.positions.iter().map(|p| [p[0] as f32, 1.0, 0.5]).collect());
@@ -406,11 +402,7 @@ fn a_large_file_is_drawn_in_a_stream_with_the_same_bytes() {
     let folder = TempDir::new().unwrap();
     let mut mesh = torus(1200, 600);
     let velocities = mesh.positions.iter().flat_map(|p| p.map(|x| x as f32)).collect();
-    mesh.attributes.push(VertexAttribute {
-        name: "velocity".into(),
-        components: 3,
-        values: velocities,
-    });
+    mesh.attributes.push(VertexAttribute::new("velocity", 3, velocities));
     let write = |name: &str, mesh: &Mesh| {
         let file = folder.path().join(name);
         let output =
@@ -522,11 +514,7 @@ fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_t
         (scope.bounds, scope.beyond) = (bounds.bounds, beyond);
         let heights = ball.positions.iter().map(|p| p[1] as f32).collect();
         let mut mesh = ball.clone();
-        mesh.attributes.push(VertexAttribute {
-            name: "height".into(),
-            components: 1,
-            values: heights,
-        });
+        mesh.attributes.push(VertexAttribute::new("height", 1, heights));
         let colour = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
         small().colour(colour).scope(scope).draw(&mesh).unwrap()
     };
@@ -575,7 +563,7 @@ fn meshes_that_are_strange_give_a_picture() {
     let mut valued = ball.clone();
     let values = valued.positions.iter().map(|p| if p[1] > 0.0 { f32::NAN } else { p[0] as f32 });
     let values = values.collect();
-    valued.attributes.push(VertexAttribute { name: "broken".into(), components: 1, values });
+    valued.attributes.push(VertexAttribute::new("broken", 1, values));
     let map = "red-blue".parse().unwrap();
     let image =
         small().colour(Colour::Attribute { name: "broken".into(), map }).draw(&valued).unwrap();

@@ -326,7 +326,7 @@ mod tests {
         positions[2048..3072].fill([0.5; 3]);
         (positions[7], positions[8], positions[9]) =
             ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
-        let info = AttributeInfo { name: "number".into(), components: 2 };
+        let info = AttributeInfo::new("number", 2);
         let particles = Numbered(positions, vec![info]);
         let control = Control::default();
         let metered = || Metered::new(&particles, &control, Stage::Counting);

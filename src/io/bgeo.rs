@@ -65,7 +65,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
             let components = usize::from(components);
             let first = column(scalar, within);
             let columns = (0..components).map(|index| first.component(index)).collect();
-            (AttributeInfo { name, components }, columns)
+            (AttributeInfo::new(name, components), columns)
         })
         .collect();
     let position = [0, 1, 2].map(|axis| position.component(axis));

@@ -164,7 +164,7 @@ impl Piece {
         };
         let others = arrays.iter().enumerate().filter(|(index, _)| *index != position);
         let attributes = others.map(|(_, array)| {
-            let info = AttributeInfo { name: array.name.clone(), components: array.shape.1 };
+            let info = AttributeInfo::new(&array.name, array.shape.1);
             (info, columns(array))
         });
         let attributes = attributes.collect();

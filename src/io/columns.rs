@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
-use crate::particles::{AttributeInfo, Label, Particles, Unread};
+use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
 
 use super::windows::{Shelf, Source, Windows};
 
@@ -118,6 +118,12 @@ impl<B: Windows> ColumnStore<B> {
         mut attributes: Vec<(AttributeInfo, Vec<Column>)>,
     ) -> Self {
         let bytes = bytes.into();
+        for (info, columns) in &mut attributes {
+            // What is stored as bytes is no share from 0 to 1.
+            if columns.first().is_some_and(|column| column.scalar == Scalar::U8) {
+                info.kind = AttributeKind::of_bytes(&info.name, info.components);
+            }
+        }
         let mut names = HashSet::new();
         attributes.retain(|(info, _)| names.insert(info.name.clone()));
         let (infos, columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();

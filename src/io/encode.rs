@@ -110,6 +110,22 @@ pub(super) fn write_vertices(
     Ok(())
 }
 
+/// Writes attribute number `index` of the vertices, little-endian, piece after piece: colours as
+/// bytes, all others as f32.
+pub(super) fn write_attribute(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    index: usize,
+) -> io::Result<()> {
+    let kind = mesh.attributes()[index].kind;
+    if !kind.is_colour() {
+        return write_floats(out, mesh, |vertices| &vertices.attributes[index]);
+    }
+    write_vertices(out, mesh, |vertices, out| {
+        out.extend(vertices.attributes[index].iter().map(|&value| kind.byte(value)));
+    })
+}
+
 /// Writes the numbers that `values` finds in the vertices, little-endian, piece after piece.
 pub(super) fn write_floats(
     out: &mut dyn Write,

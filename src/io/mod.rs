@@ -108,7 +108,7 @@ pub enum LeftOut {
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Attribute(AttributeInfo { name, components }) => {
+            Self::Attribute(AttributeInfo { name, components, .. }) => {
                 write!(f, "attribute {name} ({components}), which is not in all pieces")
             }
             Self::Block { name, holds } => write!(f, "block {name}, which holds {holds}"),

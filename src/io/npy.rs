@@ -43,7 +43,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
         found.places.iter().map(column).collect()
     };
     let attributes = attributes.iter().map(|found| {
-        let info = AttributeInfo { name: found.name.clone(), components: found.places.len() };
+        let info = AttributeInfo::new(&found.name, found.places.len());
         (info, columns(found))
     });
     let attributes = attributes.collect();

@@ -63,7 +63,7 @@ pub fn read_particles(
     let position: [Column; 3] = columns(&position).try_into().expect("found with three");
     let attributes = attributes.iter().map(|found| {
         let columns = columns(found);
-        (AttributeInfo { name: found.name.clone(), components: columns.len() }, columns)
+        (AttributeInfo::new(&found.name, columns.len()), columns)
     });
     let attributes = attributes.collect();
     let bytes = unpacked.map_or(bytes, Bytes::Kept);

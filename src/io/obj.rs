@@ -1,13 +1,15 @@
 //! Wavefront .obj: text, a line each for a vertex (`v`), a normal (`vn`) and a face (`f`, numbered
 //! from 1).
 //!
-//! There is no place for attributes, and a normal belongs to a face's corner, not to a vertex:
+//! There is no place for attributes but for a colour, which many programs write behind a vertex's
+//! position and read there, with shares from 0 to 1. A normal belongs to a face's corner, not to a vertex:
 //! [`read_mesh`] keeps normals that are numbered as their vertices are, as [`write_mesh`] does, and
 //! no others.
 
 use std::fmt;
 use std::io::{self, Write};
 
+use crate::particles::{AttributeInfo, colour_attribute};
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
@@ -22,7 +24,7 @@ const IGNORED: [&[u8]; 14] = [
     b"lod", b"bevel",
 ];
 
-/// Writes vertices, normals and triangles. A number has as many digits as make it that f32 or f64
+/// Writes vertices with the first colour that they have, normals and triangles. A number has as many digits as make it that f32 or f64
 /// again.
 ///
 /// # Panics
@@ -36,14 +38,22 @@ pub fn write_mesh(
         // A file of no bytes is rather one that was not written.
         writeln!(out, "# no vertices")?;
     }
+    let infos = mesh.attributes();
+    let colour = colour_attribute(&infos);
     write_vertices(out, mesh, |vertices, out| {
-        for &[x, y, z] in &*vertices.positions {
+        for (vertex, &[x, y, z]) in vertices.positions.iter().enumerate() {
             match width {
                 CoordinateWidth::F32 => {
-                    put(out, format_args!("v {} {} {}\n", x as f32, y as f32, z as f32));
+                    put(out, format_args!("v {} {} {}", x as f32, y as f32, z as f32));
                 }
-                CoordinateWidth::F64 => put(out, format_args!("v {x} {y} {z}\n")),
+                CoordinateWidth::F64 => put(out, format_args!("v {x} {y} {z}")),
             }
+            if let Some(index) = colour {
+                let AttributeInfo { components, kind, .. } = infos[index];
+                let shares = &vertices.attributes[index][vertex * components..][..3];
+                shares.iter().for_each(|&share| put(out, format_args!(" {}", kind.share(share))));
+            }
+            out.push(b'\n');
         }
     })?;
     let has_normals = mesh.has_normals();

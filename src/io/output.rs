@@ -110,6 +110,12 @@ impl MeshFormat {
         !matches!(self, Self::Obj | Self::Stl)
     }
 
+    /// Whether it has a place for colours of vertices.
+    #[must_use]
+    pub fn holds_colours(self) -> bool {
+        self != Self::Stl
+    }
+
     /// Attributes that get other names than their own, because the format has no room for these or
     /// has them taken: both names of each. What it spells otherwise throughout, such as the
     /// capitals of .glb, does not count.
@@ -482,11 +488,7 @@ mod tests {
         ];
         let values: Vec<f32> = (0..18).map(|i| i as f32).collect();
         let normals = values.as_chunks::<3>().0.to_vec();
-        let velocity = crate::surface::mesh::VertexAttribute {
-            name: "velocity".into(),
-            components: 3,
-            values,
-        };
+        let velocity = crate::surface::mesh::VertexAttribute::new("velocity", 3, values);
         let mesh =
             Mesh { positions, triangles, normals: Some(normals), attributes: vec![velocity] };
         let faces = |mesh: &Mesh| -> Vec<_> {

@@ -216,14 +216,17 @@ fn same_attributes(
     own: &[AttributeInfo],
 ) -> Result<Vec<usize>, ReadFault> {
     let differs = |what: &str, info: &AttributeInfo| {
-        let AttributeInfo { name, components } = info;
+        let AttributeInfo { name, components, .. } = info;
         malformed(0, format!("{what} {name} of {components} numbers, unlike the pieces before"))
     };
-    if let Some(extra) = own.iter().find(|info| !infos.contains(info)) {
+    // Pieces may differ in the types of their numbers.
+    let same =
+        |a: &AttributeInfo, b: &AttributeInfo| (&a.name, a.components) == (&b.name, b.components);
+    if let Some(extra) = own.iter().find(|info| !infos.iter().any(|other| same(info, other))) {
         return Err(differs("an attribute", extra));
     }
     let number = |info: &AttributeInfo| {
-        let found = own.iter().position(|own| own == info);
+        let found = own.iter().position(|own| same(own, info));
         found.ok_or_else(|| differs("no attribute", info))
     };
     infos.iter().map(number).collect()

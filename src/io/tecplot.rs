@@ -156,7 +156,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let position = [0, 1, 2].map(|axis| column(&columns.position.columns[axis]));
     let attributes = columns.attributes.iter().map(|attribute| {
         let components = attribute.columns.len();
-        let info = AttributeInfo { name: attribute.name.clone(), components };
+        let info = AttributeInfo::new(&attribute.name, components);
         (info, attribute.columns.iter().map(column).collect())
     });
     let attributes = attributes.collect();

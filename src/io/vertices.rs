@@ -52,7 +52,7 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
         let mut values = vec![0.0; count * info.components];
         store.attribute(index, 0, &mut values);
         let name = if Some(index) == velocity { "velocity".to_owned() } else { info.name.clone() };
-        VertexAttribute { name, components: info.components, values }
+        VertexAttribute { name, components: info.components, values, kind: info.kind }
     });
     let attributes = attributes.collect();
     let normals = normals.map(|index| {

@@ -3,7 +3,7 @@
 use crate::particles::condition::Where;
 use crate::particles::mixture::is_kind;
 use crate::particles::selection::{SelectionFault, select};
-use crate::particles::{AttributeInfo, Particles, velocity_attribute};
+use crate::particles::{AttributeInfo, Particles, attribute_called, velocity_attribute};
 
 use super::bytes::Unpacking;
 use super::input_format::InputFormat;
@@ -68,7 +68,7 @@ pub enum WantedAttributes<'a> {
     All,
     /// Some, and those by which particles are selected.
     Only {
-        /// Names, `velocity` being whatever the particles call so; without them the velocity.
+        /// Names, as [`attribute_called`] finds them; without them the velocity.
         names: Option<&'a [String]>,
         /// Conditions by which particles are selected.
         conditions: &'a [Where],
@@ -89,13 +89,9 @@ impl WantedAttributes<'_> {
         let Self::Only { names, conditions } = self else { return vec![true; infos.len()] };
         let conditions = conditions.iter().flat_map(Where::conditions);
         let selecting: Vec<usize> = conditions.filter_map(|c| c.attribute(infos)).collect();
-        let velocity = velocity_attribute(infos);
-        let number = |name: &String| {
-            let named = infos.iter().position(|info| info.name == *name);
-            named.or(velocity.filter(|_| name == "velocity"))
-        };
+        let number = |name: &String| attribute_called(name, infos);
         let wanted: Option<Vec<usize>> = match names {
-            None => Some(velocity.into_iter().collect()),
+            None => Some(velocity_attribute(infos).into_iter().collect()),
             Some(names) => names.iter().map(number).collect(),
         };
         let reads = |(number, info): (usize, &AttributeInfo)| {

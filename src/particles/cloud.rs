@@ -71,7 +71,7 @@ impl<'a, P: Particles + ?Sized> Cloud<'a, P> {
             "{name} has {} values for {particles} particles",
             values.len()
         );
-        self.infos.push(AttributeInfo { name, components: V::COMPONENTS });
+        self.infos.push(AttributeInfo::new(name, V::COMPONENTS));
         self.values.push(V::numbers(values));
         self
     }

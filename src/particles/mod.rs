@@ -2,6 +2,7 @@
 
 mod cloud;
 pub mod condition;
+pub mod kind;
 pub mod lattice;
 mod metered;
 pub mod mixture;
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use cloud::{AttributeValue, Cloud};
+pub use kind::{AttributeKind, colour_attribute};
 pub use metered::Metered;
 
 /// A value that every particle carries.
@@ -28,6 +30,9 @@ pub struct AttributeInfo {
     pub name: String,
     /// Numbers per particle.
     pub components: usize,
+    /// The meaning of the numbers.
+    #[serde(default, skip_serializing_if = "AttributeKind::is_number")]
+    pub kind: AttributeKind,
 }
 
 /// A text that every particle carries, one of a few.
@@ -40,6 +45,14 @@ pub struct Label {
 }
 
 impl AttributeInfo {
+    /// An attribute of floating-point numbers: a colour if it is called so, else plain numbers.
+    #[must_use]
+    pub fn new(name: impl Into<String>, components: usize) -> Self {
+        let name = name.into();
+        let kind = AttributeKind::of_floats(&name, components);
+        Self { name, components, kind }
+    }
+
     /// Whether it is the velocity of a mesh's vertices, which is always called so.
     #[must_use]
     pub fn is_velocity(&self) -> bool {
@@ -244,6 +257,16 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     VELOCITY_NAMES
         .iter()
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
+}
+
+/// The number of the attribute of this name. `velocity` is whatever the particles call so, and a
+/// name of a colour, or of a share such as `red`, finds the colour that they have.
+#[must_use]
+pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usize> {
+    let named = attributes.iter().position(|info| info.name == name);
+    let velocity = || velocity_attribute(attributes).filter(|_| name == "velocity");
+    let colour = || colour_attribute(attributes).filter(|_| kind::asks_for_colour(name));
+    named.or_else(velocity).or_else(colour)
 }
 
 /// The attributes on the mesh: velocity under the name that other programs read, others under their

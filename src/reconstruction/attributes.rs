@@ -4,7 +4,7 @@
 use crate::error::Error;
 use crate::io::output::MeshFormat;
 use crate::io::wanted::{Wanted, WantedAttributes};
-use crate::particles::{AttributeInfo, velocity_attribute};
+use crate::particles::{AttributeInfo, attribute_called, velocity_attribute};
 use crate::settings::{Settings, Where};
 
 impl Settings {
@@ -28,20 +28,18 @@ impl Settings {
         all: &[AttributeInfo],
         format: Option<MeshFormat>,
     ) -> Result<Vec<usize>, Error> {
-        let velocity = velocity_attribute(all);
         let Some(names) = self.attribute_names() else {
             let is_held = format.is_none_or(MeshFormat::holds_attributes);
-            return Ok(velocity.filter(|_| is_held).into_iter().collect());
+            return Ok(velocity_attribute(all).filter(|_| is_held).into_iter().collect());
         };
         let mut carried = Vec::new();
         for name in names {
-            let named = all.iter().position(|info| info.name == *name);
             let missing = || Error::NoAttribute {
                 path: None,
                 name: name.clone(),
                 known: all.iter().map(|info| info.name.clone()).collect(),
             };
-            let found = named.or(velocity.filter(|_| name == "velocity")).ok_or_else(missing)?;
+            let found = attribute_called(name, all).ok_or_else(missing)?;
             if !carried.contains(&found) {
                 carried.push(found);
             }

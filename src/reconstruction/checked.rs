@@ -21,6 +21,7 @@ use crate::grid::units::{
 };
 use crate::io::bytes::Unpacking;
 use crate::io::output::MeshFormat;
+use crate::particles::kind::asks_for_colour;
 use crate::settings::Settings;
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::up::UpAxis;
@@ -266,11 +267,14 @@ impl Settings {
     /// Refuses what is asked for and a format cannot hold.
     pub(crate) fn refuse_of_format(&self, path: &Path, format: MeshFormat) -> Result<(), Error> {
         let is_glb = matches!(format, MeshFormat::Glb(_));
+        let names = self.attribute_names().unwrap_or_default();
+        let colours = format.holds_colours() && names.iter().all(|name| asks_for_colour(name));
+        let holds_named = format.holds_attributes() || colours;
         let meaningless = |setting: Setting| match setting.name() {
             "compress" => !is_glb,
             "up" => is_glb && self.up == Some(UpAxis::Z),
             "normals" => !format.holds_normals(),
-            "attributes" => self.names_attributes() && !format.holds_attributes(),
+            "attributes" => self.names_attributes() && !holds_named,
             _ => false,
         };
         let with = || Conflict::Format { path: path.to_owned(), format };

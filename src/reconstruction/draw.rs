@@ -104,14 +104,9 @@ impl Checked {
 
     /// An empty mesh, which every program can load, and finds the attributes that it expects.
     pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> Kept {
-        let attribute = |AttributeInfo { name, components }| VertexAttribute {
-            name,
-            components,
-            values: Vec::new(),
-        };
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
-            attributes: infos.into_iter().map(attribute).collect(),
+            attributes: infos.into_iter().map(VertexAttribute::without_values).collect(),
             ..Mesh::default()
         };
         Kept::Empty(mesh)

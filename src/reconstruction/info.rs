@@ -20,6 +20,7 @@ use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::occurring::{Occurring, occurring};
 use crate::particles::{AttributeInfo, Particles, bounds};
+use crate::surface::mesh::VertexAttribute;
 use crate::surface::mesh::measure::measure;
 use crate::system::memory::default_memory;
 
@@ -200,9 +201,7 @@ fn mesh(path: &Path) -> Result<MeshInfo, Error> {
         bounds: measures.bounds,
         components: measures.components,
         normals: mesh.normals.is_some(),
-        attributes: attributes
-            .map(|of| AttributeInfo { name: of.name.clone(), components: of.components })
-            .collect(),
+        attributes: attributes.map(VertexAttribute::info).collect(),
     })
 }
 

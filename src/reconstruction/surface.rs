@@ -9,7 +9,6 @@ use crate::grid::units::MemoryBudget;
 use crate::io::output::MeshFormat;
 use crate::io::whole::Replace;
 use crate::io::{UpAxis, WriteError, stl};
-use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Outline};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 #[cfg(feature = "pictures")]
@@ -202,12 +201,7 @@ fn in_one_piece(mesh: &dyn MeshSource) -> Result<Mesh, WholeMeshError> {
     if u32::try_from(vertices).is_err() {
         return Err(WholeMeshError::TooManyVertices(vertices));
     }
-    let of_none = |AttributeInfo { name, components }| VertexAttribute {
-        name,
-        components,
-        values: Vec::new(),
-    };
-    let attributes = attributes.into_iter().map(of_none).collect();
+    let attributes = attributes.into_iter().map(VertexAttribute::without_values).collect();
     let mut whole = Mesh { normals: normals.then(Vec::new), attributes, ..Mesh::default() };
     for piece in 0..pieces {
         let vertices = mesh.vertices(piece)?;

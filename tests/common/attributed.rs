@@ -25,7 +25,7 @@ impl Attributed {
         let values =
             self.positions.iter().enumerate().flat_map(|(i, &position)| value(i, position));
         self.values.push(values.collect());
-        self.attributes.push(AttributeInfo { name: name.into(), components: N });
+        self.attributes.push(AttributeInfo::new(name, N));
         self
     }
 }

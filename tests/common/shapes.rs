@@ -127,8 +127,8 @@ pub fn dressed(mut mesh: Mesh) -> Mesh {
             .collect(),
     );
     mesh.attributes = vec![
-        VertexAttribute { name: "velocity".into(), components: 3, values: velocity },
-        VertexAttribute { name: "number".into(), components: 1, values: number },
+        VertexAttribute::new("velocity", 3, velocity),
+        VertexAttribute::new("number", 1, number),
     ];
     mesh
 }

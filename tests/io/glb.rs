@@ -6,8 +6,9 @@ use meniscus::internals::io::CoordinateWidth;
 use meniscus::internals::io::UpAxis;
 use meniscus::internals::io::glb::{Compression, Layout, grid_step};
 use meniscus::internals::io::output::MeshFormat;
-use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 use serde_json::Value;
 
 use crate::common::shapes::{dressed, moved, sphere};
@@ -122,6 +123,25 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
         assert_eq!(said, stored.unwrap(), "{bound}");
     }
     assert!(json["nodes"][0]["translation"].is_null() && json["extensionsRequired"].is_null());
+}
+
+#[test]
+fn the_colour_of_bytes_is_shares_from_0_to_1() {
+    let mut mesh = sphere(0.5, 1);
+    let values: Vec<f32> = (0..3 * mesh.positions.len()).map(|i| (i % 256) as f32).collect();
+    let kind = AttributeKind::ByteColour;
+    mesh.attributes = vec![VertexAttribute { kind, ..VertexAttribute::new("rgb", 3, values) }];
+    for layout in [Layout::PLAIN, meshopt(UpAxis::Y)] {
+        let (json, binary) = written(&mesh, CoordinateWidth::F32, layout);
+        let accessor = number(&json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]);
+        assert_eq!(json["accessors"][accessor]["type"], "VEC3");
+        if layout == Layout::PLAIN {
+            let shares = floats(&elements(&json, &binary, accessor));
+            let sum: f32 = shares.iter().flatten().sum();
+            let stored: f32 = mesh.attributes[0].values.iter().sum();
+            assert!((sum * 255.0 / stored - 1.0).abs() < 1e-5, "{sum} of {stored}");
+        }
+    }
 }
 
 #[test]

@@ -7,8 +7,8 @@ use std::process::Command;
 
 use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
-use meniscus::internals::io::{CoordinateWidth, ReadFault, WriteFault};
-use meniscus::internals::particles::AttributeInfo;
+use meniscus::internals::io::{CoordinateWidth, ReadFault, UpAxis, WriteFault};
+use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 #[cfg(unix)]
@@ -79,25 +79,50 @@ fn every_format_returns_what_it_says_it_holds_to_the_bit() {
 }
 
 #[test]
+fn colours_are_bytes_where_the_format_has_them_and_else_shares_from_0_to_1() {
+    let positions = vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]];
+    let mesh = |attribute: VertexAttribute| Mesh {
+        positions: positions.clone(),
+        triangles: vec![[0, 1, 2]],
+        attributes: vec![attribute],
+        ..Mesh::default()
+    };
+    let shares = vec![0., 0.2, 1., 0.4, 0.6, 0.8, -1., 2., f32::NAN];
+    let floats = mesh(VertexAttribute::new("Cd", 3, shares));
+    let bytes = vec![0., 51., 255., 102., 153., 204., 0., 255., 0.];
+    let kind = AttributeKind::ByteColour;
+    let of_bytes = VertexAttribute::new("Cd", 3, bytes.clone());
+    for mesh in [floats, mesh(VertexAttribute { kind, ..of_bytes.clone() })] {
+        for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
+            let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
+            let [colour] = &read.attributes[..] else { panic!("{format:?} has one attribute") };
+            assert_eq!((&colour.values, colour.kind), (&bytes, kind), "{format:?}");
+            let name = if format == MeshFormat::Ply { "color" } else { "Cd" };
+            assert_eq!(colour.name, name, "{format:?}");
+        }
+        let text = String::from_utf8(written(MeshFormat::Obj, &mesh, CoordinateWidth::F64));
+        assert!(text.unwrap().starts_with("v 0 0 0 0 0.2 1\nv 1 0 0 0.4 0.6 0.8\nv 0 1 0 0 1 0\n"));
+        let usd = written(MeshFormat::Usdc(UpAxis::Y), &mesh, CoordinateWidth::F32);
+        let holds = |text: &[u8]| usd.windows(text.len()).any(|window| window == text);
+        assert!(holds(b"primvars:displayColor") && holds(b"color3f[]"));
+    }
+    let plain = mesh(VertexAttribute { kind: AttributeKind::Number, ..of_bytes });
+    let ply = written(MeshFormat::Ply, &plain, CoordinateWidth::F32);
+    assert!(String::from_utf8_lossy(&ply).contains("property float Cd_0"));
+}
+
+#[test]
 fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
     let mut mesh = dressed(sphere(0.7, 1));
     assert!(mesh.normals.is_some());
     let names = ["Normals", "GlobalPointIds", "a/b", "a_b", "a b", "nx", "velocity_"];
     let values = |number: usize| vec![number as f32; mesh.positions.len()];
-    let attributes = names.iter().enumerate().map(|(number, name)| VertexAttribute {
-        name: (*name).to_owned(),
-        components: 1,
-        values: values(number),
-    });
-    mesh.attributes = attributes.collect();
-    let infos: Vec<_> = mesh
-        .attributes
+    let attributes = names
         .iter()
-        .map(|VertexAttribute { name, components, .. }| AttributeInfo {
-            name: name.clone(),
-            components: *components,
-        })
-        .collect();
+        .enumerate()
+        .map(|(number, name)| VertexAttribute::new(*name, 1, values(number)));
+    mesh.attributes = attributes.collect();
+    let infos: Vec<_> = mesh.attributes.iter().map(VertexAttribute::info).collect();
     for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
         let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
         assert_eq!(read.normals, mesh.normals, "{format:?}");
@@ -334,7 +359,7 @@ fn vtp_files_of_others_are_read_as_text() {
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [3, 2, 0]]);
     assert_eq!(mesh.normals, Some(vec![[0., 0., 1.]; 4]));
-    let id = VertexAttribute { name: "id".into(), components: 1, values: vec![7., 8., 9., 10.] };
+    let id = VertexAttribute::new("id", 1, vec![7., 8., 9., 10.]);
     assert_eq!(mesh.attributes, [id]);
 }
 

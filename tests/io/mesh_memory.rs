@@ -25,7 +25,7 @@ impl MeshSource for Strip {
             vertices: (self.pieces * VERTICES) as u64,
             triangles: (self.pieces * TRIANGLES) as u64,
             normals: true,
-            attributes: vec![AttributeInfo { name: "velocity".to_owned(), components: 3 }],
+            attributes: vec![AttributeInfo::new("velocity", 3)],
             pieces: self.pieces,
         }
     }

@@ -8,7 +8,7 @@ use meshopt::{
 };
 
 use crate::io::encode::{in_order, write_triangles, write_vertices};
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::ordered::Ordered;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
@@ -62,6 +62,8 @@ pub enum What {
     Positions,
     Normals,
     Attribute(usize),
+    /// Shares from 0 to 1 of the colour that is this attribute.
+    Colour(usize, AttributeKind),
     Indices,
 }
 
@@ -90,7 +92,11 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
     for (index, (info, name)) in attributes.iter().zip(names(&attributes)).enumerate() {
         if let Some(name) = name {
             let stride = 4 * info.components as u64;
-            views.push(view(What::Attribute(index), &name, info.components, FLOAT, stride));
+            let what = match info.kind.is_colour() {
+                true => What::Colour(index, info.kind),
+                false => What::Attribute(index),
+            };
+            views.push(view(what, &name, info.components, FLOAT, stride));
         }
     }
     views.push(View {
@@ -108,7 +114,11 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
 /// hold.
 fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     let mut taken: Vec<String> = Vec::new();
+    let mut colours = (0..).map(|number| format!("COLOR_{number}"));
     let name = |info: &AttributeInfo| {
+        if info.kind.is_colour() {
+            return colours.next();
+        }
         if !(1..=4).contains(&info.components) {
             return None;
         }
@@ -144,6 +154,9 @@ impl View {
                 match what {
                     What::Normals => vertices.normals.as_flattened().iter().for_each(put),
                     What::Attribute(index) => vertices.attributes[index].iter().for_each(put),
+                    What::Colour(index, kind) => {
+                        vertices.attributes[index].iter().for_each(|&x| put(&kind.share(x)));
+                    }
                     _ => vertices
                         .positions
                         .iter()
@@ -175,11 +188,20 @@ impl View {
                     CODEC,
                 )
             }
-            What::Attribute(index) => {
-                let values = gathered(mesh, |vertices, out| {
+            What::Attribute(index) | What::Colour(index, _) => {
+                let stored = |&value: &f32| match self.what {
+                    What::Colour(_, kind) => kind.share(value),
                     // What is no number has no exponent.
-                    let finite = |value: &f32| if value.is_finite() { *value } else { 0.0 };
-                    out.extend(vertices.attributes[index].iter().map(finite));
+                    _ => {
+                        if value.is_finite() {
+                            value
+                        } else {
+                            0.0
+                        }
+                    }
+                };
+                let values = gathered(mesh, |vertices, out| {
+                    out.extend(vertices.attributes[index].iter().map(stored));
                 })?;
                 match self.components {
                     1 => encode_values::<1>(&values),

@@ -16,7 +16,8 @@ use super::{Compression, Layout, grid_step};
 /// is held in memory.
 ///
 /// Positions are f32; with [`CoordinateWidth::F64`] they are counted from the middle of the mesh's
-/// box, where the node then is. Attributes are called by their names in upper case behind an
+/// box, where the node then is. Colours are COLOR_0, COLOR_1 and so on, as shares from 0 to 1 that
+/// are converted to no other space of colours. Other attributes are called by their names in upper case behind an
 /// underscore; those of more than four components have no place.
 ///
 /// # Errors

@@ -98,7 +98,7 @@ impl Candidate {
             places.iter().map(|place| (place.field, place.component)).collect()
         };
         let attributes = attributes.iter().map(|found| {
-            let info = AttributeInfo { name: found.name.clone(), components: found.places.len() };
+            let info = AttributeInfo::new(&found.name, found.places.len());
             (info, places(&found.places))
         });
         let attributes: Vec<_> = attributes.collect();

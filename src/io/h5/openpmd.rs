@@ -175,7 +175,7 @@ fn particles(
     for name in names {
         let Some(components) = record(species, &name)? else { continue };
         if components.iter().all(|component| component.rows() == rows) {
-            records.push((AttributeInfo { name, components: components.len() }, components));
+            records.push((AttributeInfo::new(name, components.len()), components));
         }
     }
     let infos: Vec<AttributeInfo> = records.iter().map(|(info, _)| info.clone()).collect();

@@ -42,7 +42,7 @@ fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
     let velocity =
         vector(["u", "v", "w"]).filter(|v| v.iter().all(|&axis| arrays[axis].rows == rows));
     let places = |columns: [usize; 3]| columns.map(|array| -> Place { (array, 0) });
-    let info = |name: &str, components| AttributeInfo { name: name.to_owned(), components };
+    let info = |name: &str, components| AttributeInfo::new(name, components);
     let mut attributes: Vec<_> =
         velocity.map(|v| (info("velocity", 3), places(v).to_vec())).into_iter().collect();
     let used: Vec<usize> = position.into_iter().chain(velocity.into_iter().flatten()).collect();

@@ -441,7 +441,7 @@ impl Table {
         let others =
             arrays.iter().enumerate().filter(|(index, a)| *index != found && a.rows == rows);
         let attributes = others.map(|(index, array)| {
-            let info = AttributeInfo { name: array.name.clone(), components: array.components };
+            let info = AttributeInfo::new(&array.name, array.components);
             (info, (0..array.components).map(|component| (index, component)).collect())
         });
         let attributes = attributes.collect();

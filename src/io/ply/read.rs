@@ -8,11 +8,11 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::text::decode_pieces;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::Mesh;
 
 use super::header::{Element, Encoding, Header, Property};
-use super::{GROUPS, NORMAL};
+use super::{COLOUR, COLOURS, GROUPS, NORMAL};
 
 /// Bytes of rows that are handed on at once.
 const PIECE: usize = 1 << 16;
@@ -35,7 +35,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// are, text becomes columns of f64.
 ///
 /// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...)
-/// are the attribute `velocity`, nx, ny and nz `normal`; properties `a_0`, `a_1`, ... that follow
+/// are the attribute `velocity`, nx, ny and nz `normal`, and red, green, blue and perhaps alpha
+/// `color`; properties `a_0`, `a_1`, ... that follow
 /// each other are one attribute `a`, and any other is an attribute of its own. Lists are passed
 /// over, and elements that follow are not looked at.
 ///
@@ -123,8 +124,11 @@ pub(super) fn vertices(
     let attributes: Vec<_> = group(&plain.properties, position)
         .into_iter()
         .map(|(name, members)| {
+            let bytes = plain.properties[members[0]].scalar == Scalar::U8;
+            let kind = if bytes { AttributeKind::of_bytes } else { AttributeKind::of_floats };
+            let kind = kind(&name, members.len());
             let members: Vec<_> = members.into_iter().map(|index| columns[index]).collect();
-            (AttributeInfo { name, components: members.len() }, members)
+            (AttributeInfo { kind, ..AttributeInfo::new(name, members.len()) }, members)
         })
         .collect();
     let normals =
@@ -137,9 +141,18 @@ pub(super) fn vertices(
 /// properties.
 fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
     let named = |name: &str| properties.iter().position(|p| p.name.eq_ignore_ascii_case(name));
-    let groups = GROUPS.map(|(name, members)| (name, members.map(named)));
-    let whole =
-        |members: &[Option<usize>; 3]| members.iter().copied().collect::<Option<Vec<usize>>>();
+    let whole = |members: [&str; 3]| members.into_iter().map(named).collect::<Option<Vec<_>>>();
+    let groups = GROUPS.iter().filter_map(|(name, members)| Some((*name, whole(*members)?)));
+    let colours = COLOURS.iter().filter_map(|members| {
+        let [shares @ .., alpha] = members;
+        let mut found = whole(*shares)?;
+        let scalar = properties[found[0]].scalar;
+        let alike = |&index: &usize| properties[index].scalar == scalar;
+        let fits = (scalar.is_float() || scalar == Scalar::U8) && found.iter().all(alike);
+        found.extend(named(alpha).filter(alike));
+        fits.then_some((COLOUR, found))
+    });
+    let groups: Vec<(&str, Vec<usize>)> = groups.chain(colours).collect();
     let mut taken = vec![false; properties.len()];
     position.iter().for_each(|&index| taken[index] = true);
     let mut attributes = Vec::new();
@@ -147,11 +160,12 @@ fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usiz
         if taken[index] {
             continue;
         }
-        let group = groups.iter().filter(|(_, members)| members.contains(&Some(index)));
-        let mut group =
-            group.filter_map(|(name, members)| Some(((*name).to_owned(), whole(members)?)));
-        let (name, members) =
-            group.next().unwrap_or_else(|| numbered_run(properties, &taken, index));
+        let free = |members: &[usize]| members.iter().all(|&member| !taken[member]);
+        let group = groups.iter().find(|(_, members)| members.contains(&index) && free(members));
+        let (name, members) = match group {
+            Some((name, members)) => ((*name).to_owned(), members.clone()),
+            None => numbered_run(properties, &taken, index),
+        };
         members.iter().for_each(|&member| taken[member] = true);
         attributes.push((name, members));
     }

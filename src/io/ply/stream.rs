@@ -69,7 +69,7 @@ impl StreamedMesh {
             } else {
                 all[index].name.clone()
             },
-            components: all[index].components,
+            ..all[index].clone()
         };
         let outline = Outline {
             vertices: count as u64,

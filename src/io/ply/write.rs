@@ -4,7 +4,8 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
-use crate::particles::AttributeInfo;
+use crate::particles::kind::SHARES;
+use crate::particles::{AttributeInfo, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
@@ -13,8 +14,9 @@ use super::{GROUPS, NORMAL};
 const FACE: usize = 1 + 3 * size_of::<u32>();
 
 /// Writes `mesh` in little-endian binary: x, y, z as float or double by `width`; nx, ny, nz, and
-/// vx, vy, vz for an attribute `velocity` of three components; further attributes as `name`, or
-/// `name_0`, `name_1`, ...; and faces as lists of three.
+/// vx, vy, vz for an attribute `velocity` of three components; the first colour as bytes red, green,
+/// blue and perhaps alpha; further attributes as `name`, or `name_0`, `name_1`, ...; and faces as
+/// lists of three.
 ///
 /// A name that the format has no room for (white space, or one that is taken) is altered by
 /// underscores.
@@ -27,8 +29,7 @@ pub fn write_mesh(
     width: CoordinateWidth,
 ) -> io::Result<()> {
     out.write_all(header(mesh, width).as_bytes())?;
-    let components: Vec<_> =
-        mesh.attributes().iter().map(|attribute| attribute.components).collect();
+    let infos = mesh.attributes();
     write_vertices(out, mesh, |vertices, out| {
         out.reserve(vertices.positions.len() * 3 * size_of::<f64>());
         for (vertex, position) in vertices.positions.iter().enumerate() {
@@ -36,9 +37,13 @@ pub fn write_mesh(
             if let Some(normal) = vertices.normals.get(vertex) {
                 out.extend(normal.map(f32::to_le_bytes).as_flattened());
             }
-            for (values, &components) in vertices.attributes.iter().zip(&components) {
-                let values = &values[vertex * components..][..components];
-                values.iter().for_each(|value| out.extend(value.to_le_bytes()));
+            for (values, info) in vertices.attributes.iter().zip(&infos) {
+                let values = &values[vertex * info.components..][..info.components];
+                if info.kind.is_colour() {
+                    out.extend(values.iter().map(|&value| info.kind.byte(value)));
+                } else {
+                    values.iter().for_each(|value| out.extend(value.to_le_bytes()));
+                }
             }
         }
     })?;
@@ -62,10 +67,16 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     };
     // The same bytes, as long as no index is beyond i32; and int is what every program reads.
     let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
-    let names = property_names(mesh);
-    let kinds = std::iter::repeat_n(coordinate, 3).chain(std::iter::repeat("float"));
-    let lines: String =
-        kinds.zip(names).map(|(kind, name)| format!("property {kind} {name}\n")).collect();
+    let infos = mesh.attributes();
+    let normals = if mesh.has_normals() { 3 } else { 0 };
+    let stored = |info: &AttributeInfo| if info.kind.is_colour() { "uchar" } else { "float" };
+    let kinds = std::iter::repeat_n(coordinate, 3)
+        .chain(std::iter::repeat_n("float", normals))
+        .chain(infos.iter().flat_map(|info| std::iter::repeat_n(stored(info), info.components)));
+    let lines: String = kinds
+        .zip(property_names(mesh))
+        .map(|(kind, name)| format!("property {kind} {name}\n"))
+        .collect();
     format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{lines}element face {}\n\
          property list uchar {index} vertex_indices\nend_header\n",
@@ -103,8 +114,12 @@ fn fixed(has_normals: bool) -> Vec<String> {
 /// The name of each attribute, and those of its properties.
 fn named(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<String>)> {
     let mut taken = fixed(has_normals);
-    let name = |AttributeInfo { name, components }: &AttributeInfo| {
+    let colour = colour_attribute(attributes);
+    let shares = |components| SHARES[..components].iter().map(ToString::to_string).collect();
+    let name = |(index, info): (usize, &AttributeInfo)| {
+        let AttributeInfo { name, components, .. } = info;
         let grouped = group(name).filter(|_| *components == 3);
+        let grouped = if colour == Some(index) { Some(shares(*components)) } else { grouped };
         let mut base = name.replace(|c: char| c.is_whitespace() || c.is_control(), "_");
         let mut names = grouped.unwrap_or_else(|| numbered(&base, *components));
         while base.is_empty() || names.iter().any(|name| taken.contains(name)) {
@@ -114,7 +129,7 @@ fn named(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<St
         taken.extend(names.clone());
         (base, names)
     };
-    attributes.iter().map(name).collect()
+    attributes.iter().enumerate().map(name).collect()
 }
 
 fn numbered(base: &str, components: usize) -> Vec<String> {

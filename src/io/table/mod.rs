@@ -125,7 +125,7 @@ impl Table {
         let table = Self { columns, ..self };
         let Named { names, position, attributes } = &table.columns;
         let info =
-            |q: &Quantity| AttributeInfo { name: q.name.clone(), components: q.columns.len() };
+            |q: &Quantity| AttributeInfo::new(&q.name, q.columns.len());
         let infos: Vec<_> = attributes.iter().map(info).collect();
         let is_read = wanted.among(&infos);
         let otherwise = match wanted {

@@ -1,10 +1,12 @@
 //! Writing one frame as a binary layer.
 
 use std::io::{self, Write};
+use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use crate::io::UpAxis;
 use crate::io::encode::{write_floats, write_pieces, write_triangles, write_vertices};
+use crate::particles::{AttributeInfo, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
 use super::crate_file::{FLOAT, HEADER, INT, Tail, VEC3F, Value, header};
@@ -15,7 +17,8 @@ const COUNTS: u64 = 1 << 16;
 
 /// Writes `mesh` as a .usdc layer: points as f32, which is what the schema has; an attribute
 /// `velocity` of three components as `velocities`, others as `primvars` under their name with
-/// underscores for what it may not hold.
+/// underscores for what it may not hold. The first colour is `primvars:displayColor`, and its alpha
+/// `primvars:displayOpacity`.
 ///
 /// `up` is stated, and nothing turned. No unit is known here but metres: 1 unit is 1 m.
 ///
@@ -60,6 +63,10 @@ enum Values {
     Normals,
     /// By its number.
     Attribute(usize),
+    /// Red, green and blue of the colour that is this attribute.
+    Colour(usize),
+    /// Alpha of the colour that is this attribute.
+    Opacity(usize),
 }
 
 fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
@@ -73,14 +80,22 @@ fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
         Array { length: 2, ..vectors(Values::Extent) },
     ];
     arrays.extend(mesh.has_normals().then(|| vectors(Values::Normals)));
-    arrays.extend(mesh.attributes().iter().enumerate().map(|(index, attribute)| {
-        let values = Values::Attribute(index);
-        let numbers = vertices * attribute.components as u64;
-        match attribute.components {
-            3 => vectors(values),
-            _ => Array { kind: FLOAT, length: numbers, width: 4, values },
+    let infos = mesh.attributes();
+    let colour = colour_attribute(&infos);
+    let floats = |length, values| Array { kind: FLOAT, length, width: 4, values };
+    for (index, attribute) in infos.iter().enumerate() {
+        if colour == Some(index) {
+            arrays.push(vectors(Values::Colour(index)));
+            let opacity = || floats(vertices, Values::Opacity(index));
+            arrays.extend((attribute.components == 4).then(opacity));
+            continue;
         }
-    }));
+        let values = Values::Attribute(index);
+        arrays.push(match attribute.components {
+            3 => vectors(values),
+            _ => floats(vertices * attribute.components as u64, values),
+        });
+    }
     assert_eq!(arrays.len(), count, "an array a property");
     arrays
 }
@@ -186,6 +201,24 @@ impl Array {
             Values::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])
             }
+            Values::Colour(index) => write_shares(out, mesh, index, 0..3),
+            Values::Opacity(index) => write_shares(out, mesh, index, 3..4),
         }
     }
+}
+
+/// Writes these shares of a colour, from 0 to 1.
+fn write_shares(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    index: usize,
+    shares: Range<usize>,
+) -> io::Result<()> {
+    let AttributeInfo { components, kind, .. } = mesh.attributes()[index];
+    write_vertices(out, mesh, |vertices, out| {
+        for colour in vertices.attributes[index].chunks_exact(components) {
+            let shares = colour[shares.clone()].iter().map(|&share| kind.share(share));
+            shares.for_each(|share| out.extend(share.to_le_bytes()));
+        }
+    })
 }

@@ -12,7 +12,7 @@ pub mod stage;
 
 pub use layer::write_mesh;
 
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, colour_attribute};
 
 /// Name of the prim that is the mesh.
 const PRIM: &str = "fluid";
@@ -45,12 +45,22 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> 
     if has_normals {
         all.push(Property { interpolation: Some("vertex"), ..plain("normals", "normal3f[]") });
     }
-    for attribute in attributes {
+    let colour = colour_attribute(attributes);
+    for (index, attribute) in attributes.iter().enumerate() {
+        if colour == Some(index) {
+            let vertex =
+                |name, kind| Property { interpolation: Some("vertex"), ..plain(name, kind) };
+            all.push(vertex("primvars:displayColor", "color3f[]"));
+            if attribute.components == 4 {
+                all.push(vertex("primvars:displayOpacity", "float[]"));
+            }
+            continue;
+        }
         if attribute.is_velocity() {
             all.push(plain("velocities", "vector3f[]"));
             continue;
         }
-        let AttributeInfo { name, components } = attribute;
+        let AttributeInfo { name, components, .. } = attribute;
         let mut name = format!("primvars:{}", identifier(name));
         while all.iter().any(|other| other.name == name) {
             name.push('_');

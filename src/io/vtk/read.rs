@@ -161,7 +161,7 @@ fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertic
     };
     let position = place(&layout.points)?;
     let attribute = |array: &Array| {
-        let info = AttributeInfo { name: array.name.clone(), components: array.components };
+        let info = AttributeInfo::new(&array.name, array.components);
         Ok((info, place(array)?))
     };
     let attributes =

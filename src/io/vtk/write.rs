@@ -3,14 +3,15 @@
 use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
-use crate::io::encode::{write_triangles, write_vertices};
+use crate::io::encode::{write_attribute, write_triangles, write_vertices};
 use crate::io::names::told_apart;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
 /// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS,
 /// and under POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as
-/// VECTORS, and all others as FIELD, as programs show but the first of several SCALARS.
+/// VECTORS, and all others as FIELD, as programs show but the first of several SCALARS: colours as
+/// unsigned_char.
 ///
 /// # Panics
 /// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
@@ -40,11 +41,17 @@ pub fn write_mesh(
         writeln!(out, "FIELD FieldData {others}")?;
     }
     let names = attribute_names(&attributes, mesh.has_normals());
-    for (index, (name, AttributeInfo { components, .. })) in
-        names.iter().zip(&attributes).enumerate()
-    {
-        if Some(index) != velocity {
-            writeln!(out, "{} {components} {} float", encoded(name), mesh.vertex_count())?;
+    for (index, (name, info)) in names.iter().zip(&attributes).enumerate() {
+        if Some(index) == velocity {
+            continue;
+        }
+        let scalar = if info.kind.is_colour() { "unsigned_char" } else { "float" };
+        let (name, components) = (encoded(name), info.components);
+        writeln!(out, "{name} {components} {} {scalar}", mesh.vertex_count())?;
+        if info.kind.is_colour() {
+            write_attribute(out, mesh, index)?;
+            writeln!(out)?;
+        } else {
             write_floats(out, mesh, |vertices| &vertices.attributes[index])?;
         }
     }

@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::columns::Scalar;
 use crate::io::encode::{
-    put_position, write_floats, write_pieces, write_triangles, write_vertices,
+    put_position, write_attribute, write_floats, write_pieces, write_triangles, write_vertices,
 };
 use crate::io::names::told_apart;
 use crate::particles::AttributeInfo;
@@ -29,8 +29,8 @@ pub(in crate::io) struct Array<'a> {
 
 enum Numbers<'a> {
     Normals,
-    /// By its number.
-    Attribute(usize),
+    /// By its number, with its type in the file.
+    Attribute(usize, Scalar),
     Positions(CoordinateWidth),
     Corners(IndexWidth),
     /// Where each triangle's corners end: 3, 6, 9, ...
@@ -55,6 +55,11 @@ pub(in crate::io) fn attribute_names(
     told_apart(infos.iter().map(|info| &*info.name), taken, spelled)
 }
 
+/// The type of an attribute's numbers in the file.
+fn scalar(info: &AttributeInfo) -> Scalar {
+    if info.kind.is_colour() { Scalar::U8 } else { Scalar::F32 }
+}
+
 /// Normals, if there are any, and all attributes, their names as `spelled` says.
 pub(in crate::io) fn point_data(
     mesh: &dyn MeshSource,
@@ -68,8 +73,9 @@ pub(in crate::io) fn point_data(
     let infos = mesh.attributes();
     let names = attribute_names(&infos, mesh.has_normals(), spelled);
     let attributes = names.into_iter().zip(&infos).enumerate();
-    let attributes = attributes
-        .map(|(index, (name, info))| array(name, info.components, Numbers::Attribute(index)));
+    let attributes = attributes.map(|(index, (name, info))| {
+        array(name, info.components, Numbers::Attribute(index, scalar(info)))
+    });
     normals.into_iter().chain(attributes).collect()
 }
 
@@ -105,9 +111,8 @@ impl Array<'_> {
     /// The type of its numbers.
     pub fn scalar(&self) -> Scalar {
         match self.numbers {
-            Numbers::Normals | Numbers::Attribute(_) | Numbers::Positions(CoordinateWidth::F32) => {
-                Scalar::F32
-            }
+            Numbers::Normals | Numbers::Positions(CoordinateWidth::F32) => Scalar::F32,
+            Numbers::Attribute(_, scalar) => scalar,
             Numbers::Positions(CoordinateWidth::F64) => Scalar::F64,
             Numbers::Corners(IndexWidth::I32) | Numbers::Ends(IndexWidth::I32) => Scalar::I32,
             Numbers::Corners(IndexWidth::I64)
@@ -124,9 +129,7 @@ impl Array<'_> {
     pub fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
         match self.numbers {
             Numbers::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
-            Numbers::Attribute(index) => {
-                write_floats(out, mesh, |vertices| &vertices.attributes[index])
-            }
+            Numbers::Attribute(index, _) => write_attribute(out, mesh, index),
             Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
                 vertices.positions.iter().for_each(|&position| put_position(out, position, width));
             }),

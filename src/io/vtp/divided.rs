@@ -118,9 +118,8 @@ impl<'a> Divided<'a> {
     fn vertices(&self, mut numbers: &[u64]) -> io::Result<Mesh> {
         let infos = self.mesh.attributes();
         let attribute = |info: &crate::particles::AttributeInfo| VertexAttribute {
-            name: info.name.clone(),
-            components: info.components,
             values: Vec::with_capacity(numbers.len() * info.components),
+            ..VertexAttribute::without_values(info.clone())
         };
         let mut mesh = Mesh {
             positions: Vec::with_capacity(numbers.len()),

@@ -216,7 +216,7 @@ fn attributes(pieces: &[Piece]) -> Attributes<'_> {
     let mut seen = HashSet::new();
     for (number, piece) in filled.iter().enumerate() {
         for array in piece.arrays.iter().filter(|array| array.section == Section::PointData) {
-            let info = AttributeInfo { name: array.name.clone(), components: array.components };
+            let info = AttributeInfo::new(&array.name, array.components);
             if number == 0 && filled.len() == 1 {
                 all.shared.push(array);
             } else if seen.insert(info.clone()) {
@@ -279,7 +279,7 @@ fn vertices(
     let position = columns.next().and_then(|columns| <[Column; 3]>::try_from(columns).ok());
     let position = position.expect("three components");
     let info =
-        |array: &&Array| AttributeInfo { name: array.name.clone(), components: array.components };
+        |array: &&Array| AttributeInfo::new(&array.name, array.components);
     let normals = first.normals.as_deref().unwrap_or(NORMALS);
     Ok(Vertices {
         decoded: decoder.finish()?,

@@ -94,6 +94,7 @@ pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
         Scalar::F64 => "Float64",
         Scalar::I32 => "Int32",
         Scalar::I64 => "Int64",
+        Scalar::U8 => "UInt8",
         _ => "Float32",
     };
     let (name, components) = (escaped(&array.name), array.components);

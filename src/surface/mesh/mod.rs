@@ -11,6 +11,8 @@ pub mod up;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 
+use crate::particles::{AttributeInfo, AttributeKind};
+
 /// A value on every vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VertexAttribute {
@@ -20,6 +22,30 @@ pub struct VertexAttribute {
     pub components: usize,
     /// All components of one vertex after the other.
     pub values: Vec<f32>,
+    /// The meaning of the numbers.
+    pub kind: AttributeKind,
+}
+
+impl VertexAttribute {
+    /// An attribute of floating-point numbers: a colour if it is called so, else plain numbers.
+    #[must_use]
+    pub fn new(name: impl Into<String>, components: usize, values: Vec<f32>) -> Self {
+        let without = Self::without_values(AttributeInfo::new(name, components));
+        Self { values, ..without }
+    }
+
+    /// An attribute whose values are not there yet.
+    #[must_use]
+    pub fn without_values(info: AttributeInfo) -> Self {
+        let AttributeInfo { name, components, kind } = info;
+        Self { name, components, values: Vec::new(), kind }
+    }
+
+    /// The attribute without its values.
+    #[must_use]
+    pub fn info(&self) -> AttributeInfo {
+        AttributeInfo { name: self.name.clone(), components: self.components, kind: self.kind }
+    }
 }
 
 /// An indexed triangle mesh. Counter-clockwise seen from outside of the fluid.

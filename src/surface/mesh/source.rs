@@ -111,13 +111,11 @@ pub trait MeshSource: Sync {
 
 impl MeshSource for Mesh {
     fn outline(&self) -> Outline {
-        let info =
-            |a: &VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
         Outline {
             vertices: self.positions.len() as u64,
             triangles: self.triangles.len() as u64,
             normals: self.normals.is_some(),
-            attributes: self.attributes.iter().map(info).collect(),
+            attributes: self.attributes.iter().map(VertexAttribute::info).collect(),
             pieces: self.positions.len().max(self.triangles.len()).div_ceil(PIECE),
         }
     }
@@ -159,7 +157,7 @@ fn assert_complete(mesh: &Mesh) {
     let vertices = mesh.positions.len();
     let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
     assert_eq!(normals, vertices, "one normal a vertex");
-    for VertexAttribute { name, components, values } in &mesh.attributes {
+    for VertexAttribute { name, components, values, .. } in &mesh.attributes {
         assert_eq!(
             Some(values.len()),
             vertices.checked_mul(*components),

@@ -9,9 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::source::{MeshSource, Outline, Vertices};
 use crate::particles::AttributeInfo;
-
-/// Names of colours, in lower case: of all that have three components they alone have no direction.
-const COLOURS: [&str; 5] = ["cd", "color", "colour", "colors", "rgb"];
+use crate::particles::kind::is_colour_name;
 
 /// The axis that points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -64,8 +62,9 @@ pub struct Turned<'a> {
 impl<'a> Turned<'a> {
     /// `mesh`, in which `from` points up, with `to` pointing up.
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
+        // Of all that have three components colours alone have no direction.
         let is_direction = |info: &AttributeInfo| {
-            info.components == 3 && !COLOURS.contains(&&*info.name.to_ascii_lowercase())
+            info.components == 3 && !info.kind.is_colour() && !is_colour_name(&info.name)
         };
         let directions = mesh.attributes().iter().map(is_direction).collect();
         Self { mesh, from, to, directions }

@@ -80,10 +80,10 @@ impl Stitched {
         }
         let (positions, triangles) = self.positions_and_triangles()?;
         let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
-        let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
-            let values = self
-                .of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
-            Ok(VertexAttribute { name: name.clone(), components: *components, values })
+        let attribute = |(i, info): (usize, &AttributeInfo)| {
+            let put = |block: &BlockMesh, to: &mut [f32]| to.copy_from_slice(&block.attributes[i]);
+            let values = self.of_vertices(info.components, put)?;
+            Ok(VertexAttribute { values, ..VertexAttribute::without_values(info.clone()) })
         };
         Ok(Mesh {
             positions,

@@ -121,7 +121,7 @@ fn written_and_read(data: &[u8]) {
     let Ok(names) = str::from_utf8(names) else { return };
     let attribute = |(name, components): (&str, usize)| {
         let values = vec![0.5; 4 * components];
-        VertexAttribute { name: name.to_owned(), components, values }
+        VertexAttribute::new(name, components, values)
     };
     let mut mesh = mesh();
     mesh.attributes = names.split('\t').zip([1, 3, 2, 4, 9]).map(attribute).collect();
@@ -138,8 +138,8 @@ fn mesh() -> Mesh {
     let positions = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let triangles = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
     let values = (0..12).map(|i| i as f32).collect();
-    let velocity = VertexAttribute { name: "velocity".into(), components: 3, values };
-    let density = VertexAttribute { name: "density".into(), components: 1, values: vec![0.5; 4] };
+    let velocity = VertexAttribute::new("velocity", 3, values);
+    let density = VertexAttribute::new("density", 1, vec![0.5; 4]);
     Mesh {
         positions,
         triangles,

@@ -171,11 +171,8 @@ fn names_of_attributes_cannot_break_a_header() {
         "METADATA",
         "NULL_ARRAY",
     ];
-    let attributes = names.map(|name| VertexAttribute {
-        name: name.into(),
-        components: 1,
-        values: (0..6).map(|i| i as f32).collect(),
-    });
+    let attributes =
+        names.map(|name| VertexAttribute::new(name, 1, (0..6).map(|i| i as f32).collect()));
     let mesh = Mesh { attributes: attributes.to_vec(), ..some_mesh() };
     let read = ply::read_mesh(&PLY.written(&mesh, CoordinateWidth::F64)).unwrap();
     let found: Vec<_> = read.attributes.iter().map(|a| a.name.as_str()).collect();

@@ -324,11 +324,7 @@ fn some_mesh() -> Mesh {
         triangles: vec![[0, 1, 2], [5, 4, 3], [2, 1, 5], [0, 5, 0]],
         normals: Some((0..6).map(|i| [0.6, -0.8, i as f32]).collect()),
         attributes: [("velocity", 3), ("density", 1), ("stress", 6), ("uv", 2)]
-            .map(|(name, components)| VertexAttribute {
-                name: name.into(),
-                components,
-                values: values(components),
-            })
+            .map(|(name, components)| VertexAttribute::new(name, components, values(components)))
             .to_vec(),
     }
 }

@@ -1,7 +1,9 @@
 //! Particles from .ply files.
 
 use meniscus::internals::io::{ReadFault, ply};
-use meniscus::internals::particles::{Particles, velocity_attribute};
+use meniscus::internals::particles::{
+    AttributeKind, Particles, attribute_called, velocity_attribute,
+};
 
 use super::{
     ENCODINGS, PLY, PlyBuilder, TRIANGLE, attribute, attributes, ply_with_face, positions,
@@ -137,6 +139,41 @@ fn ply_headers_may_have_line_ends_of_either_kind() {
         let file = [header.as_bytes(), &body].concat();
         assert_eq!(positions(&PLY.particles(&file).unwrap())[2], TRIANGLE[2], "{encoding}");
         assert_eq!(ply::read_mesh(&file).unwrap().triangles, [[0, 1, 2]], "{encoding}");
+    }
+}
+
+#[test]
+fn ply_shares_of_a_colour_are_one_attribute_of_bytes_or_of_floats() {
+    let xyz = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+    let bytes = AttributeKind::ByteColour;
+    let floats = AttributeKind::Colour;
+    let cases: [(&str, &[&str], Option<AttributeKind>); 6] = [
+        ("uchar", &["red", "green", "blue"], Some(bytes)),
+        ("uchar", &["alpha", "blue", "green", "red"], Some(bytes)),
+        ("float", &["red", "green", "blue", "Alpha"], Some(floats)),
+        ("uchar", &["diffuse_red", "diffuse_green", "diffuse_blue"], Some(bytes)),
+        ("uchar", &["red", "green"], None),
+        ("int", &["red", "green", "blue"], None),
+    ];
+    for (scalar, names, kind) in cases {
+        let lines: String =
+            names.iter().map(|name| format!("property {scalar} {name}\n")).collect();
+        for encoding in ENCODINGS {
+            let mut row = vec![("float", 1.0); 3];
+            row.extend((0..names.len()).map(|i| (scalar, i as f64)));
+            let file = PlyBuilder::new(encoding, &format!("{xyz}{lines}")).row(&row).bytes;
+            let read = PLY.particles(&file).unwrap();
+            let infos = read.particles.attributes();
+            let Some(kind) = kind else {
+                assert_eq!(infos.len(), names.len(), "{names:?}");
+                continue;
+            };
+            assert_eq!((infos.len(), &*infos[0].name, infos[0].kind), (1, "color", kind));
+            assert_eq!(attribute_called("red", infos), Some(0));
+            let backwards = names[0] == "alpha";
+            let expected = if backwards { &[3.0, 2.0, 1.0, 0.0] } else { &[0.0, 1.0, 2.0, 3.0] };
+            assert_eq!(attribute(&read, "color"), expected[..names.len()], "{names:?} {encoding}");
+        }
     }
 }
 

@@ -283,8 +283,7 @@ impl Borrowed {
             }
             .with_strides();
             numbers.refuse_unaddressable(self.count, &format!("{what}.values"))?;
-            self.attributes
-                .push(AttributeInfo { name: name.to_owned(), components: numbers.components });
+            self.attributes.push(AttributeInfo::new(name, numbers.components));
             self.values.push(numbers);
         }
         Ok(())

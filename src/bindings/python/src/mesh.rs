@@ -65,7 +65,7 @@ impl Mesh {
         self.arrays.get_or_try_init(py, || {
             let mesh = self.whole(py)?;
             let attributes = PyDict::new(py);
-            for VertexAttribute { name, components, values } in mesh.attributes {
+            for VertexAttribute { name, components, values, .. } in mesh.attributes {
                 let values = PyArray1::from_vec(py, values);
                 if components == 1 {
                     attributes.set_item(name, values)?;

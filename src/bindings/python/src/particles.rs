@@ -59,9 +59,8 @@ impl<'py> Arrays<'py> {
 
     /// The particles, to be read as long as the arrays are held.
     pub fn water(&self) -> Water {
-        let info = |(name, held): &(String, Held<'_>)| AttributeInfo {
-            name: name.clone(),
-            components: held.numbers.columns(),
+        let info = |(name, held): &(String, Held<'_>)| {
+            AttributeInfo::new(name, held.numbers.columns())
         };
         Water {
             positions: self.positions.numbers,
