@@ -17,7 +17,7 @@ use thiserror::Error;
 
 use crate::grid::stretch::WantedBins;
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
-use crate::particles::{Particles, Unread};
+use crate::particles::{AttributeKind, Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
 
 use super::bin_table::{BinTable, LatestNumbers, NOWHERE, Placed};
@@ -412,7 +412,13 @@ impl<'a> Tuples<'a> {
     ) -> Self {
         let read = |(&index, n): (&usize, &usize)| {
             let mut values = vec![0.0; count * n];
-            particles.attribute(index, first, &mut values);
+            if particles.attributes()[index].kind.is_whole() {
+                let mut whole = vec![0; count * n];
+                particles.integers(index, first, &mut whole);
+                values.iter_mut().zip(whole).for_each(|(to, x)| *to = AttributeKind::word(x));
+            } else {
+                particles.attribute(index, first, &mut values);
+            }
             values
         };
         Self { values: carried.iter().zip(components).map(read).collect(), components }

@@ -161,6 +161,10 @@ impl<P: Particles + ?Sized> Particles for WithBoxes<'_, P> {
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         self.particles.attribute(index, first, out);
     }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        self.particles.integers(index, first, out);
+    }
 }
 
 #[cfg(test)]

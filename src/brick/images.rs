@@ -266,16 +266,33 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
     }
 
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
-        let Some(images) = &self.images else { return self.particles.attribute(index, first, out) };
+        self.tuples(index, first, out, |first, out| self.particles.attribute(index, first, out));
+    }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        self.tuples(index, first, out, |first, out| self.particles.integers(index, first, out));
+    }
+}
+
+impl<P: Particles + ?Sized> WithImages<'_, P> {
+    /// Fills `out` with attribute number `index` as `read` reads it of the particles themselves.
+    fn tuples<T: Copy + Default>(
+        &self,
+        index: usize,
+        first: usize,
+        out: &mut [T],
+        read: impl Fn(usize, &mut [T]),
+    ) {
+        let Some(images) = &self.images else { return read(first, out) };
         let (own, width) = (self.particles.len(), self.attributes()[index].components);
         let (real, mut rest) = split(out, width, first, own);
         if !real.is_empty() {
-            self.particles.attribute(index, first, real);
+            read(first, real);
         }
         let (first, count) = (first.max(own) - own, rest.len() / width.max(1));
         images.groups(&self.particles, first, count, |range, of, _| {
-            let mut values = vec![0.0; width * range.len()];
-            self.particles.attribute(index, range.start, &mut values);
+            let mut values = vec![T::default(); width * range.len()];
+            read(range.start, &mut values);
             let (to, later) = std::mem::take(&mut rest).split_at_mut(width * of.len());
             for (to, &of) in to.chunks_exact_mut(width).zip(of) {
                 to.copy_from_slice(&values[width * of..][..width]);

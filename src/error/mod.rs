@@ -289,6 +289,7 @@ impl Error {
                     FrameError::NoParticles(_)
                     | FrameError::Bin(_)
                     | FrameError::Unread(_)
+                    | FrameError::TooWide(_)
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface

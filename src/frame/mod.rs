@@ -45,7 +45,8 @@ use crate::field::spacing::spacing_by_clouds;
 use crate::frame::estimate::Estimate;
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MemoryBudget;
-use crate::particles::{AttributeInfo, Particles, carried_infos};
+use crate::particles::kind::settled;
+use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::simplify::{Reduction, Room, Simplified, simplify};
 use crate::surface::stitch::Stitched;
@@ -169,7 +170,7 @@ impl Engine {
             })
         };
         let (field, occupied, bins) = control.during(Stage::Sampling, sample)?;
-        let infos = carried_infos(particles.attributes(), carried);
+        let infos = settled(&particles, carried)?;
         drop(in_scratch);
         Ok(Self {
             field,
@@ -234,7 +235,7 @@ impl Engine {
         let carried =
             self.carried.iter().flat_map(|(bins, infos)| infos.iter().zip(bins.without()));
         carried
-            .filter(|&(_, &without)| without > 0)
+            .filter(|&(info, &without)| without > 0 && !info.kind.is_whole())
             .map(|(info, &without)| (info.name.as_str(), without))
     }
 
@@ -412,6 +413,10 @@ impl Engine {
             let contents = bins.contents(bin).map_err(self.resources.scratch_error())?;
             for ((lacking, values), info) in lacking.iter_mut().zip(&contents.attributes).zip(infos)
             {
+                // Of whole numbers there is always one.
+                if info.kind.is_whole() {
+                    continue;
+                }
                 let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
                 *lacking += values.chunks(info.components).filter(is_lacking).count() as u64;
             }

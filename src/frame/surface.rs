@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
 use crate::brick::{Bins, FrameFacts};
+use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
 use crate::field::calibration::Calibrated;
 use crate::field::indicator::SampledDif;
@@ -16,7 +17,7 @@ use crate::frame::estimate::BLOCKS_A_THREAD;
 use crate::grid::stretch::Stretch;
 use crate::grid::{BLOCK, CellBox, Domain, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
-use crate::surface::attribute::vertex_values;
+use crate::surface::attribute::{nearest_values, vertex_values};
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, blocks_bytes};
@@ -176,10 +177,14 @@ impl<'a> CalibratedFrame<'a> {
     fn carry(&self, mesh: &mut BlockMesh) -> io::Result<()> {
         let Some((bins, infos)) = self.carried else { return Ok(()) };
         let (smoothing, crossings) = (&self.drawn.attribute_smoothing, self.drawn.crossings);
-        for attribute in infos.iter().map(|info| info.components).enumerate() {
-            let walls = self.facts.walls();
-            mesh.attributes
-                .push(vertex_values(bins, attribute, smoothing, mesh, crossings, walls)?);
+        for (index, info) in infos.iter().enumerate() {
+            let attribute = (index, info.components);
+            let values = if info.kind.is_whole() {
+                nearest_values(bins, attribute, smoothing.halo(), mesh, crossings)
+            } else {
+                vertex_values(bins, attribute, smoothing, mesh, crossings, self.facts.walls())
+            };
+            mesh.attributes.push(values?);
         }
         Ok(())
     }

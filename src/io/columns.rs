@@ -7,6 +7,7 @@ use std::collections::HashSet;
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::particles::kind::is_direction_name;
 use crate::particles::sieve::Sieve;
 use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
 
@@ -38,6 +39,20 @@ impl Scalar {
     /// Whether it is a floating-point number.
     pub fn is_float(self) -> bool {
         matches!(self, Self::F32 | Self::F64)
+    }
+
+    /// The kind of an attribute whose numbers are stored so.
+    pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
+        let kind = match self {
+            Self::F32 | Self::F64 => return info.kind,
+            // What is stored as bytes is no share from 0 to 1.
+            Self::U8 if info.kind.is_colour() => return AttributeKind::ByteColour,
+            _ if is_direction_name(info) => return AttributeKind::Number,
+            Self::I8 | Self::U8 | Self::I16 | Self::U16 | Self::I32 => AttributeKind::Signed,
+            Self::U32 => AttributeKind::Unsigned,
+            Self::I64 | Self::U64 => AttributeKind::Wide,
+        };
+        if info.kind.is_colour() { AttributeKind::Number } else { kind }
     }
 }
 
@@ -119,9 +134,8 @@ impl<B: Windows> ColumnStore<B> {
     ) -> Self {
         let bytes = bytes.into();
         for (info, columns) in &mut attributes {
-            // What is stored as bytes is no share from 0 to 1.
-            if columns.first().is_some_and(|column| column.scalar == Scalar::U8) {
-                info.kind = AttributeKind::of_bytes(&info.name, info.components);
+            if let Some(column) = columns.first() {
+                info.kind = column.scalar.kind_of(info);
             }
         }
         let mut names = HashSet::new();
@@ -334,6 +348,10 @@ impl<B: Windows> Particles for ColumnStore<B> {
     fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
         self.read(&self.columns[index][component..=component], first, out);
     }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        self.read(&self.columns[index], first, out);
+    }
 }
 
 /// Everything that is done for one type after the other.
@@ -361,6 +379,13 @@ macro_rules! stored {
         #[allow(clippy::cast_lossless)]
         impl Nearest for f64 {
             $(fn $type(value: $type) -> Self { value as Self })*
+        }
+
+        #[allow(clippy::cast_lossless)]
+        impl Nearest for i64 {
+            $(fn $type(value: $type) -> Self {
+                (value as i128).clamp(Self::MIN.into(), Self::MAX.into()) as Self
+            })*
         }
 
         impl<B: Windows> ColumnStore<B> {

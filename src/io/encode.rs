@@ -111,7 +111,7 @@ pub(super) fn write_vertices(
 }
 
 /// Writes attribute number `index` of the vertices, little-endian, piece after piece: colours as
-/// bytes, all others as f32.
+/// bytes, whole numbers as 32 bits, all others as f32.
 pub(super) fn write_attribute(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

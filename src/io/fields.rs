@@ -1,8 +1,8 @@
 //! Named arrays of numbers: which of them hold the position, along which axis their particles run,
 //! and which are attributes.
 
-use super::names::{Quantity, quantities};
 use super::error::{no_step, several_steps};
+use super::names::{Quantity, quantities};
 use super::{ReadFault, malformed};
 
 /// Components that an attribute may have: more are a matrix or a spectrum.

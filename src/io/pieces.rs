@@ -81,6 +81,9 @@ impl Pieces {
         let mut all = Self { infos, labels, ..Self::default() };
         for (index, part) in parts.into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
             let order = same_attributes(&all.infos, &part.infos).map_err(|fault| (index, fault))?;
+            for (info, &own) in all.infos.iter_mut().zip(&order) {
+                info.kind = info.kind.together(part.infos[own].kind);
+            }
             let (first, piece) = (all.len, all.stores.len());
             let moved =
                 |span: Span| Span { first: first + span.first, piece: piece + span.piece, ..span };
@@ -295,6 +298,16 @@ impl Particles for Pieces {
             let number = self.numbers[span.piece][index];
             let out = &mut out[at..at + count];
             self.stores[span.piece].component((number, component), span.row, out);
+        });
+    }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        let components = self.infos[index].components;
+        let count = out.len() / components.max(1);
+        self.each_span(first..first + count, |span, count, at| {
+            let number = self.numbers[span.piece][index];
+            let out = &mut out[at * components..(at + count) * components];
+            self.stores[span.piece].integers(number, span.row, out);
         });
     }
 }

@@ -52,7 +52,12 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
         let mut values = vec![0.0; count * info.components];
         store.attribute(index, 0, &mut values);
         let name = if Some(index) == velocity { "velocity".to_owned() } else { info.name.clone() };
-        VertexAttribute { name, components: info.components, values, kind: info.kind }
+        let mut whole = Vec::new();
+        if info.kind.is_whole() {
+            whole.resize(values.len(), 0);
+            store.integers(index, 0, &mut whole);
+        }
+        VertexAttribute { name, components: info.components, values, kind: info.kind, whole }
     });
     let attributes = attributes.collect();
     let normals = normals.map(|index| {

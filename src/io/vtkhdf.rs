@@ -308,7 +308,7 @@ fn datatype(scalar: Scalar) -> Vec<u8> {
     match scalar {
         Scalar::F32 => float(31, 23, 8, 127),
         Scalar::F64 => float(63, 52, 11, 1023),
-        Scalar::U8 => vec![0x10, 0, 0, 0, size, 0, 0, 0, 0, 0, 8 * size, 0],
+        Scalar::U8 | Scalar::U32 => vec![0x10, 0, 0, 0, size, 0, 0, 0, 0, 0, 8 * size, 0],
         _ => vec![0x10, 8, 0, 0, size, 0, 0, 0, 0, 0, 8 * size, 0],
     }
 }

@@ -1,9 +1,14 @@
-//! Kinds of attributes: plain numbers, and colours, which programs look for by other names and
-//! types.
+//! Kinds of attributes: plain numbers, colours, which programs look for by other names and types,
+//! and whole numbers such as identifiers, of which there are no means.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
-use super::AttributeInfo;
+use super::{AttributeInfo, Particles, VELOCITY_NAMES, carried_infos};
+
+/// Particles whose values are looked at together.
+const CHUNK: usize = 1 << 14;
 
 /// The meaning of an attribute's numbers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -16,6 +21,26 @@ pub enum AttributeKind {
     Colour,
     /// Shares of red, green and blue, and perhaps of alpha, from 0 to 255.
     ByteColour,
+    /// Whole numbers that 32 bits hold with a sign.
+    Signed,
+    /// Whole numbers that 32 bits hold without a sign.
+    Unsigned,
+    /// Whole numbers of 64 bits, as stored. None are carried to a mesh: it takes those that
+    /// [`settled`] finds to fit 32 bits.
+    Wide,
+}
+
+/// A whole number that a mesh cannot carry.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "the attribute {name} has the value {value}, and a mesh carries whole numbers of 32 bits; store it as floating-point \
+     numbers, or leave it out"
+)]
+pub struct TooWide {
+    /// The name of the attribute.
+    pub name: String,
+    /// The value, or the greatest of 64 bits if it exceeds that.
+    pub value: i64,
 }
 
 /// Names of colours, in lower case.
@@ -55,6 +80,43 @@ impl AttributeKind {
         }
     }
 
+    /// The kind of numbers of which some are of this kind, and some of another.
+    #[must_use]
+    pub fn together(self, other: Self) -> Self {
+        match (self, other) {
+            _ if self == other => self,
+            _ if self.is_whole() && other.is_whole() => Self::Wide,
+            _ => Self::Number,
+        }
+    }
+
+    /// Whether it is whole numbers: a vertex takes the one of the nearest particle.
+    #[must_use]
+    pub fn is_whole(self) -> bool {
+        matches!(self, Self::Signed | Self::Unsigned | Self::Wide)
+    }
+
+    /// A whole number as a mesh carries it: its low 32 bits, in place of those of an f32.
+    #[must_use]
+    pub fn word(whole: i64) -> f32 {
+        f32::from_bits(whole as u32)
+    }
+
+    /// The whole number that a mesh carries as `word`.
+    #[must_use]
+    pub fn whole(self, word: f32) -> i64 {
+        match self {
+            Self::Unsigned => word.to_bits().into(),
+            _ => (word.to_bits() as i32).into(),
+        }
+    }
+
+    /// The number that a mesh carries as `word`, rounded to f32.
+    #[must_use]
+    pub fn number(self, word: f32) -> f32 {
+        if self.is_whole() { self.whole(word) as f32 } else { word }
+    }
+
     /// Whether it is a colour.
     #[must_use]
     pub fn is_colour(self) -> bool {
@@ -86,6 +148,86 @@ impl AttributeKind {
 #[must_use]
 pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     attributes.iter().position(|info| info.kind.is_colour())
+}
+
+/// The carried attributes with the kinds that their values settle: whole numbers of 64 bits that fit
+/// 32, and colours of floating-point numbers that are all whole bytes, of which some exceed 1.
+///
+/// # Errors
+/// [`TooWide`] for whole numbers that do not fit.
+pub fn settled(
+    particles: &(impl Particles + ?Sized),
+    carried: &[usize],
+) -> Result<Vec<AttributeInfo>, TooWide> {
+    let mut infos = carried_infos(particles.attributes(), carried);
+    for (info, &index) in infos.iter_mut().zip(carried) {
+        let components = info.components;
+        match info.kind {
+            AttributeKind::Wide => {
+                let [low, high] = folded(
+                    particles,
+                    [0_i64; 2],
+                    |first, count, [low, high]| {
+                        let mut values = vec![0; count * components];
+                        particles.integers(index, first, &mut values);
+                        values.iter().fold([low, high], |[low, high], &x| [low.min(x), high.max(x)])
+                    },
+                    |[a, b], [c, d]| [a.min(c), b.max(d)],
+                );
+                info.kind = if i32::try_from(low).is_ok() && i32::try_from(high).is_ok() {
+                    AttributeKind::Signed
+                } else if low >= 0 && u32::try_from(high).is_ok() {
+                    AttributeKind::Unsigned
+                } else {
+                    let value = if i32::try_from(low).is_ok() { high } else { low };
+                    return Err(TooWide { name: info.name.clone(), value });
+                };
+            }
+            AttributeKind::Colour => {
+                let [whole, beyond] = folded(
+                    particles,
+                    [true, false],
+                    |first, count, seen| {
+                        let mut values = vec![0.0; count * components];
+                        particles.attribute(index, first, &mut values);
+                        let finite = values.iter().filter(|x| x.is_finite());
+                        finite.fold(seen, |[whole, beyond], &x| {
+                            let is_byte = (0.0..=255.0).contains(&x) && x.fract() == 0.0;
+                            [whole && is_byte, beyond || x > 1.0]
+                        })
+                    },
+                    |[a, b], [c, d]| [a && c, b || d],
+                );
+                if whole && beyond {
+                    info.kind = AttributeKind::ByteColour;
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(infos)
+}
+
+/// What `look` finds in the particles, a chunk at a time.
+fn folded<T: Copy + Send + Sync>(
+    particles: &(impl Particles + ?Sized),
+    nothing: T,
+    look: impl Fn(usize, usize, T) -> T + Sync,
+    join: impl Fn(T, T) -> T + Sync,
+) -> T {
+    let chunks = (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(|chunk| {
+        let first = chunk * CHUNK;
+        let count = CHUNK.min(particles.len() - first);
+        let found = look(first, count, nothing);
+        particles.release(first..first + count);
+        found
+    });
+    chunks.reduce(|| nothing, &join)
+}
+
+/// Whether whole numbers under this name are a direction nevertheless.
+pub(crate) fn is_direction_name(info: &AttributeInfo) -> bool {
+    info.components == 3 && VELOCITY_NAMES.contains(&&*info.name)
 }
 
 #[cfg(test)]

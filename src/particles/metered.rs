@@ -77,4 +77,11 @@ impl<P: Particles + ?Sized> Particles for Metered<'_, P> {
         }
         self.particles.component(of, first, out);
     }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        if !self.meter.goes_on() {
+            return out.fill(0);
+        }
+        self.particles.integers(index, first, out);
+    }
 }

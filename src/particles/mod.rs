@@ -153,6 +153,17 @@ pub trait Particles: Sync {
             *out = values[component].into();
         }
     }
+
+    /// Fills `out` as [`attribute`](Self::attribute) does, with whole numbers that f32 need not
+    /// hold. Greater ones than an i64 holds become the greatest.
+    ///
+    /// # Panics
+    /// As [`attribute`](Self::attribute).
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        let mut values = vec![0.0; out.len()];
+        self.attribute(index, first, &mut values);
+        out.iter_mut().zip(values).for_each(|(to, value)| *to = value as i64);
+    }
 }
 
 impl Particles for [[f64; 3]] {

@@ -332,6 +332,14 @@ impl<P: Particles + ?Sized> Particles for Selected<'_, P> {
         });
     }
 
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        let components = self.attributes()[index].components;
+        self.each_run(first, out.len() / components, |run, at| {
+            let out = &mut out[at * components..(at + run.len()) * components];
+            self.particles.integers(index, run.start, out);
+        });
+    }
+
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         let components = self.attributes()[index].components;
         self.each_run(first, out.len() / components, |run, at| {

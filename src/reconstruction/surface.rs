@@ -208,7 +208,7 @@ fn in_one_piece(mesh: &dyn MeshSource) -> Result<Mesh, WholeMeshError> {
         whole.positions.extend_from_slice(&vertices.positions);
         whole.normals.iter_mut().for_each(|normals| normals.extend_from_slice(&vertices.normals));
         let attributes = whole.attributes.iter_mut().zip(&vertices.attributes);
-        attributes.for_each(|(attribute, values)| attribute.values.extend_from_slice(values));
+        attributes.for_each(|(attribute, values)| attribute.extend(values));
         whole
             .triangles
             .extend(mesh.triangles(piece)?.into_iter().map(|corners| corners.map(|v| v as u32)));

@@ -6,6 +6,10 @@
 //! particles that a block of vertices sees, or finer. Values that are not finite count as if the
 //! particle did not have the attribute.
 //!
+//! There is no mean of whole numbers, such as identifiers: a vertex takes those of the particle
+//! nearest to it, of equally near ones those of the particle that comes first by its place, and then
+//! by its numbers.
+//!
 //! Reaches as far as the smoothing.
 
 use std::io;
@@ -14,7 +18,7 @@ use glam::IVec3;
 
 use crate::brick::{Bins, Block};
 use crate::field::blur::{Filter, Smoothing};
-use crate::grid::{BIN, CellBox, MortonKey};
+use crate::grid::{BIN, CellBox, FRACTION_BITS, MortonKey};
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::BlockMesh;
 
@@ -99,6 +103,94 @@ pub fn vertex_values(
     Ok(values)
 }
 
+/// Whole numbers of the particles on the vertices of a block, all components of one vertex after the
+/// other: those of the nearest particle within `reach` cells, or zeros.
+///
+/// # Errors
+/// Where particles are in a scratch file that cannot be read.
+pub fn nearest_values(
+    bins: &Bins,
+    (attribute, components): (usize, usize),
+    reach: i32,
+    mesh: &BlockMesh,
+    crossings: Crossings,
+) -> io::Result<Vec<f32>> {
+    let edges: Vec<_> = mesh.edges().collect();
+    let used = edges
+        .iter()
+        .fold(CellBox::EMPTY, |used, &(cell, _)| used.union(&CellBox { lo: cell, hi: cell + 2 }));
+    if used.is_empty() {
+        return Ok(Vec::new());
+    }
+    let cells = used.grown(reach, reach);
+    // Particles by their cells, the numbers of a cell's from `starts` on.
+    let mut found: Vec<(usize, [i64; 3], Vec<u32>)> = Vec::new();
+    let index_of = Block::<u8>::zero(cells);
+    for coord in cells.cubes(BIN) {
+        let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
+        let contents = bins.contents(bin)?;
+        let tuples = contents.attributes[attribute].chunks_exact(components);
+        for ((local, offset), tuple) in contents.particles().zip(tuples) {
+            let cell = cell_of(coord, local);
+            if cells.contains(cell) {
+                let steps = [0, 1, 2]
+                    .map(|axis| i64::from(cell[axis]) << FRACTION_BITS | i64::from(offset[axis]));
+                let words = tuple.iter().map(|word| word.to_bits()).collect();
+                found.push((index_of.index(cell), steps, words));
+            }
+        }
+    }
+    // By cell, and in it by place and numbers, whatever the order of the particles.
+    found.sort_unstable();
+    let of_cell = |cell: IVec3| {
+        let index = index_of.index(cell);
+        let first = found.partition_point(|&(other, ..)| other < index);
+        found[first..].iter().take_while(move |&&(other, ..)| other == index)
+    };
+    let mut values = Vec::with_capacity(edges.len() * components);
+    for (&(cell, axis), &ends) in edges.iter().zip(&mesh.ends) {
+        let half = 1_i64 << (FRACTION_BITS - 1);
+        let mut place = [0, 1, 2].map(|a| (i64::from(cell[a]) << FRACTION_BITS) + half);
+        place[axis] += (crossings.fraction(ends) * (2 * half) as f64).round() as i64;
+        let mut best: Option<(i64, [i64; 3], &[u32])> = None;
+        for shell in 0..=reach {
+            // What lies in shells further out is farther than this.
+            let passed = (i64::from(shell) << FRACTION_BITS) - 3 * half;
+            if best.is_some_and(|(squared, ..)| passed > 0 && squared < passed * passed) {
+                break;
+            }
+            for other in shell_around(cell, shell).filter(|&other| cells.contains(other)) {
+                for (_, steps, words) in of_cell(other) {
+                    let squared = (0..3).map(|a| (steps[a] - place[a]).pow(2)).sum();
+                    let found = (squared, *steps, &words[..]);
+                    best = Some(best.map_or(found, |best| best.min(found)));
+                }
+            }
+        }
+        match best {
+            Some((.., words)) => values.extend(words.iter().map(|&word| f32::from_bits(word))),
+            None => values.extend(std::iter::repeat_n(0.0, components)),
+        }
+    }
+    Ok(values)
+}
+
+/// The cells at this distance from another, by the axis along which they are farthest.
+fn shell_around(cell: IVec3, distance: i32) -> impl Iterator<Item = IVec3> {
+    let along = move || -distance..=distance;
+    along().flat_map(move |z| along().map(move |y| (y, z))).flat_map(move |(y, z)| {
+        let inner = y.abs() < distance && z.abs() < distance;
+        let step = if inner { 2 * distance } else { 1 };
+        along().step_by(step.max(1) as usize).map(move |x| cell + IVec3::new(x, y, z))
+    })
+}
+
+/// The cell of this number in the bin at `coord`.
+fn cell_of(coord: IVec3, local: usize) -> IVec3 {
+    let local = local as i32;
+    coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN))
+}
+
 /// Per cell the sum of each component over its particles, and last the number of particles.
 fn sums(
     bins: &Bins,
@@ -114,9 +206,7 @@ fn sums(
         let contents = bins.contents(bin)?;
         let tuples = contents.attributes[attribute].chunks_exact(components);
         for ((local, _), tuple) in contents.particles().zip(tuples) {
-            let local = local as i32;
-            let cell =
-                coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
+            let cell = cell_of(coord, local);
             if cells.contains(cell) && tuple.iter().all(|x| x.is_finite()) {
                 seen.push(sums[0].index(cell));
                 values.extend_from_slice(tuple);

@@ -112,6 +112,29 @@ fn colours_are_bytes_where_the_format_has_them_and_else_shares_from_0_to_1() {
 }
 
 #[test]
+fn whole_numbers_come_back_exactly_where_f32_does_not_hold_them() {
+    let positions = vec![[0.; 3], [1., 0., 0.], [0., 1., 0.]];
+    let cases = [
+        (AttributeKind::Signed, vec![16_777_217, -2_000_000_001, 2_147_483_647]),
+        (AttributeKind::Unsigned, vec![0, 4_294_967_295, 2_139_095_041]),
+    ];
+    for (kind, whole) in cases {
+        let values = whole.iter().map(|&x| x as f32).collect();
+        let id = VertexAttribute { kind, whole, ..VertexAttribute::new("id", 1, values) };
+        let mesh = Mesh {
+            positions: positions.clone(),
+            triangles: vec![[0, 1, 2]],
+            attributes: vec![id],
+            ..Mesh::default()
+        };
+        for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
+            let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
+            assert_eq!(read.attributes, mesh.attributes, "{format:?}");
+        }
+    }
+}
+
+#[test]
 fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
     let mut mesh = dressed(sphere(0.7, 1));
     assert!(mesh.normals.is_some());

@@ -94,7 +94,7 @@ fn compression(view: &View, offset: u64, length: u64) -> Value {
     });
     match view.what {
         What::Normals => compression["filter"] = json!("OCTAHEDRAL"),
-        What::Attribute(_) | What::Colour(..) => compression["filter"] = json!("EXPONENTIAL"),
+        What::Attribute(..) => compression["filter"] = json!("EXPONENTIAL"),
         What::Positions | What::Indices => {}
     }
     compression

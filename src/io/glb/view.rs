@@ -61,9 +61,8 @@ pub struct View {
 pub enum What {
     Positions,
     Normals,
-    Attribute(usize),
-    /// Shares from 0 to 1 of the colour that is this attribute.
-    Colour(usize, AttributeKind),
+    /// By its number.
+    Attribute(usize, AttributeKind),
     Indices,
 }
 
@@ -92,10 +91,7 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
     for (index, (info, name)) in attributes.iter().zip(names(&attributes)).enumerate() {
         if let Some(name) = name {
             let stride = 4 * info.components as u64;
-            let what = match info.kind.is_colour() {
-                true => What::Colour(index, info.kind),
-                false => What::Attribute(index),
-            };
+            let what = What::Attribute(index, info.kind);
             views.push(view(what, &name, info.components, FLOAT, stride));
         }
     }
@@ -153,9 +149,8 @@ impl View {
                 let mut put = |value: &f32| out.extend(value.to_le_bytes());
                 match what {
                     What::Normals => vertices.normals.as_flattened().iter().for_each(put),
-                    What::Attribute(index) => vertices.attributes[index].iter().for_each(put),
-                    What::Colour(index, kind) => {
-                        vertices.attributes[index].iter().for_each(|&x| put(&kind.share(x)));
+                    What::Attribute(index, kind) => {
+                        vertices.attributes[index].iter().for_each(|&x| put(&stored(kind, x)));
                     }
                     _ => vertices
                         .positions
@@ -188,17 +183,11 @@ impl View {
                     CODEC,
                 )
             }
-            What::Attribute(index) | What::Colour(index, _) => {
-                let stored = |&value: &f32| match self.what {
-                    What::Colour(_, kind) => kind.share(value),
+            What::Attribute(index, kind) => {
+                let stored = |&value: &f32| match stored(kind, value) {
+                    value if value.is_finite() => value,
                     // What is no number has no exponent.
-                    _ => {
-                        if value.is_finite() {
-                            value
-                        } else {
-                            0.0
-                        }
-                    }
+                    _ => 0.0,
                 };
                 let values = gathered(mesh, |vertices, out| {
                     out.extend(vertices.attributes[index].iter().map(stored));
@@ -227,6 +216,12 @@ impl View {
         };
         encoded.map_err(io::Error::other)
     }
+}
+
+/// A value as f32, which is all that the format has here: shares of a colour from 0 to 1, and whole
+/// numbers rounded.
+fn stored(kind: AttributeKind, value: f32) -> f32 {
+    if kind.is_colour() { kind.share(value) } else { kind.number(value) }
 }
 
 fn encode_values<const N: usize>(values: &[f32]) -> meshopt::Result<Vec<u8>> {

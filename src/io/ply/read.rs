@@ -124,11 +124,12 @@ pub(super) fn vertices(
     let attributes: Vec<_> = group(&plain.properties, position)
         .into_iter()
         .map(|(name, members)| {
-            let bytes = plain.properties[members[0]].scalar == Scalar::U8;
-            let kind = if bytes { AttributeKind::of_bytes } else { AttributeKind::of_floats };
-            let kind = kind(&name, members.len());
+            let info = AttributeInfo::new(name, members.len());
+            let alike = |&index: &usize| plain.properties[index].scalar.kind_of(&info);
+            let kinds = members.iter().map(alike);
+            let kind = kinds.reduce(AttributeKind::together).unwrap_or_default();
             let members: Vec<_> = members.into_iter().map(|index| columns[index]).collect();
-            (AttributeInfo { kind, ..AttributeInfo::new(name, members.len()) }, members)
+            (AttributeInfo { kind, ..info }, members)
         })
         .collect();
     let normals =

@@ -7,7 +7,7 @@ use crate::io::columns::{Endian, Scalar};
 use crate::io::pieces::Pieces;
 use crate::io::windows::{Source, Windows};
 use crate::io::{ReadFault, malformed};
-use crate::particles::{AttributeInfo, Particles, Unread, velocity_attribute};
+use crate::particles::{AttributeInfo, AttributeKind, Particles, Unread, velocity_attribute};
 use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 
 use super::header::{Encoding, Header};
@@ -93,7 +93,13 @@ impl MeshSource for StreamedMesh {
         let mut positions = vec![[0.0; 3]; count];
         self.vertices.positions(first, &mut positions);
         let attribute = |&index: &usize| {
-            let mut values = vec![0.0; count * self.vertices.attributes()[index].components];
+            let info = &self.vertices.attributes()[index];
+            let mut values = vec![0.0; count * info.components];
+            if info.kind.is_whole() {
+                let mut whole = vec![0; values.len()];
+                self.vertices.integers(index, first, &mut whole);
+                return whole.into_iter().map(AttributeKind::word).collect();
+            }
             self.vertices.attribute(index, first, &mut values);
             values.into()
         };

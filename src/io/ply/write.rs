@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
 use crate::particles::kind::SHARES;
-use crate::particles::{AttributeInfo, colour_attribute};
+use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
@@ -69,7 +69,12 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
     let infos = mesh.attributes();
     let normals = if mesh.has_normals() { 3 } else { 0 };
-    let stored = |info: &AttributeInfo| if info.kind.is_colour() { "uchar" } else { "float" };
+    let stored = |info: &AttributeInfo| match info.kind {
+        AttributeKind::Colour | AttributeKind::ByteColour => "uchar",
+        AttributeKind::Signed | AttributeKind::Wide => "int",
+        AttributeKind::Unsigned => "uint",
+        AttributeKind::Number => "float",
+    };
     let kinds = std::iter::repeat_n(coordinate, 3)
         .chain(std::iter::repeat_n("float", normals))
         .chain(infos.iter().flat_map(|info| std::iter::repeat_n(stored(info), info.components)));

@@ -124,8 +124,7 @@ impl Table {
         drop(head);
         let table = Self { columns, ..self };
         let Named { names, position, attributes } = &table.columns;
-        let info =
-            |q: &Quantity| AttributeInfo::new(&q.name, q.columns.len());
+        let info = |q: &Quantity| AttributeInfo::new(&q.name, q.columns.len());
         let infos: Vec<_> = attributes.iter().map(info).collect();
         let is_read = wanted.among(&infos);
         let otherwise = match wanted {

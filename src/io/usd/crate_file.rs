@@ -6,6 +6,7 @@ pub(super) const HEADER: u64 = 88;
 
 /// Types of values, and of specs, by their numbers.
 pub(super) const INT: u64 = 3;
+pub(super) const UINT: u64 = 4;
 pub(super) const FLOAT: u64 = 8;
 const DOUBLE: u64 = 9;
 const TOKEN: u64 = 11;

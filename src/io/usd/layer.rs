@@ -6,10 +6,10 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::io::UpAxis;
 use crate::io::encode::{write_floats, write_pieces, write_triangles, write_vertices};
-use crate::particles::{AttributeInfo, colour_attribute};
+use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
-use super::crate_file::{FLOAT, HEADER, INT, Tail, VEC3F, Value, header};
+use super::crate_file::{FLOAT, HEADER, INT, Tail, UINT, VEC3F, Value, header};
 use super::{PRIM, Property, properties};
 
 /// Triangles whose counts of corners are written at once.
@@ -91,9 +91,12 @@ fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
             continue;
         }
         let values = Values::Attribute(index);
-        arrays.push(match attribute.components {
-            3 => vectors(values),
-            _ => floats(vertices * attribute.components as u64, values),
+        let numbers = floats(vertices * attribute.components as u64, values);
+        arrays.push(match (attribute.kind, attribute.components) {
+            (AttributeKind::Unsigned, _) => Array { kind: UINT, ..numbers },
+            (kind, _) if kind.is_whole() => Array { kind: INT, ..numbers },
+            (_, 3) => vectors(numbers.values),
+            _ => numbers,
         });
     }
     assert_eq!(arrays.len(), count, "an array a property");

@@ -12,7 +12,7 @@ pub mod stage;
 
 pub use layer::write_mesh;
 
-use crate::particles::{AttributeInfo, colour_attribute};
+use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 
 /// Name of the prim that is the mesh.
 const PRIM: &str = "fluid";
@@ -65,8 +65,14 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> 
         while all.iter().any(|other| other.name == name) {
             name.push('_');
         }
-        let kind = if *components == 3 { "float3[]" } else { "float[]" };
-        let element_size = Some(*components).filter(|components| ![1, 3].contains(components));
+        let kind = match attribute.kind {
+            AttributeKind::Signed | AttributeKind::Wide => "int[]",
+            AttributeKind::Unsigned => "uint[]",
+            _ if *components == 3 => "float3[]",
+            _ => "float[]",
+        };
+        let says = *components == 1 || kind == "float3[]";
+        let element_size = Some(*components).filter(|_| !says);
         all.push(Property { name, kind, interpolation: Some("vertex"), element_size });
     }
     all

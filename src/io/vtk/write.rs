@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_attribute, write_triangles, write_vertices};
 use crate::io::names::told_apart;
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
 /// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS,
@@ -45,7 +45,12 @@ pub fn write_mesh(
         if Some(index) == velocity {
             continue;
         }
-        let scalar = if info.kind.is_colour() { "unsigned_char" } else { "float" };
+        let scalar = match info.kind {
+            AttributeKind::Colour | AttributeKind::ByteColour => "unsigned_char",
+            AttributeKind::Signed | AttributeKind::Wide => "int",
+            AttributeKind::Unsigned => "unsigned_int",
+            AttributeKind::Number => "float",
+        };
         let (name, components) = (encoded(name), info.components);
         writeln!(out, "{name} {components} {} {scalar}", mesh.vertex_count())?;
         if info.kind.is_colour() {

@@ -9,7 +9,7 @@ use crate::io::encode::{
     put_position, write_attribute, write_floats, write_pieces, write_triangles, write_vertices,
 };
 use crate::io::names::told_apart;
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::MeshSource;
 
 use super::NORMALS;
@@ -57,7 +57,12 @@ pub(in crate::io) fn attribute_names(
 
 /// The type of an attribute's numbers in the file.
 fn scalar(info: &AttributeInfo) -> Scalar {
-    if info.kind.is_colour() { Scalar::U8 } else { Scalar::F32 }
+    match info.kind {
+        AttributeKind::Colour | AttributeKind::ByteColour => Scalar::U8,
+        AttributeKind::Signed | AttributeKind::Wide => Scalar::I32,
+        AttributeKind::Unsigned => Scalar::U32,
+        AttributeKind::Number => Scalar::F32,
+    }
 }
 
 /// Normals, if there are any, and all attributes, their names as `spelled` says.

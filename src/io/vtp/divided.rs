@@ -139,7 +139,8 @@ impl<'a> Divided<'a> {
                     normals.push(vertices.normals[place]);
                 }
                 for (all, values) in mesh.attributes.iter_mut().zip(&vertices.attributes) {
-                    all.values.extend(&values[place * all.components..][..all.components]);
+                    let components = all.components;
+                    all.extend(&values[place * components..][..components]);
                 }
             }
         }

@@ -164,7 +164,10 @@ impl Joined {
         if !std::mem::replace(&mut self.begun, true) {
             self.mesh = Mesh { positions: Vec::new(), triangles: Vec::new(), ..piece.clone() };
             self.mesh.normals.iter_mut().for_each(Vec::clear);
-            self.mesh.attributes.iter_mut().for_each(|attribute| attribute.values.clear());
+            self.mesh.attributes.iter_mut().for_each(|attribute| {
+                attribute.values.clear();
+                attribute.whole.clear();
+            });
         }
         let all = &mut self.mesh;
         let kind = |mesh: &Mesh| -> Vec<(String, usize)> {
@@ -188,7 +191,9 @@ impl Joined {
                     all.push(own[vertex]);
                 }
                 for (all, own) in all.attributes.iter_mut().zip(&piece.attributes) {
-                    all.values.extend(&own.values[vertex * own.components..][..own.components]);
+                    let range = vertex * own.components..(vertex + 1) * own.components;
+                    all.values.extend(&own.values[range.clone()]);
+                    all.whole.extend(own.whole.get(range).unwrap_or_default());
                 }
             }
         }

@@ -278,8 +278,7 @@ fn vertices(
     let mut columns = decoder.columns(&arrays)?.into_iter();
     let position = columns.next().and_then(|columns| <[Column; 3]>::try_from(columns).ok());
     let position = position.expect("three components");
-    let info =
-        |array: &&Array| AttributeInfo::new(&array.name, array.components);
+    let info = |array: &&Array| AttributeInfo::new(&array.name, array.components);
     let normals = first.normals.as_deref().unwrap_or(NORMALS);
     Ok(Vertices {
         decoded: decoder.finish()?,

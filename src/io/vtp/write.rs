@@ -95,6 +95,7 @@ pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
         Scalar::I32 => "Int32",
         Scalar::I64 => "Int64",
         Scalar::U8 => "UInt8",
+        Scalar::U32 => "UInt32",
         _ => "Float32",
     };
     let (name, components) = (escaped(&array.name), array.components);

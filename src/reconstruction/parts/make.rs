@@ -9,7 +9,7 @@ use crate::io::stamp::Stamp;
 use crate::io::wanted::{Wanted, WantedPieces};
 use crate::io::whole::{Replace, WholeFile, sweep};
 use crate::io::{ReadError, ReadFault};
-use crate::particles::{Particles, carried_infos};
+use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::checked::{Checked, Started};
 use crate::reconstruction::warning::Warning;
 use crate::surface::dual_mc::Normals;
@@ -113,7 +113,7 @@ impl Parts {
             let attributes = file.particles.attributes();
             let carried = checked.settings.carried(attributes, None)?;
             if !reading.is_of(&file.particles)
-                || carried_infos(attributes, &carried) != plan.attributes
+                || !alike(&carried_infos(attributes, &carried), &plan.attributes)
             {
                 return Err(changed().into());
             }
@@ -180,4 +180,13 @@ impl PartMade {
             timings: Timings::default(),
         }
     }
+}
+
+/// Whether attributes have the same names and components. The plan's kinds are settled by all
+/// particles, which a part does not read.
+fn alike(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
+    let same = |(a, b): (&AttributeInfo, &AttributeInfo)| {
+        (&a.name, a.components, a.kind.is_whole()) == (&b.name, b.components, b.kind.is_whole())
+    };
+    own.len() == planned.len() && own.iter().zip(planned).all(same)
 }

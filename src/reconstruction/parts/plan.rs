@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::Estimate;
-use crate::frame::{Counted, Engine, Sampling};
+use crate::frame::{Counted, Engine, FrameError, Sampling};
 use crate::grid::stretch::{Sight, Stretch};
 use crate::grid::units::MemoryBudget;
 use crate::grid::{MortonKey, block_of_bin};
@@ -13,7 +13,8 @@ use crate::io::input::open_wanted;
 use crate::io::stamp::Stamp;
 use crate::io::whole::sweep;
 use crate::io::{ParticleFile, ReadError, ReadFault};
-use crate::particles::{Particles, carried_infos};
+use crate::particles::Particles;
+use crate::particles::kind::settled;
 use crate::reconstruction::checked::{Checked, Started};
 use crate::reconstruction::warning::mean_symmetry;
 use crate::reconstruction::{ChosenSampling, Source};
@@ -175,7 +176,8 @@ impl Parts {
             measured: measured.map(Into::into),
             mean_symmetry,
             coincident,
-            attributes: carried_infos(particles.attributes(), &sampling.carried),
+            attributes: settled(particles, &sampling.carried)
+                .map_err(|fault| Error::from(FrameError::from(fault)).of_file(&self.input))?,
             parts,
             chunks,
         };

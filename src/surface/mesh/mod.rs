@@ -11,6 +11,9 @@ pub mod up;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 
+use std::borrow::Cow;
+use std::ops::Range;
+
 use crate::particles::{AttributeInfo, AttributeKind};
 
 /// A value on every vertex.
@@ -24,6 +27,8 @@ pub struct VertexAttribute {
     pub values: Vec<f32>,
     /// The meaning of the numbers.
     pub kind: AttributeKind,
+    /// Whole numbers once more, as f32 does not hold them all; none of other kinds.
+    pub whole: Vec<i64>,
 }
 
 impl VertexAttribute {
@@ -38,7 +43,26 @@ impl VertexAttribute {
     #[must_use]
     pub fn without_values(info: AttributeInfo) -> Self {
         let AttributeInfo { name, components, kind } = info;
-        Self { name, components, values: Vec::new(), kind }
+        Self { name, components, values: Vec::new(), kind, whole: Vec::new() }
+    }
+
+    /// Adds values as pieces of a mesh have them.
+    pub(crate) fn extend(&mut self, words: &[f32]) {
+        if self.kind.is_whole() {
+            self.whole.extend(words.iter().map(|&word| self.kind.whole(word)));
+            self.values.extend(words.iter().map(|&word| self.kind.number(word)));
+        } else {
+            self.values.extend_from_slice(words);
+        }
+    }
+
+    /// Values as pieces of a mesh have them.
+    pub(crate) fn words(&self, range: Range<usize>) -> Cow<'_, [f32]> {
+        if self.kind.is_whole() {
+            self.whole[range].iter().map(|&whole| AttributeKind::word(whole)).collect()
+        } else {
+            Cow::Borrowed(&self.values[range])
+        }
     }
 
     /// The attribute without its values.

@@ -19,7 +19,8 @@ pub struct Vertices<'a> {
     pub positions: Cow<'a, [[f64; 3]]>,
     /// One a vertex, or none at all.
     pub normals: Cow<'a, [[f32; 3]]>,
-    /// For each attribute its values, all components of one vertex after the other.
+    /// For each attribute its values, all components of one vertex after the other; whole numbers as
+    /// their 32 bits.
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
@@ -130,11 +131,7 @@ impl MeshSource for Mesh {
                 .normals
                 .as_ref()
                 .map_or(Cow::default(), |n| Cow::Borrowed(&n[range.clone()])),
-            attributes: self
-                .attributes
-                .iter()
-                .map(|a| Cow::Borrowed(&a.values[attribute(a)]))
-                .collect(),
+            attributes: self.attributes.iter().map(|a| a.words(attribute(a))).collect(),
         })
     }
 
@@ -157,12 +154,14 @@ fn assert_complete(mesh: &Mesh) {
     let vertices = mesh.positions.len();
     let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
     assert_eq!(normals, vertices, "one normal a vertex");
-    for VertexAttribute { name, components, values, .. } in &mesh.attributes {
+    for VertexAttribute { name, components, values, kind, whole } in &mesh.attributes {
         assert_eq!(
             Some(values.len()),
             vertices.checked_mul(*components),
             "{components} of {name} a vertex"
         );
+        let whole_count = if kind.is_whole() { values.len() } else { 0 };
+        assert_eq!(whole.len(), whole_count, "whole numbers of {name}");
     }
 }
 

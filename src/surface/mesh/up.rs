@@ -64,7 +64,10 @@ impl<'a> Turned<'a> {
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
         // Of all that have three components colours alone have no direction.
         let is_direction = |info: &AttributeInfo| {
-            info.components == 3 && !info.kind.is_colour() && !is_colour_name(&info.name)
+            info.components == 3
+                && !info.kind.is_colour()
+                && !info.kind.is_whole()
+                && !is_colour_name(&info.name)
         };
         let directions = mesh.attributes().iter().map(is_direction).collect();
         Self { mesh, from, to, directions }

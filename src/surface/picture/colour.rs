@@ -7,6 +7,7 @@ use colorous::Gradient;
 use embedded_graphics::text::Alignment;
 use glam::Vec3;
 
+use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::compare::Surface;
 use crate::surface::mesh::source::{MeshSource, Vertices};
@@ -144,6 +145,7 @@ pub(super) enum Values<'a> {
     Attribute {
         index: usize,
         components: usize,
+        kind: AttributeKind,
     },
     /// The distance from a surface.
     Distance(&'a Reference),
@@ -163,7 +165,8 @@ impl<'a> Values<'a> {
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             return Err(PictureError::NoAttribute { name: name.clone(), known });
         };
-        Ok(Self::Attribute { index, components: attributes[index].components })
+        let AttributeInfo { components, kind, .. } = attributes[index];
+        Ok(Self::Attribute { index, components, kind })
     }
 
     /// Whether there are any.
@@ -175,10 +178,10 @@ impl<'a> Values<'a> {
     pub(super) fn of(&self, vertices: &Vertices<'_>) -> Vec<f32> {
         match *self {
             Self::None => Vec::new(),
-            Self::Attribute { index, components } => {
+            Self::Attribute { index, components, kind } => {
                 let length = |value: &[f32]| match value {
-                    [value] => *value,
-                    vector => vector.iter().map(|x| x * x).sum::<f32>().sqrt(),
+                    [value] => kind.number(*value),
+                    vector => vector.iter().map(|x| kind.number(*x).powi(2)).sum::<f32>().sqrt(),
                 };
                 vertices.attributes[index].chunks(components).map(length).collect()
             }

@@ -83,7 +83,13 @@ impl Stitched {
         let attribute = |(i, info): (usize, &AttributeInfo)| {
             let put = |block: &BlockMesh, to: &mut [f32]| to.copy_from_slice(&block.attributes[i]);
             let values = self.of_vertices(info.components, put)?;
-            Ok(VertexAttribute { values, ..VertexAttribute::without_values(info.clone()) })
+            let mut attribute = VertexAttribute::without_values(info.clone());
+            if info.kind.is_whole() {
+                attribute.extend(&values);
+            } else {
+                attribute.values = values;
+            }
+            Ok(attribute)
         };
         Ok(Mesh {
             positions,

@@ -386,7 +386,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
         };
         let each = |piece, put: &mut dyn FnMut(f32)| {
             let vertices = mesh.surface.mesh().vertices(piece)?;
-            vertices.attributes[index].iter().for_each(|&x| put(x));
+            vertices.attributes[index].iter().for_each(|&x| put(info.kind.number(x)));
             Ok(())
         };
         let needed = mesh.outline.vertices.saturating_mul(info.components as u64);
