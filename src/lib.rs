@@ -226,7 +226,7 @@ pub mod files {
     pub use crate::io::whole::Replace;
     pub use crate::io::{LeftOut, ParticleFile, UpAxis};
     pub use crate::particles::occurring::{Occurring, Value};
-    pub use crate::particles::{AttributeInfo, Label, velocity_attribute};
+    pub use crate::particles::{AttributeInfo, AttributeKind, Label, velocity_attribute};
     pub use crate::reconstruction::{
         FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_by,
         open_particles, usual_up,

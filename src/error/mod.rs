@@ -19,6 +19,7 @@ pub use crate::grid::units::{UnitError, shown, significant};
 pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
+pub use crate::particles::kind::TooWide;
 pub use crate::particles::selection::SelectionFault;
 pub use crate::settings::Setting;
 pub use crate::surface::mesh::compare::CompareError;

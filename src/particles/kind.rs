@@ -208,7 +208,7 @@ pub fn settled(
     Ok(infos)
 }
 
-/// What `look` finds in the particles, a chunk at a time.
+/// Looks at all particles, a chunk at a time, and joins the findings.
 fn folded<T: Copy + Send + Sync>(
     particles: &(impl Particles + ?Sized),
     nothing: T,

@@ -197,3 +197,48 @@ fn options_of_other_programs_are_answered_with_ours() {
     let errors = run(folder.path(), &["check", "--cube-size=3"], 2);
     assert!(!errors.contains("--cell-size"), "`check` has no such option: {errors}");
 }
+
+#[test]
+fn vertices_take_the_identifier_of_the_nearest_particle_in_any_order_of_the_particles() {
+    let folder = TempDir::new().unwrap();
+    let places: Vec<[f64; 3]> =
+        (0..512).map(|i| [i % 8, i / 8 % 8, i / 64].map(f64::from)).collect();
+    let write = |name: &str, scalar: &str, offset: i64, backwards: bool| {
+        let mut rows: Vec<String> =
+            (offset..).zip(&places).map(|(id, [x, y, z])| format!("{x} {y} {z} {id}\n")).collect();
+        if backwards {
+            rows.reverse();
+        }
+        let header = format!(
+            "ply\nformat ascii 1.0\nelement vertex 512\nproperty double x\nproperty double y\n\
+             property double z\nproperty {scalar} id\nend_header\n"
+        );
+        fs::write(folder.path().join(name), header + &rows.concat()).unwrap();
+    };
+    write("forwards.ply", "int", 16_777_216, false);
+    write("backwards.ply", "int", 16_777_216, true);
+    write("long.ply", "int64", 16_777_216, false);
+    write("wide.ply", "int64", 5_000_000_000, false);
+    let of = |input: &str, code: i32| {
+        let output = format!("mesh_{input}");
+        let arguments = ["reconstruct", input, "--spacing", "1", "--attributes", "id", "-o"];
+        let errors = run(folder.path(), &[&arguments[..], &[&output]].concat(), code);
+        (folder.path().join(output), errors)
+    };
+    let [forwards, backwards, long] = ["forwards.ply", "backwards.ply", "long.ply"].map(|input| {
+        let (output, _) = of(input, 0);
+        fs::read(output).unwrap()
+    });
+    assert!(forwards == backwards && forwards == long, "neither order nor width matters");
+    let mesh = read_mesh(&folder.path().join("mesh_forwards.ply")).unwrap();
+    for (vertex, id) in mesh.positions.iter().zip(&mesh.attributes[0].whole) {
+        let squared = |place: &[f64; 3]| -> f64 {
+            place.iter().zip(vertex).map(|(a, b)| (a - b).powi(2)).sum()
+        };
+        let nearest = places.iter().map(squared).fold(f64::INFINITY, f64::min);
+        let own = squared(&places[(id - 16_777_216) as usize]);
+        assert!(own - nearest < 1e-3, "{own} instead of {nearest}");
+    }
+    let (output, errors) = of("wide.ply", 3);
+    assert!(errors.contains("id") && errors.contains("32 bits") && !output.exists(), "{errors}");
+}
