@@ -209,7 +209,7 @@ pub mod mesh {
 /// Pictures of meshes, as files or in memory: with the feature `pictures`.
 #[cfg(feature = "pictures")]
 pub mod picture {
-    pub use crate::simulation::{PictureDone, PictureFile, Pictures, Sheet};
+    pub use crate::simulation::{PictureDone, PictureFile, Pictures, Sheet, SheetDone};
     pub use crate::surface::picture::{
         Animation, Colour, ColourMap, Effort, Image, Picture, PictureError, Reference, Scope, View,
     };

@@ -36,6 +36,8 @@ pub struct Simulation {
     pub(super) beside: Vec<PathBuf>,
     /// Whether nothing is converted yet: every job may then plan.
     pub(super) planned: bool,
+    /// Whether a sheet of the frames will be drawn.
+    pub(super) sheet: bool,
 }
 
 impl Simulation {
@@ -63,6 +65,7 @@ impl Simulation {
             fps: None,
             beside: Vec::new(),
             planned: false,
+            sheet: false,
         }
     }
 

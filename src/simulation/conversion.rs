@@ -26,6 +26,7 @@ use super::lanes::Division;
 use super::one_frame::{Done, Filled};
 use super::records::{Record, Records};
 use super::setup::{POLL, Setup};
+use super::small_meshes::SmallMeshes;
 use super::state::{State, Store};
 use super::tally::Tally;
 use super::watch::{Ready, Watch};
@@ -360,6 +361,11 @@ impl<'a> Conversion<'a> {
     /// The mesh's file of a frame.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.setup.output(frame)
+    }
+
+    /// The small meshes of frames.
+    pub(super) fn small_meshes(&self) -> SmallMeshes {
+        SmallMeshes::beside(self.store.folder())
     }
 
     /// The record of a frame that need not be made again, as far as is known.

@@ -29,6 +29,7 @@ mod pieces;
 pub mod records;
 mod run;
 mod setup;
+mod small_meshes;
 pub mod state;
 mod tally;
 mod watch;
@@ -42,4 +43,4 @@ pub use frozen::{Frozen, Trust};
 pub use inputs::{FrameFile, files, frames};
 pub use live::LiveSimulation;
 #[cfg(feature = "pictures")]
-pub use pictures::{PictureDone, PictureFile, Pictures, Sheet};
+pub use pictures::{PictureDone, PictureFile, Pictures, Sheet, SheetDone};

@@ -11,6 +11,7 @@ use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::inputs::FrameFile;
 use super::records::Record;
+use super::small_meshes::SmallMeshes;
 use crate::error::Error;
 use crate::frame::{Counted, Engine, FrameError, Resources};
 use crate::grid::units::MemoryBudget;
@@ -19,12 +20,13 @@ use crate::io::input::{file_and_step, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{FilledFile, Replace};
-use crate::io::{ParticleFile, ReadError, ReadFault};
+use crate::io::{ParticleFile, ReadError, ReadFault, WriteError};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     Checked, Doubt, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
     Warning, coordinate_width, made_of, refuse_same_file,
 };
+use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::Bounded;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
@@ -44,6 +46,8 @@ pub(super) struct Filled {
     file: FilledFile,
     held: Held,
     record: Record,
+    /// For the sheet, if one is drawn of a format that is not read again.
+    small: Option<Mesh>,
     done: Done,
 }
 
@@ -153,6 +157,13 @@ impl Conversion<'_> {
             return Err(ReadError::new(path, ReadFault::Changed).into());
         }
         let bytes = file.bytes();
+        let small = if simulation.sheet && !self.format.is_read() {
+            let memory = self.division.share.0 / 8;
+            let small = permit.run(|| SmallMeshes::of(&turned, bounded.bounds(), memory));
+            small.map_err(|fault| WriteError::new(&target, fault))?
+        } else {
+            None
+        };
         drop(permit);
         timings.done("write");
 
@@ -178,12 +189,16 @@ impl Conversion<'_> {
         let fingerprint = settled.fingerprint;
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
         let done = Done { mesh: listed, time, report, left_out, warnings, seconds };
-        Ok(Filled { file, held, record, done })
+        Ok(Filled { file, held, record, small, done })
     }
 
     /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
     pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
-        let Filled { file, held, record, done } = filled;
+        let Filled { file, held, record, small, done } = filled;
+        if !self.format.is_read() {
+            // Before the mesh: a small mesh is of the mesh that has a record, or of a later one.
+            self.small_meshes().keep(record.mesh.frame, small.as_ref())?;
+        }
         file.keep()?;
         drop(held);
         self.cancel().undisturbed(|| self.store.log.keep(&record))?;

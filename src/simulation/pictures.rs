@@ -1,6 +1,9 @@
 //! Pictures of meshes in files: of one, of each of a simulation, of all on a sheet, or an
 //! animation; through one camera.
 
+use std::fmt;
+use std::fs::File;
+use std::io::BufReader;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
@@ -11,12 +14,14 @@ use crate::io::stamp::is_same_file;
 use crate::io::whole::{MadeFolders, Replace, WholeFile};
 use crate::io::{UpAxis, WriteError, WriteFault};
 use crate::reconstruction::Threads;
-use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
+use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope, source_of_png};
 use crate::system::cancel::Cancel;
 
 use super::builder::Simulation;
 use super::inputs::{FrameFile, Inputs, Sequence, files_in};
-use super::naming::{Naming, without_number};
+use super::naming::{self, Naming, without_number};
+use super::small_meshes::SmallMeshes;
+use super::state::Store;
 
 const PNG: &str = "png";
 const APNG: &str = "apng";
@@ -40,7 +45,11 @@ const FPS: f64 = 24.0;
 pub struct Pictures {
     picture: Picture,
     meshes: Vec<PathBuf>,
+    /// The meshes in order, where they are known already.
+    frames: Option<Vec<FrameFile>>,
     output: PathBuf,
+    /// The text in a sheet's file that says of what it is.
+    source: Option<String>,
     sized: bool,
     fps: f64,
     replace: Replace,
@@ -93,7 +102,12 @@ impl PictureFile {
     /// # Errors
     /// [`Error::Write`].
     pub fn write(self, image: &Image) -> Result<u64, Error> {
-        Ok(self.0.write(|out| image.write_png(out))?)
+        self.write_of(image, None)
+    }
+
+    /// Writes the picture with a text that says of what it is.
+    fn write_of(self, image: &Image, source: Option<&str>) -> Result<u64, Error> {
+        Ok(self.0.write(|out| image.write_png_of(out, source))?)
     }
 }
 
@@ -132,7 +146,9 @@ impl Pictures {
         Self {
             picture,
             meshes: meshes.into_iter().map(Into::into).collect(),
+            frames: None,
             output: output.into(),
+            source: None,
             sized: false,
             fps: FPS,
             replace: Replace::Refuse,
@@ -194,7 +210,10 @@ impl Pictures {
         let threads =
             self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         let pool = Threads::start(threads).map_err(Error::Threads)?;
-        let (sequence, mut frames) = self.frames()?;
+        let (sequence, mut frames) = match self.frames.take() {
+            Some(frames) => (None, frames),
+            None => self.frames()?,
+        };
         let _folders = MadeFolders::of(&self.output)?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
@@ -323,7 +342,7 @@ impl Pictures {
             Target::One(file) => {
                 if let Some(next) = drawn.next() {
                     let (n, frame, image) = next?;
-                    file.write(&image)?;
+                    file.write_of(&image, self.source.as_deref())?;
                     done(n, frame, &output);
                 }
             }
@@ -342,7 +361,10 @@ impl Pictures {
                     done(n, frame, &output);
                 }
                 let sheet = Image::sheet(&images, COLUMNS);
-                file.write(|out| sheet.as_ref().map_or(Ok(()), |sheet| sheet.write_png(out)))?;
+                let source = self.source.as_deref();
+                file.write(|out| {
+                    sheet.as_ref().map_or(Ok(()), |sheet| sheet.write_png_of(out, source))
+                })?;
             }
             Target::Animation(file) => {
                 // What fails in a picture is told of as itself, and not as a fault of the file.
@@ -436,40 +458,93 @@ fn extension(path: &Path) -> &'static str {
 pub struct Sheet {
     pictures: Pictures,
     path: PathBuf,
+    overwrite: bool,
+    resume: bool,
+    /// Where small meshes of all frames are kept, if the frames' own are not read again.
+    small: Option<SmallMeshes>,
+}
+
+/// A sheet that was drawn, which prints as a line for people.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+#[must_use = "meshes may be missing on it"]
+pub struct SheetDone {
+    /// The picture's file; there is none where no mesh could be drawn.
+    pub path: PathBuf,
+    /// How many meshes there were to draw.
+    pub meshes: usize,
+    /// Meshes that are not on the sheet: their format is not read, and the run that made them kept
+    /// no small mesh of them.
+    pub undrawn: Vec<PathBuf>,
+}
+
+impl SheetDone {
+    /// A warning that meshes are missing on the sheet, if any are.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let (first, last) = (self.undrawn.first()?, self.undrawn.last()?);
+        let which = match self.undrawn.len() {
+            1 => first.display().to_string(),
+            count => format!("{} to {} ({count} meshes)", first.display(), last.display()),
+        };
+        Some(format!(
+            "{which}: not on the sheet; the run that made them drew no sheet, and their format is not read again: make them once more to see them"
+        ))
+    }
+}
+
+impl fmt::Display for SheetDone {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { path, meshes, undrawn } = self;
+        match meshes - undrawn.len() {
+            0 => write!(f, "{}: no sheet, for no frame could be drawn", path.display()),
+            _ if undrawn.is_empty() => write!(f, "{}: a sheet of the frames", path.display()),
+            drawn => write!(f, "{}: a sheet of {drawn} of {meshes} frames", path.display()),
+        }
+    }
 }
 
 impl Simulation {
     /// Makes sure, before the work, that a sheet of the frames can be written beside the meshes:
     /// called as they are, without their numbers, or `frames.png`. One that is there already is
-    /// replaced where the simulation replaces its outputs, or goes on.
+    /// replaced where the simulation replaces its outputs, or goes on and it is a sheet of them.
+    ///
+    /// Of formats that are not read again, [`run`](Self::run) then keeps a small mesh of each frame
+    /// beside the state, for the sheet of this run and of those that go on with it.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn sheet(&self) -> Result<Sheet, Error> {
+    pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
         if let Some(other) = self.beside.iter().find(|other| is_same_file(other, &path)) {
             return Err(Error::TwoPurposes { path: other.clone(), other: path });
         }
-        let replace = if self.overwrite || self.resume { Replace::Allow } else { Replace::Refuse };
-        if path.exists() {
-            drop(PictureFile::prepare(&path, replace)?);
-        }
-        let format = MeshFormat::of(&self.output);
-        if let Some(format) = format.filter(|format| !format.is_read()) {
-            return Err(Error::Request(format!(
-                "{}: a sheet is drawn of meshes that are read again, and {format} files are not; name .ply or .vtp files, or do without it",
-                self.output.display()
-            )));
-        }
+        let (inputs, naming) = self.names()?;
+        let simulations = || inputs.simulations(None).ok();
         let settings = &self.request.settings;
-        let first = || {
-            self.names().ok()?.0.simulations(None).ok()?.first()?.list().ok()?.into_iter().next()
-        };
+        let first = || simulations()?.first()?.list().ok()?.into_iter().next();
         let usual = || first().map_or(UpAxis::Y, |frame| settings.usual_up(&frame.path));
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
-        let pictures = Pictures::new(picture, [&self.output], &path).replace(replace);
-        Ok(Sheet { pictures: pictures.cancel(self.request.control.cancel.clone()), path })
+        let pictures = Pictures::new(picture, [&self.output], &path);
+        let pictures = pictures.cancel(self.request.control.cancel.clone());
+        // Meshes in a folder are .ply.
+        let small = match &naming {
+            Naming::Pattern(outputs)
+                if MeshFormat::of(&self.output).is_some_and(|format| !format.is_read()) =>
+            {
+                let store = Store::beside(&naming::simulation(outputs));
+                Some(SmallMeshes::beside(store.folder()))
+            }
+            _ => None,
+        };
+        let (overwrite, resume) = (self.overwrite, self.resume);
+        let sheet = Sheet { pictures, path, overwrite, resume, small };
+        if sheet.path.exists() {
+            drop(PictureFile::prepare(&sheet.path, sheet.replace())?);
+        }
+        self.sheet = true;
+        Ok(sheet)
     }
 }
 
@@ -484,8 +559,48 @@ impl Sheet {
     ///
     /// # Errors
     /// Those of [`Pictures::run`].
-    pub fn draw(self) -> Result<(), Error> {
-        self.pictures.run(|_| ())
+    pub fn draw(self) -> Result<SheetDone, Error> {
+        let mut pictures = self.pictures.clone().replace(self.replace());
+        pictures.source = Some(self.source());
+        let Self { path, small, .. } = self;
+        let (_, frames) = pictures.frames()?;
+        let meshes = frames.len();
+        let mut undrawn = Vec::new();
+        if let Some(small) = &small {
+            let mut drawn = Vec::new();
+            for frame in frames {
+                let path = small.path(frame.number);
+                if path.is_file() {
+                    drawn.push(FrameFile { path, ..frame });
+                } else {
+                    undrawn.push(frame.path);
+                }
+            }
+            if drawn.is_empty() {
+                return Ok(SheetDone { path, meshes, undrawn });
+            }
+            pictures.frames = Some(drawn);
+        }
+        pictures.run(|_| ())?;
+        Ok(SheetDone { path, meshes, undrawn })
+    }
+
+    /// The text in the picture's file that says of which meshes it is.
+    fn source(&self) -> String {
+        let meshes = self.pictures.meshes.iter().filter_map(|output| output.file_name());
+        let names: Vec<_> = meshes.map(|name| name.to_string_lossy()).collect();
+        format!("a sheet of {}", names.join(", "))
+    }
+
+    /// Whether a file in the sheet's place may be replaced: where outputs are, or where the
+    /// conversion goes on and the file is a sheet of its meshes.
+    fn replace(&self) -> Replace {
+        let is_own = || {
+            let file = File::open(&self.path).ok();
+            let source = file.and_then(|file| source_of_png(&mut BufReader::new(file)));
+            source.is_some_and(|source| source == self.source())
+        };
+        if self.overwrite || self.resume && is_own() { Replace::Allow } else { Replace::Refuse }
     }
 }
 

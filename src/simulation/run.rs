@@ -22,6 +22,7 @@ use super::forecast::Forecast;
 use super::inputs::{FrameFile, Inputs, Sequence};
 use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
+use super::small_meshes::SmallMeshes;
 use super::state::{Found, State, Store};
 
 /// The inputs of one of several simulations, and what came of it.
@@ -276,6 +277,7 @@ fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
     make_folder(folder).map_err(|fault| WriteError::new(folder, fault))?;
     sweep(folder);
     sweep(store.folder());
+    SmallMeshes::beside(store.folder()).sweep();
     Ok(())
 }
 

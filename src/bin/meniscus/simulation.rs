@@ -32,7 +32,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     let request =
         options.run.machine(request, &frame, || simulation.input_bytes())?.cancel(cancel.clone());
     let device = request.device().cloned();
-    let simulation = simulation.reconstruction(request);
+    let mut simulation = simulation.reconstruction(request);
     simulation.check()?;
     options.prepare_stats()?;
     let notes = options.run.notes();
@@ -59,9 +59,9 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     }
     converted?;
     if let Some(sheet) = sheet {
-        let path = sheet.path().to_owned();
-        sheet.draw()?;
-        teller.notes.say(format!("{}: a sheet of the frames", path.display()));
+        let done = sheet.draw()?;
+        done.warning().iter().for_each(|warning| teller.notes.warn(warning));
+        teller.notes.say(done.to_string());
     }
     Ok(teller.verdict())
 }

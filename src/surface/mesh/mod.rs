@@ -1,6 +1,7 @@
 //! Triangle meshes and what can be said of them.
 
 mod block;
+pub mod clustered;
 pub mod check;
 pub mod compare;
 pub mod measure;

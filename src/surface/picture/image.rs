@@ -1,7 +1,7 @@
 //! Images of 8 bits a channel: text on them, sheets of several, and files.
 
 use std::convert::Infallible;
-use std::io::{self, Write};
+use std::io::{self, BufRead, Seek, Write};
 
 use embedded_graphics::Pixel;
 use embedded_graphics::draw_target::DrawTarget;
@@ -18,6 +18,8 @@ const INK: Rgb888 = Rgb888::new(28, 32, 36);
 /// Between images of a sheet, in pixels.
 const GAP: usize = 4;
 const PAPER: u8 = 255;
+/// The keyword of the text that says of what a picture is.
+const SOURCE: &str = "meniscus";
 
 /// Rows of pixels from the top: red, green and blue, 8 bits each, as screens show them (sRGB).
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -105,7 +107,15 @@ impl Image {
     /// # Errors
     /// Those of `out`.
     pub fn write_png(&self, out: &mut dyn Write) -> io::Result<()> {
+        self.write_png_of(out, None)
+    }
+
+    /// Writes a `.png` file with a text that says of what it is, which [`source_of_png`] reads.
+    pub(crate) fn write_png_of(&self, out: &mut dyn Write, source: Option<&str>) -> io::Result<()> {
         let mut encoder = self.encoder(out);
+        if let Some(source) = source {
+            encoder.add_itxt_chunk(SOURCE.to_owned(), source.to_owned())?;
+        }
         encoder.set_compression(png::Compression::Fast);
         encoder.write_header()?.write_image_data(&self.rgb)?;
         Ok(())
@@ -117,6 +127,13 @@ impl Image {
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
         encoder
     }
+}
+
+/// The text that says of what a `.png` file of this library is; `None` of any other file.
+pub(crate) fn source_of_png(file: &mut (impl BufRead + Seek)) -> Option<String> {
+    let reader = png::Decoder::new(file).read_info().ok()?;
+    let text = reader.info().utf8_text.iter().find(|text| text.keyword == SOURCE)?;
+    text.get_text().ok()
 }
 
 /// An animated `.png` file that is written image by image.

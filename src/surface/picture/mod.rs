@@ -22,6 +22,7 @@ mod visible;
 
 pub use camera::View;
 pub use colour::{Colour, ColourMap, Reference};
+pub(crate) use image::source_of_png;
 pub use image::{Animation, Image};
 pub use request::PictureError;
 pub use request::{Effort, Picture, Scope};

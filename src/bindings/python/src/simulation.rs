@@ -230,14 +230,14 @@ impl Simulation {
     #[pyo3(signature = (*, progress=None))]
     fn run(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Summary>> {
         let preview = matches!(self.kind, Kind::Files(_, true));
-        let ended = self.on_files(py, progress, |files, tell| {
+        let (ended, undrawn) = self.on_files(py, progress, |files, tell| {
+            let mut files = files.clone();
             let sheet = preview.then(|| files.sheet()).transpose()?;
             let ended = files.run(tell)?;
-            if let Some(sheet) = sheet {
-                sheet.draw()?;
-            }
-            Ok(ended)
+            let undrawn = sheet.map(|sheet| sheet.draw()).transpose()?;
+            Ok((ended, undrawn.and_then(|sheet| sheet.warning())))
         })?;
+        warn(py, undrawn)?;
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
