@@ -756,10 +756,57 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
     assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
     let said = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
     assert!(said.contains("mesh.png: exists"), "{said}");
+    // Going on draws its own sheet again, and no other picture is replaced by it.
     let sheet = fs::read(at("mesh.png")).unwrap();
-    fs::write(at("mesh.png"), "old").unwrap();
+    let picture = Picture::new().size(8, 8).draw(&Mesh::default()).unwrap();
+    let mut foreign = Vec::new();
+    picture.write_png(&mut foreign).unwrap();
+    fs::write(at("mesh.png"), &foreign).unwrap();
+    run(&[frames, "-o", "mesh_{}.ply", "--preview", "--resume"], 2);
+    assert_eq!(fs::read(at("mesh.png")).unwrap(), foreign);
+    fs::write(at("mesh.png"), &sheet).unwrap();
+    fs::remove_file(at("mesh_10.ply")).unwrap();
     run(&[frames, "-o", "mesh_{}.ply", "--preview", "--resume"], 0);
     assert_eq!(fs::read(at("mesh.png")).unwrap(), sheet);
+}
+
+#[test]
+fn a_sheet_of_meshes_that_are_not_read_again_shows_those_of_meshes_that_are() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let frames = data.join("ParticleData_Fluid_{}.bgeo");
+    let run = |arguments: &[&str], code| {
+        let frames = ["reconstruct", frames.to_str().unwrap()];
+        program::run(folder.path(), &[&frames, arguments].concat(), code)
+    };
+    let pixels = |name: &str| {
+        let file = BufReader::new(File::open(at(name)).unwrap());
+        let mut reader = png::Decoder::new(file).read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut bytes).unwrap();
+        bytes
+    };
+    run(&["-o", "read_{}.ply", "--preview"], 0);
+    for output in ["a_{}.usdc", "b_{}.glb"] {
+        let sheet = format!("{}.png", &output[..1]);
+        run(&["-o", output, "--preview"], 0);
+        assert_eq!(png_size(&at(&sheet)), [3 * 640 + 2 * 4, 360]);
+        let (ours, read) = (pixels(&sheet), pixels("read.png"));
+        let differing = ours.iter().zip(&read).filter(|(a, b)| a.abs_diff(**b) > 24).count();
+        assert!(differing * 100 < ours.len(), "{output}: {differing} of {}", ours.len());
+        // Going on draws the frames of both runs; without pictures of those made before, it says so.
+        fs::remove_file(at(&output.replace("{}", "10"))).unwrap();
+        let whole = fs::read(at(&sheet)).unwrap();
+        run(&["-o", output, "--preview", "--resume"], 0);
+        assert_eq!(fs::read(at(&sheet)).unwrap(), whole, "{output}");
+    }
+    run(&["-o", "c_{}.glb"], 0);
+    let said = run(&["-o", "c_{}.glb", "--preview", "--resume"], 0);
+    assert!(said.contains("c_1.glb to c_20.glb") && !at("c.png").exists(), "{said}");
+    fs::remove_file(at("c_10.glb")).unwrap();
+    let said = run(&["-o", "c_{}.glb", "--preview", "--resume"], 0);
+    assert!(said.contains("c_1.glb") && said.contains("1 of 3") && at("c.png").exists(), "{said}");
 }
 
 fn listing(folder: &Path) -> Vec<String> {

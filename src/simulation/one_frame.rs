@@ -10,7 +10,7 @@ use super::event::{Event, LeftOut};
 use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::inputs::FrameFile;
-use super::records::Record;
+use super::records::{Record, Records};
 use super::small_meshes::SmallMeshes;
 use crate::error::Error;
 use crate::frame::{Counted, Engine, FrameError, Resources};
@@ -20,7 +20,7 @@ use crate::io::input::{file_and_step, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{FilledFile, Replace};
-use crate::io::{ParticleFile, ReadError, ReadFault, WriteError};
+use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     Checked, Doubt, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
@@ -45,16 +45,28 @@ pub(super) struct Done {
 pub(super) struct Filled {
     file: FilledFile,
     held: Held,
+    target: PathBuf,
+    replaces: Replaces,
     record: Record,
     /// For the sheet, if one is drawn of a format that is not read again.
     small: Option<Mesh>,
     done: Done,
 }
 
+/// The files whose place a mesh may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Replaces {
+    Nothing,
+    /// Meshes that this conversion made.
+    Own,
+    Anything,
+}
+
 /// A frame that was opened, and the output that waits for its mesh.
 pub(super) struct Opened {
     input: Stamp,
     target: PathBuf,
+    replaces: Replaces,
     orientation: Orientation,
     output: Output,
     /// `None` where it was sampled before.
@@ -87,8 +99,14 @@ impl Conversion<'_> {
         let simulation = self.setup.simulation;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
-        let allowed = simulation.resume || simulation.overwrite || again;
-        let replace = if allowed { Replace::Allow } else { Replace::Refuse };
+        let replaces = if simulation.overwrite || again {
+            Replaces::Anything
+        } else if simulation.resume {
+            Replaces::Own
+        } else {
+            Replaces::Nothing
+        };
+        let replace = if replaces == Replaces::Nothing { Replace::Refuse } else { Replace::Allow };
         let target = self.output(frame);
         refuse_same_file(&target, file_and_step(path).0)?;
         let orientation =
@@ -112,7 +130,7 @@ impl Conversion<'_> {
             Ok::<_, Error>(Some(file))
         };
         let particles = checked.resources.control.during(Stage::Reading, open)?;
-        Ok(Opened { input, target, orientation, output, particles, timings })
+        Ok(Opened { input, target, replaces, orientation, output, particles, timings })
     }
 
     /// Converts a frame with the threads of its lane, or where it has to be alone with all.
@@ -126,7 +144,8 @@ impl Conversion<'_> {
         let simulation = self.setup.simulation;
         let path = &frame.path;
         let frozen = &settled.state.frozen;
-        let Opened { input, target, orientation, output, particles, mut timings } = opened;
+        let Opened { input, target, replaces, orientation, output, particles, mut timings } =
+            opened;
         timings.skip();
         let ready = match particles {
             Some(file) => self.sample(checked, path, file, frozen, &mut timings),
@@ -189,12 +208,15 @@ impl Conversion<'_> {
         let fingerprint = settled.fingerprint;
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
         let done = Done { mesh: listed, time, report, left_out, warnings, seconds };
-        Ok(Filled { file, held, record, small, done })
+        Ok(Filled { file, held, target, replaces, record, small, done })
     }
 
     /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
     pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
-        let Filled { file, held, record, small, done } = filled;
+        let Filled { file, held, target, replaces, record, small, done } = filled;
+        if replaces == Replaces::Own && self.is_foreign(&target, &record) {
+            return Err(WriteError::new(&target, WriteFault::Exists).into());
+        }
         if !self.format.is_read() {
             // Before the mesh: a small mesh is of the mesh that has a record, or of a later one.
             self.small_meshes().keep(record.mesh.frame, small.as_ref())?;
@@ -203,6 +225,17 @@ impl Conversion<'_> {
         drop(held);
         self.cancel().undisturbed(|| self.store.log.keep(&record))?;
         Ok(done)
+    }
+
+    /// Whether a file stands in the place of a mesh that this conversion has not made: there is no
+    /// record of it. Where a process was killed between a mesh and its record, the mesh has the
+    /// bytes that it is made with again.
+    fn is_foreign(&self, target: &Path, made: &Record) -> bool {
+        let is_own = || {
+            let records = Records::read(self.store.folder());
+            records.names(made.mesh.frame, target) || made.is_whole(target)
+        };
+        target.symlink_metadata().is_ok() && !is_own()
     }
 
     /// Reads a frame that was sampled before.

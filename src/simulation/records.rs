@@ -83,6 +83,12 @@ impl Records {
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
     }
 
+    /// Whether a frame was made into `output`, which may have changed since.
+    pub fn names(&self, frame: u64, output: &Path) -> bool {
+        let name = output.file_name();
+        self.0.get(&frame).is_some_and(|record| name.is_some_and(|name| *name == *record.mesh.file))
+    }
+
     /// The record of a frame whose output has its size, and would have it if it were made now.
     pub fn current(
         &self,

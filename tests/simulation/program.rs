@@ -433,6 +433,26 @@ fn a_mesh_of_others_among_frames_of_other_jobs_is_not_replaced_either() {
 }
 
 #[test]
+fn a_mesh_of_others_that_came_after_the_conversion_began_is_not_replaced_by_going_on() {
+    let folder = falling(1..=3);
+    let (mesh, input) = (folder.path().join("out/m_4.ply"), folder.path().join("in/f_4.xyz"));
+    run(folder.path(), &ALL, 0);
+    fs::write(&input, raw(&ball(4))).unwrap();
+    fs::write(&mesh, "mine").unwrap();
+    for how in [&["--resume"][..], &["--resume", "--watch=0.5"]] {
+        let errors = run(folder.path(), &with(how), 1);
+        assert!(errors.contains("m_4.ply") && errors.contains("--overwrite"), "{errors}");
+        assert_eq!(fs::read(&mesh).unwrap(), b"mine", "{how:?}");
+    }
+    run(folder.path(), &with(&["--resume", "--overwrite"]), 0);
+    assert_ne!(fs::read(&mesh).unwrap(), b"mine");
+    // A mesh of its own that was damaged since is made again.
+    fs::write(&mesh, "mine").unwrap();
+    run(folder.path(), &with(&["--resume"]), 0);
+    assert_ne!(fs::read(&mesh).unwrap(), b"mine");
+}
+
+#[test]
 fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_for_where_it_may_come()
  {
     let folder = falling(1..=2);
