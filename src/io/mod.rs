@@ -40,6 +40,7 @@ pub mod table;
 pub mod tecplot;
 mod text;
 pub mod text_format;
+pub mod up;
 pub mod usd;
 mod vertices;
 pub mod vtk;

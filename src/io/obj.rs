@@ -16,6 +16,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::encode::{write_triangles, write_vertices};
 use super::number::Number;
 use super::scan::Scanner;
+use super::up::noted;
 use super::{CoordinateWidth, ReadFault};
 
 /// First words of lines that are ignored, as they say nothing of the surface's shape.
@@ -34,6 +35,7 @@ pub fn write_mesh(
     mesh: &dyn MeshSource,
     width: CoordinateWidth,
 ) -> io::Result<()> {
+    out.write_all(noted(mesh, ["# ", "\n"]).as_bytes())?;
     if mesh.vertex_count() == 0 {
         // A file of no bytes is rather one that was not written.
         writeln!(out, "# no vertices")?;

@@ -13,6 +13,7 @@
 //! else the frames' numbers over the frames a second, where those are given; else the numbers
 //! alone.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -77,6 +78,41 @@ struct Moment {
     time: f64,
     /// USD's.
     code: f64,
+}
+
+/// A listing of frames, as far as it says which axis points up in which files.
+#[derive(Deserialize)]
+struct Listing {
+    up: String,
+    frames: Vec<ListedFile>,
+}
+
+#[derive(Deserialize)]
+struct ListedFile {
+    file: String,
+}
+
+/// No listing that is looked for is larger, in bytes: of some 200,000 frames.
+const LARGEST_LISTING: u64 = 64 << 20;
+
+/// The axis that points up in a mesh that a listing beside it names; `None` where there is none.
+pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
+    let folder = mesh.parent()?;
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let ending = format!(".{}.json", mesh.extension()?.to_str()?);
+    let name = mesh.file_name()?.to_str()?;
+    let is_listing = |path: &PathBuf| {
+        path.to_str().is_some_and(|path| path.ends_with(&ending))
+            && path.metadata().is_ok_and(|m| m.is_file() && m.len() <= LARGEST_LISTING)
+    };
+    let paths = fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut listings: Vec<PathBuf> = paths.filter(is_listing).collect();
+    listings.sort();
+    listings.into_iter().find_map(|path| {
+        let listing: Listing = serde_json::from_slice(&fs::read(path).ok()?).ok()?;
+        let axis = [UpAxis::Y, UpAxis::Z].into_iter().find(|axis| axis.to_string() == listing.up);
+        axis.filter(|_| listing.frames.iter().any(|frame| frame.file == name))
+    })
 }
 
 impl Series {

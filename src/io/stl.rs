@@ -22,6 +22,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::encode::{in_order, write_triangles};
 use super::obj::vector;
 use super::scan::Scanner;
+use super::up::note;
 use super::{CoordinateWidth, ReadFault, malformed};
 
 /// Whatever it says, it must not start with "solid", which is how text does.
@@ -50,7 +51,11 @@ pub fn write_mesh(
 ) -> io::Result<()> {
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
-    out.write_all(TITLE)?;
+    let mut title = *TITLE;
+    if let Some(note) = note(mesh) {
+        title[TITLE.len() - note.len()..].copy_from_slice(note.as_bytes());
+    }
+    out.write_all(&title)?;
     out.write_all(&(mesh.triangle_count() as u32).to_le_bytes())?;
     write_triangles(out, mesh, |triangles, out| {
         for triangle in triangles {

@@ -11,6 +11,7 @@ use std::thread::available_parallelism;
 use crate::error::{Error, SimulationError};
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::stamp::is_same_file;
+use crate::io::up::up_said;
 use crate::io::whole::{MadeFolders, Replace, WholeFile};
 use crate::io::{UpAxis, WriteError, WriteFault};
 use crate::reconstruction::Threads;
@@ -137,7 +138,9 @@ enum Target {
 }
 
 impl Pictures {
-    /// Pictures of a file, several, a folder, a glob, or a name with `{}` for the number.
+    /// Pictures of a file, several, a folder, a glob, or a name with `{}` for the number. Where the
+    /// picture says nothing of the axis that points up, it is z if the first mesh whose file or
+    /// listing says it has z up, else y.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -214,6 +217,8 @@ impl Pictures {
             Some(frames) => (None, frames),
             None => self.frames()?,
         };
+        let said = || frames.iter().find_map(|frame| up_said(&frame.path)).unwrap_or(UpAxis::Y);
+        self.picture = self.picture.up_unless_said(said);
         let _folders = MadeFolders::of(&self.output)?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {

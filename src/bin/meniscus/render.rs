@@ -35,9 +35,9 @@ pub struct Options {
     /// Six: the eye, and what it looks at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
-    /// The axis that points up.
-    #[arg(long, value_enum, default_value_t = UpAxis::Y)]
-    up: UpAxis,
+    /// The axis that points up [default: the one that the mesh's file or its listing says, else y].
+    #[arg(long, value_enum)]
+    up: Option<UpAxis>,
     /// Show the floor of the box, and the shadow on it.
     #[arg(long)]
     ground: bool,
@@ -75,10 +75,12 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let notes = Notes::new(options.quiet, false);
     let memory = options.memory.map_or_else(|| default_memory().0, |size| size.as_u64());
     let mut picture = Picture::new()
-        .up(options.up)
         .ground(options.ground)
         .wireframe(options.wireframe)
         .colour(options.colour()?);
+    if let Some(up) = options.up {
+        picture = picture.up(up);
+    }
     if let Some(numbers) = &options.camera {
         picture = picture.view(view(numbers)?);
     }

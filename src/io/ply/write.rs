@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
+use crate::io::up::noted;
 use crate::particles::kind::SHARES;
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
@@ -83,8 +84,9 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
         .map(|(kind, name)| format!("property {kind} {name}\n"))
         .collect();
     format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{lines}element face {}\n\
+        "ply\nformat binary_little_endian 1.0\n{}element vertex {}\n{lines}element face {}\n\
          property list uchar {index} vertex_indices\nend_header\n",
+        noted(mesh, ["comment ", "\n"]),
         mesh.vertex_count(),
         mesh.triangle_count(),
     )

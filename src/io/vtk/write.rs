@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_attribute, write_triangles, write_vertices};
 use crate::io::names::told_apart;
+use crate::io::up::note;
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
@@ -72,7 +73,8 @@ fn write_points(
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
     };
-    writeln!(out, "# vtk DataFile Version 3.0\nmeniscus surface\nBINARY\nDATASET POLYDATA")?;
+    let title = note(mesh).unwrap_or("meniscus surface");
+    writeln!(out, "# vtk DataFile Version 3.0\n{title}\nBINARY\nDATASET POLYDATA")?;
     writeln!(out, "POINTS {} {scalar}", mesh.vertex_count())?;
     write_vertices(out, mesh, |vertices, out| {
         for position in &*vertices.positions {

@@ -10,11 +10,12 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::io::CoordinateWidth;
+use crate::io::up::noted;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{Mesh, VertexAttribute};
 
 use super::arrays::{Array, identifiers, point_data, points};
-use super::write::{GLOBAL_IDS, declared, escaped, roles, write_piece};
+use super::write::{COMMENT, GLOBAL_IDS, declared, escaped, roles, write_piece};
 
 /// Triangles of a piece, at the most.
 pub(in crate::io) const MOST_TRIANGLES: u64 = 1 << 20;
@@ -71,13 +72,14 @@ impl<'a> Divided<'a> {
         let source = |name: &String| format!("<Piece Source=\"{}\"/>\n", escaped(name));
         write!(
             out,
-            "<?xml version=\"1.0\"?>\n\
+            "<?xml version=\"1.0\"?>\n{}\
              <VTKFile type=\"PPolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
              <PPolyData GhostLevel=\"0\">\n\
              <PPointData{}>\n{}</PPointData>\n\
              <PPoints>\n{}</PPoints>\n\
              {}</PPolyData>\n\
              </VTKFile>\n",
+            noted(self.mesh, COMMENT),
             roles(self.mesh, numbered),
             arrays.iter().map(array).collect::<String>(),
             array(&points(self.mesh, self.width)),

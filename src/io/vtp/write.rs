@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::columns::Scalar;
+use crate::io::up::noted;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 
@@ -12,6 +13,9 @@ use super::arrays::{Array, identifiers, point_data, points, polygons};
 
 /// Name of the array of vertices' numbers in the mesh that a piece is of.
 pub(super) const GLOBAL_IDS: &str = "GlobalPointIds";
+
+/// The beginning and the end of a comment.
+pub(super) const COMMENT: [&str; 2] = ["<!-- ", " -->\n"];
 
 /// Writes `mesh` with all of its attributes, little-endian: points as Float32 or Float64 by
 /// `width`, indices as Int32 as long as they fit.
@@ -48,7 +52,7 @@ pub(super) fn write_piece(
     let roles = roles(mesh, numbers.is_some());
     write!(
         out,
-        "<?xml version=\"1.0\"?>\n\
+        "<?xml version=\"1.0\"?>\n{}\
          <VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
          <PolyData>\n\
          <Piece NumberOfPoints=\"{}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" \
@@ -59,6 +63,7 @@ pub(super) fn write_piece(
          </Piece>\n\
          </PolyData>\n\
          <AppendedData encoding=\"raw\">\n_",
+        noted(mesh, COMMENT),
         mesh.vertex_count(),
         mesh.triangle_count(),
         point_data.iter().map(&mut element).collect::<String>(),

@@ -1,8 +1,8 @@
 //! Triangle meshes and what can be said of them.
 
 mod block;
-pub mod clustered;
 pub mod check;
+pub mod clustered;
 pub mod compare;
 pub mod measure;
 pub mod ordered;

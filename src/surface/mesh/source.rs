@@ -7,6 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use crate::particles::AttributeInfo;
 use crate::system::control::{Control, Meter, Stage};
 
+use super::up::UpAxis;
 use super::{Mesh, VertexAttribute};
 
 /// Vertices or triangles of a piece of a mesh in memory.
@@ -60,6 +61,11 @@ pub trait MeshSource: Sync {
     /// # Errors
     /// Where pieces are kept in a file that cannot be read.
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
+
+    /// The axis that points up: y, unless it is known to be z.
+    fn up(&self) -> UpAxis {
+        UpAxis::Y
+    }
 
     /// The positions of all vertices, where they are in memory side by side.
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
@@ -201,6 +207,10 @@ impl MeshSource for Metered<'_> {
         self.mesh.triangles(piece)
     }
 
+    fn up(&self) -> UpAxis {
+        self.mesh.up()
+    }
+
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
         self.mesh.whole_positions()
     }
@@ -261,5 +271,9 @@ impl MeshSource for Bounded<'_> {
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
         self.mesh.triangles(piece)
+    }
+
+    fn up(&self) -> UpAxis {
+        self.mesh.up()
     }
 }

@@ -102,6 +102,10 @@ impl MeshSource for Turned<'_> {
         self.mesh.triangles(piece)
     }
 
+    fn up(&self) -> UpAxis {
+        self.to
+    }
+
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
         self.mesh.whole_positions().filter(|_| self.from == self.to)
     }

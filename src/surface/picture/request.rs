@@ -180,6 +180,12 @@ impl Picture {
         self
     }
 
+    /// Sets the axis that points up, where nothing is said of it.
+    pub(crate) fn up_unless_said(mut self, up: impl FnOnce() -> UpAxis) -> Self {
+        self.up = self.up.or_else(|| Some(up()));
+        self
+    }
+
     pub(super) fn pixels(&self) -> [usize; 2] {
         self.size.unwrap_or(DEFAULT_SIZE)
     }

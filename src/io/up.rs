@@ -1,0 +1,42 @@
+//! The axis that points up, in files whose format has no place for it: a comment or a title says so.
+//!
+//! Only z is said: without a word, y points up, as most programs expect. `.ply`, `.obj`, `.vtk`,
+//! `.vtp`, `.pvtp` and `.stl` have comments or titles; the listing beside the frames of a simulation
+//! says it of all formats.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use crate::surface::mesh::source::MeshSource;
+
+use super::{UpAxis, series};
+
+/// The comment, without what begins and ends one in a format.
+const NOTE: &str = "meniscus: z points up";
+/// Bytes at the beginning of a file that are searched for the comment.
+const SEARCHED: u64 = 512;
+
+/// The comment that a mesh needs, if any.
+pub(super) fn note(mesh: &dyn MeshSource) -> Option<&'static str> {
+    (mesh.up() == UpAxis::Z).then_some(NOTE)
+}
+
+/// The comment that a mesh needs, between what begins and ends one in a format; else nothing.
+pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String {
+    note(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
+}
+
+/// The axis that points up in a mesh's file, as that or a listing beside it says; `None` where
+/// neither does.
+#[must_use]
+pub fn up_said(mesh: &Path) -> Option<UpAxis> {
+    let noted = || {
+        let mut begins = Vec::new();
+        File::open(mesh).ok()?.take(SEARCHED).read_to_end(&mut begins).ok()?;
+        let mut places = begins.windows(NOTE.len());
+        places.any(|place| place == NOTE.as_bytes()).then_some(UpAxis::Z)
+    };
+    // A pipe that is read here would be empty for its reader.
+    mesh.is_file().then(|| noted().or_else(|| series::listed_up(mesh))).flatten()
+}
