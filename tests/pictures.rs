@@ -12,6 +12,8 @@ use std::io::BufReader;
 use std::path::Path;
 use std::process::Output;
 
+use common::files::raw;
+use common::fill;
 use common::program::{self, command};
 use common::scene::Random;
 use common::shapes::{cuboid, sphere, torus};
@@ -645,6 +647,33 @@ fn a_simulation_is_numbered_pictures_a_sheet_or_an_animation_through_one_camera(
     assert_eq!(reader.info().frame_control().unwrap().delay_num, 100);
     run(&["ball_7.ply", "-o", "one.png", "--ground", "--camera", "30,20,2", "--up", "z"]);
     assert_eq!(png_size(&at("one.png")), [1920, 1080]);
+}
+
+#[test]
+fn pictures_go_by_the_axis_that_the_file_or_the_listing_of_a_mesh_says_points_up() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    // Taller along z than it is wide.
+    let tower = fill(6.0, 1.0, 0.2, 3, |p| p.x.abs() < 2.0 && p.y.abs() < 2.0);
+    fs::write(at("f_1.xyz"), raw(&tower)).unwrap();
+    let drawn = |mesh: &str, options: &[&str]| {
+        let common = [mesh, "-o", "p.png", "--size", "64x36", "--overwrite"];
+        let out = render(folder.path(), &[&common, options].concat());
+        assert!(out.status.success(), "{mesh}: {}", String::from_utf8_lossy(&out.stderr));
+        fs::read(at("p.png")).unwrap()
+    };
+    let common = ["reconstruct", "--spacing", "1", "--cell", "1", "--particles-up", "z"];
+    for output in ["m.ply", "m.obj", "m.vtk", "m.vtp", "m.pvtp", "m.stl", "s_{}.vtkhdf"] {
+        let input = if output.contains("{}") { "f_{}.xyz" } else { "f_1.xyz" };
+        program::run(folder.path(), &[&common[..], &[input, "-o", output]].concat(), 0);
+        let mesh = output.replace("{}", "1");
+        let said = drawn(&mesh, &[]);
+        assert!(said == drawn(&mesh, &["--up", "z"]), "{output}");
+        assert!(said != drawn(&mesh, &["--up", "y"]), "{output}");
+    }
+    let turned = [&common[..], &["f_1.xyz", "-o", "y.ply", "--up", "y"]].concat();
+    program::run(folder.path(), &turned, 0);
+    assert!(drawn("y.ply", &[]) == drawn("y.ply", &["--up", "y"]));
 }
 
 #[test]
