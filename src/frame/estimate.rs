@@ -28,7 +28,7 @@ pub const BLOCKS_A_THREAD: usize = 2;
 /// The smallest budget that is worth a try.
 pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 
-/// Bytes, by what they are for.
+/// Bytes, by what they are for, and the vertices that they are expected of.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Estimate {
     /// The program, its threads and its backend.
@@ -54,6 +54,8 @@ pub struct Estimate {
     pub wide: u64,
     /// The surface before it is written, as it is expected.
     pub surface: u64,
+    /// Vertices of the surface, as they are expected.
+    pub vertices: u64,
     /// Whether particles are needed until the surface is done, for their attributes.
     pub carried: bool,
 }
@@ -230,7 +232,8 @@ impl Estimate {
     /// Sets what the surface takes, by what is expected of it.
     fn and_surface(self, expected: &Expected, drawing: &Drawing) -> Self {
         let surface = (drawing.vertex_bytes() + TILE_SHARE) * expected.vertices;
-        Self { surface, meshing: drawing.meshing_bytes(expected), ..self }
+        let meshing = drawing.meshing_bytes(expected);
+        Self { surface, vertices: expected.vertices, meshing, ..self }
     }
 
     /// Adds a bin of so many bytes of the DIF.

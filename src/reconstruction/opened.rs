@@ -1,18 +1,14 @@
-//! An input that was opened: what it holds, what its surface would take, and its samples.
+//! An input that was opened: what it holds, and its samples.
 
 use std::path::{Path, PathBuf};
 
-use crate::brick::Census;
 use crate::error::Error;
 use crate::field::indicator::{IndicatorKind, SampledDif};
-use crate::frame::estimate::Estimate;
-use crate::frame::{Counted, Engine, FrameError};
+use crate::frame::{Engine, FrameError};
 use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::output::MeshFormat;
 use crate::io::{LeftOut, ParticleFile, ReadError};
 use crate::particles::{Metered, Particles};
-use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
@@ -24,39 +20,15 @@ use super::{Cells, ChosenSampling, Source};
 #[derive(Debug)]
 pub struct Opened {
     path: PathBuf,
-    ready: Started,
-    input: Input,
-    timings: Timings,
+    pub(super) ready: Started,
+    pub(super) input: Input,
+    pub(super) timings: Timings,
 }
 
 #[derive(Debug)]
-enum Input {
+pub(super) enum Input {
     Particles { file: Box<ParticleFile>, chosen: Box<ChosenSampling> },
     Packed(Box<SampledDif>),
-}
-
-/// Needs of a frame that was counted and not sampled.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub struct Needs {
-    /// Counts of particles, by what would become of them.
-    pub census: Census,
-    /// Edge of a cell.
-    pub cell_size: f64,
-    /// Bytes of memory that may be used.
-    pub budget: u64,
-    /// Bytes of memory that the frame takes within that, at the peak.
-    pub memory: u64,
-    /// Bytes of memory that it would take if there were enough.
-    pub in_core: u64,
-    /// The most bytes that go to scratch files.
-    pub scratch: u64,
-    /// The folder of scratch files.
-    pub scratch_folder: PathBuf,
-    /// Bytes that simplifying takes beside that: in memory, and in memory or scratch files.
-    pub simplifying: Option<[u64; 2]>,
-    /// Bytes that a writer takes that holds the mesh as a whole.
-    pub writing: Option<u64>,
 }
 
 impl Started {
@@ -193,39 +165,7 @@ impl Opened {
         }
     }
 
-    /// Counts the particles, and says what their surface would take; `None` of a packed frame.
-    ///
-    /// # Errors
-    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold.
-    pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
-        let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
-        let Started { checked, threads } = &self.ready;
-        let counted = threads.install(|| {
-            let counted =
-                Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing, None)?;
-            Ok((counted.census(), counted.estimate()))
-        });
-        let (census, estimate): (Census, Estimate) =
-            counted.map_err(|fault| self.in_file(fault))?;
-        let resources = &checked.resources;
-        let plan = estimate.plan(resources.budget);
-        // Two passes hold the triangles that are left as three numbers of 64 bits.
-        let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
-        let holds = checked.settings.holds_whole_mesh(format);
-        Ok(Some(Needs {
-            census,
-            cell_size: chosen.sampling.grid.cell_size(),
-            budget: resources.budget.0,
-            memory: estimate.peak(plan),
-            in_core: estimate.in_core(),
-            scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
-            scratch_folder: resources.scratch.clone(),
-            simplifying: checked.reduction.tolerance.map(|_| simplified),
-            writing: holds.then_some(3 * estimate.surface),
-        }))
-    }
-
-    fn in_file(&self, fault: FrameError) -> Error {
+    pub(super) fn in_file(&self, fault: FrameError) -> Error {
         Error::from(fault).of_file(&self.path)
     }
 

@@ -13,6 +13,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
 use crate::io::mnf::is_packed;
 use crate::particles::Particles;
+use crate::reconstruction::mesh_bytes;
 use crate::surface::mesh::source::MeshSource;
 use crate::system::timings::Timings;
 
@@ -165,9 +166,7 @@ impl Setup<'_> {
             Engine::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
         let drawn = frame.calibrate(&checked.surfacing, frozen.calibration.as_ref(), &mut timings);
         let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
-        // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and
-        // simplifying takes away.
-        let bytes = 24 * mesh.vertex_count() + 13 * mesh.triangle_count();
+        let bytes = mesh_bytes(mesh.vertex_count(), mesh.triangle_count());
         let share = largest.bytes().max(1) as f64;
         let scale =
             (wanted.len() - done) as f64 * total as f64 / wanted.len().max(1) as f64 / share;

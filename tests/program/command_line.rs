@@ -454,8 +454,20 @@ fn a_dry_run_estimates_and_writes_nothing() {
     let folder = folder_with_ball();
     let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--dry-run"]);
     assert!(run.status.success());
-    assert!(String::from_utf8_lossy(&run.stdout).contains("memory"));
+    let said = String::from_utf8_lossy(&run.stdout).into_owned();
+    assert!(said.contains("memory"), "{said}");
     assert_eq!(names(folder.path()), ["ball.xyz"]);
+    // The triangles of a small frame are those that it gets, for all of it is made.
+    let figure = |name: &str| -> u64 {
+        let line = said.lines().find_map(|line| line.strip_prefix(&format!("{name}: about ")));
+        line.unwrap().split(' ').next().unwrap().parse().unwrap()
+    };
+    assert!((1..600).contains(&figure("time")), "{said}");
+    assert!(
+        meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply"]).status.success()
+    );
+    let mesh = read_mesh(&folder.path().join("out.ply")).unwrap();
+    assert_eq!(figure("triangles"), mesh.triangles.len() as u64, "{said}");
 }
 
 #[test]

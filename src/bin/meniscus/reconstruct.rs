@@ -49,7 +49,7 @@ fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<Str
     let Some(needs) = opened.needs(format)? else {
         return Ok(format!("would reconstruct {} particles into {output}", opened.particles()));
     };
-    let Needs { census, cell_size, budget, memory, in_core, scratch, .. } = needs;
+    let Needs { census, cell_size, budget, memory, in_core, scratch, triangles, .. } = needs;
     let [budget, memory, in_core] = [budget, memory, in_core].map(ByteSize);
     let scratch = match scratch {
         0 => "none".to_owned(),
@@ -68,6 +68,10 @@ fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<Str
     }
     if let Some(bytes) = needs.writing {
         text += &format!("\n{format} is written from memory: up to {} more", ByteSize(bytes));
+    }
+    text += &format!("\ntriangles: about {triangles}\ndisk: about {}", ByteSize(needs.disk));
+    if let Some(seconds) = needs.seconds {
+        text += &format!("\ntime: about {:.0} s", seconds.ceil());
     }
     Ok(text)
 }

@@ -1,0 +1,196 @@
+//! A forecast of one frame before it is sampled: memory and disk by its counted particles, and time
+//! by a sample of its blocks.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use crate::brick::Census;
+use crate::error::Error;
+use crate::frame::estimate::Estimate;
+use crate::frame::{Counted, Engine, FrameError, Sampling};
+use crate::grid::stretch::{Stretch, WantedBins};
+use crate::grid::{MortonKey, block_of_bin};
+use crate::io::ParticleFile;
+use crate::io::output::MeshFormat;
+use crate::particles::Particles;
+use crate::surface::simplify::BYTES_A_THREAD;
+use crate::system::timings::Timings;
+
+use super::checked::{Checked, Started};
+use super::opened::{Input, Opened};
+
+/// Particles that a sample is made of, at the least. A frame of up to twice as many is made whole.
+const SAMPLE: usize = 200_000;
+
+/// Needs of a frame that was counted and not sampled.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Needs {
+    /// Counts of particles, by what would become of them.
+    pub census: Census,
+    /// Edge of a cell.
+    pub cell_size: f64,
+    /// Bytes of memory that may be used.
+    pub budget: u64,
+    /// Bytes of memory that the frame takes within that, at the peak.
+    pub memory: u64,
+    /// Bytes of memory that it would take if there were enough.
+    pub in_core: u64,
+    /// The most bytes that go to scratch files.
+    pub scratch: u64,
+    /// The folder of scratch files.
+    pub scratch_folder: PathBuf,
+    /// Bytes that simplifying takes beside that: in memory, and in memory or scratch files.
+    pub simplifying: Option<[u64; 2]>,
+    /// Bytes that a writer takes that holds the mesh as a whole.
+    pub writing: Option<u64>,
+    /// Triangles of the mesh before simplifying, about: as many as there are of a small frame,
+    /// expected by the counted particles of a large one.
+    pub triangles: u64,
+    /// Bytes that the mesh takes on disk, about.
+    pub disk: u64,
+    /// How long reconstructing takes in seconds, about, without writing the mesh; `None` where a
+    /// sample tells nothing: of large frames by kernels, or where a surface cannot be drawn through
+    /// the sample alone.
+    pub seconds: Option<f64>,
+}
+
+/// Bytes of a mesh on disk, about: 24 a vertex with its velocity, and 13 a triangle, as `.ply` has
+/// it. Further attributes come on top, and simplifying takes away.
+pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
+    24 * vertices + 13 * triangles
+}
+
+/// The outcome of making some of a frame's blocks, or all.
+struct Tried {
+    /// Particles that were binned.
+    particles: usize,
+    triangles: u64,
+    /// Seconds that sampling the particles took, and meshing their surface.
+    seconds: [f64; 2],
+}
+
+impl Opened {
+    /// Counts the particles, and says what their surface would take; `None` of a packed frame. A
+    /// part of the frame is made to see how long the whole takes.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and
+    /// [`Error::Cancelled`].
+    pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
+        let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
+        let Started { checked, threads } = &self.ready;
+        let (begun, sampling) = (Instant::now(), &chosen.sampling);
+        let counted = threads.install(|| {
+            let counted =
+                Counted::for_surface(&file.particles, sampling, &checked.surfacing, None)?;
+            let (census, estimate) = (counted.census(), counted.estimate());
+            let before = self.timings.total() + begun.elapsed().as_secs_f64();
+            Ok((census, estimate, forecast(checked, file, sampling, counted, before)?))
+        });
+        let (census, estimate, (triangles, seconds)): (Census, Estimate, _) =
+            counted.map_err(|fault| self.in_file(fault))?;
+        let resources = &checked.resources;
+        let plan = estimate.plan(resources.budget);
+        // Two passes hold the triangles that are left as three numbers of 64 bits.
+        let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
+        let holds = checked.settings.holds_whole_mesh(format);
+        Ok(Some(Needs {
+            census,
+            cell_size: sampling.grid.cell_size(),
+            budget: resources.budget.0,
+            memory: estimate.peak(plan),
+            in_core: estimate.in_core(),
+            scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
+            scratch_folder: resources.scratch.clone(),
+            simplifying: checked.reduction.tolerance.map(|_| simplified),
+            writing: holds.then_some(3 * estimate.surface),
+            triangles,
+            disk: mesh_bytes(triangles / 2, triangles),
+            seconds,
+        }))
+    }
+}
+
+/// The triangles of a frame, about, and how long it takes in seconds: the time `before` it was
+/// counted, and what the whole frame or a sample of it takes.
+fn forecast(
+    checked: &Checked,
+    file: &ParticleFile,
+    sampling: &Sampling,
+    counted: Counted<'_, impl Particles + ?Sized>,
+    before: f64,
+) -> Result<(u64, Option<f64>), FrameError> {
+    let particles = counted.census().binned;
+    // A closed surface has about twice as many triangles as vertices.
+    let expected = 2 * counted.estimate().vertices;
+    if particles <= 2 * SAMPLE {
+        let whole = tried(checked, counted, Stretch::ALL);
+        return Ok(match accepted(whole)? {
+            Some(Tried { triangles, seconds: [sampling, meshing], .. }) => {
+                (triangles, Some(before + sampling + meshing))
+            }
+            None => (expected, None),
+        });
+    }
+    let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
+    let stretch = sample(counted.bins());
+    drop(counted);
+    let wanted = WantedBins { stretch, sight: sampling.sight(kind, &checked.surfacing) };
+    let counted = Counted::of_wanted(&file.particles, sampling, &checked.surfacing, wanted)?;
+    let Some(part) = accepted(tried(checked, counted, stretch))? else {
+        return Ok((expected, None));
+    };
+    let [of_sampling, of_meshing] = part.seconds;
+    let times = |whole: f64, part: f64| if part > 0.0 { whole / part } else { 0.0 };
+    let seconds = before
+        + of_sampling * times(particles as f64, part.particles as f64)
+        + of_meshing * times(expected as f64, part.triangles as f64);
+    Ok((expected, (part.triangles > 0).then_some(seconds)))
+}
+
+/// A surface that cannot be drawn is no fault of a forecast.
+fn accepted(tried: Result<Tried, FrameError>) -> Result<Option<Tried>, FrameError> {
+    match tried {
+        Err(FrameError::Cancelled) => Err(FrameError::Cancelled),
+        tried => Ok(tried.ok()),
+    }
+}
+
+/// Makes the blocks of a stretch.
+fn tried(
+    checked: &Checked,
+    counted: Counted<'_, impl Particles + ?Sized>,
+    stretch: Stretch,
+) -> Result<Tried, FrameError> {
+    let (begun, particles) = (Instant::now(), counted.census().binned);
+    let mut timings = Timings::default();
+    let engine = Engine::sample_counted(counted, checked.resources.budget, &mut timings)?;
+    let calibrated =
+        engine.calibrate(&checked.surfacing, checked.calibration.as_ref(), &mut timings)?;
+    let sampled = begun.elapsed();
+    let spool = calibrated.within(stretch).blocks(&mut timings)?;
+    let seconds = [sampled, begun.elapsed() - sampled].map(|time| time.as_secs_f64());
+    Ok(Tried { particles, triangles: spool.triangles(), seconds })
+}
+
+/// Blocks that follow one another from the one that holds the particle in the middle, and hold as
+/// many particles as a sample.
+fn sample(bins: impl Iterator<Item = (MortonKey, usize)> + Clone) -> Stretch {
+    let block = |bin: MortonKey| MortonKey::of(block_of_bin(bin.coord()));
+    let all: usize = bins.clone().map(|(_, count)| count).sum();
+    let mut before = 0;
+    let mut from_the_middle = bins.skip_while(|&(_, count)| {
+        before += count;
+        2 * before < all
+    });
+    let Some((bin, count)) = from_the_middle.next() else { return Stretch::ALL };
+    let (first, mut held) = (block(bin), count);
+    for (bin, count) in from_the_middle {
+        if held >= SAMPLE && block(bin) > first {
+            return Stretch { first, end: block(bin) };
+        }
+        held += count;
+    }
+    Stretch { first, end: Stretch::ALL.end }
+}
