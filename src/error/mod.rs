@@ -279,7 +279,8 @@ impl Error {
                     | FrameError::TooFine(_)
                     | FrameError::TooManyVertices
                     | FrameError::FewImages { .. }
-                    | FrameError::NoSpace { .. },
+                    | FrameError::NoSpace { .. }
+                    | FrameError::WideAttributes { .. },
                 ..
             } => Cause::Request,
             Self::Frame {

@@ -3,9 +3,9 @@
 use glam::IVec3;
 
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles, WithImages};
-use crate::frame::estimate::{Estimate, OverBudget};
+use crate::frame::estimate::{BLOCKS_A_THREAD, Estimate, OverBudget, SMALLEST_BUDGET};
 use crate::grid::stretch::{Stretch, WantedBins};
-use crate::grid::{CellBox, Grid, MortonKey};
+use crate::grid::{BLOCK, CellBox, Grid, MortonKey};
 use crate::particles::{Metered, Particles};
 use crate::surface::mesh::spool::Spool;
 use crate::system::control::Stage;
@@ -75,6 +75,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
         resources.go_on()?;
         given.check()?;
+        refuse_wide_attributes(given, sampling)?;
         let particles = particles?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
@@ -195,6 +196,24 @@ impl Sampling {
         let index = blocks * Spool::BLOCK_BYTES + bins * Occupied::BIN_BYTES;
         Estimate { index, ..estimate }.surface_share(self.resources.budget)
     }
+}
+
+/// Refuses attributes of which the blocks that are meshed at once take more than the budget, even if
+/// the surface passes through each of them as a plane.
+fn refuse_wide_attributes(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+) -> Result<(), FrameError> {
+    let attributes = particles.attributes();
+    let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
+    let blocks = BLOCKS_A_THREAD * rayon::current_num_threads();
+    let vertices = blocks as u64 * (BLOCK as u64).pow(2);
+    let needed = vertices.saturating_mul(components as u64 * size_of::<f32>() as u64);
+    let budget = sampling.resources.budget.max(SMALLEST_BUDGET).0;
+    if needed > budget {
+        return Err(FrameError::WideAttributes { components, needed, budget });
+    }
+    Ok(())
 }
 
 /// The error for particles that touch more bins than there is room for.

@@ -92,6 +92,19 @@ pub enum FrameError {
         /// Bytes that are there.
         free: u64,
     },
+    /// Attributes are so wide that a few blocks of the surface are larger than the budget.
+    #[error(
+        "attributes of {components} numbers together take at least {} of memory; {} may be used",
+        ByteSize(*needed), ByteSize(*budget)
+    )]
+    WideAttributes {
+        /// Numbers that each particle and each vertex carries.
+        components: usize,
+        /// Bytes that they take at the least.
+        needed: u64,
+        /// Bytes that may be used.
+        budget: u64,
+    },
     /// Every component is smaller than what was to be kept.
     #[error("the surface is empty: all of its {} components are below {}", .0.total(), .0.limits())]
     NothingLeft(TooSmall),

@@ -13,6 +13,7 @@
 //! Reaches as far as the smoothing.
 
 use std::io;
+use std::ops::Range;
 
 use glam::IVec3;
 
@@ -22,10 +23,14 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, MortonKey};
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::BlockMesh;
 
-/// Bytes of a cell while an attribute of so many components is smoothed: sums of it and of the
-/// particles, in two fields.
+/// Components that are smoothed at once: those of any common attribute, and few enough that threads
+/// work in little memory.
+const AT_ONCE: usize = 16;
+
+/// Bytes of a cell while an attribute of so many components is smoothed: sums of some of them and
+/// of the particles, in two fields.
 pub fn cell_bytes(components: usize) -> u64 {
-    ((components + 3) * size_of::<f64>()) as u64
+    ((components.min(AT_ONCE) + 3) * size_of::<f64>()) as u64
 }
 
 /// The step to which values are rounded before they are added.
@@ -73,32 +78,23 @@ pub fn vertex_values(
         return Ok(Vec::new());
     }
     let reach = smoothing.halo();
-    let sums = sums(bins, attribute, components, used.grown(reach, reach))?;
+    let cells = used.grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
         if let Some(walls) = walls {
             sum.repeat_edges(walls);
         }
         smoothing.apply(sum, walls)
     };
-    let sums: Vec<_> = sums.into_iter().map(smooth).collect();
-    let (weight, sums) = sums.split_last().expect("the weights come last");
-
-    let mut values = Vec::with_capacity(edges.len() * components);
-    for (cells, &ends) in edges.iter().zip(&mesh.ends) {
-        let upper_share = crossings.fraction(ends);
-        let index = cells.map(|cell| weight.index(cell));
-        let weights = index.map(|i| weight.samples()[i]);
-        // An end that no particle reaches has no value to give.
-        let shares = match weights.map(|w| w > 0.0) {
-            [true, true] => [(1.0 - upper_share) / weights[0], upper_share / weights[1]],
-            [true, false] => [1.0 / weights[0], 0.0],
-            [false, true] => [0.0, 1.0 / weights[1]],
-            [false, false] => [0.0, 0.0],
-        };
-        let mean = |sum: &Block<f64>| {
-            (sum.samples()[index[0]] * shares[0] + sum.samples()[index[1]] * shares[1]) as f32
-        };
-        values.extend(sums.iter().map(mean));
+    let mut values = vec![0.0; edges.len() * components];
+    for first in (0..components).step_by(AT_ONCE) {
+        let group = first..components.min(first + AT_ONCE);
+        let sums = sums(bins, (attribute, components), group.clone(), cells)?;
+        let sums: Vec<_> = sums.into_iter().map(smooth).collect();
+        let (weight, sums) = sums.split_last().expect("the weights come last");
+        let vertices = values.chunks_exact_mut(components).zip(&edges).zip(&mesh.ends);
+        for ((values, cells), &ends) in vertices {
+            interpolate(&mut values[group.clone()], sums, weight, *cells, crossings.fraction(ends));
+        }
     }
     Ok(values)
 }
@@ -191,14 +187,39 @@ fn cell_of(coord: IVec3, local: usize) -> IVec3 {
     coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN))
 }
 
-/// Per cell the sum of each component over its particles, and last the number of particles.
+/// The values of a vertex: the mean of those of two `cells`, of which the second has `upper_share`.
+fn interpolate(
+    values: &mut [f32],
+    sums: &[Block<f64>],
+    weight: &Block<f64>,
+    cells: [IVec3; 2],
+    upper_share: f64,
+) {
+    let index = cells.map(|cell| weight.index(cell));
+    let weights = index.map(|i| weight.samples()[i]);
+    // An end that no particle reaches has no value to give.
+    let shares = match weights.map(|w| w > 0.0) {
+        [true, true] => [(1.0 - upper_share) / weights[0], upper_share / weights[1]],
+        [true, false] => [1.0 / weights[0], 0.0],
+        [false, true] => [0.0, 1.0 / weights[1]],
+        [false, false] => [0.0, 0.0],
+    };
+    for (value, sum) in values.iter_mut().zip(sums) {
+        let ends = index.map(|i| sum.samples()[i]);
+        *value = (ends[0] * shares[0] + ends[1] * shares[1]) as f32;
+    }
+}
+
+/// Per cell the sum of each of a `group` of components over its particles, and last the number of
+/// particles. The step is that of all components.
 fn sums(
     bins: &Bins,
-    attribute: usize,
-    components: usize,
+    (attribute, components): (usize, usize),
+    group: Range<usize>,
     cells: CellBox,
 ) -> io::Result<Vec<Block<f64>>> {
-    let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); components + 1];
+    let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); group.len() + 1];
+    let mut greatest = 0.0;
     let mut seen: Vec<usize> = Vec::new();
     let mut values: Vec<f32> = Vec::new();
     for coord in cells.cubes(BIN) {
@@ -209,13 +230,13 @@ fn sums(
             let cell = cell_of(coord, local);
             if cells.contains(cell) && tuple.iter().all(|x| x.is_finite()) {
                 seen.push(sums[0].index(cell));
-                values.extend_from_slice(tuple);
+                values.extend_from_slice(&tuple[group.clone()]);
+                greatest = tuple.iter().fold(greatest, |greatest: f32, x| x.abs().max(greatest));
             }
         }
     }
-    let fixed =
-        FixedPoint::for_magnitude(values.iter().fold(0.0, |greatest, x| x.abs().max(greatest)));
-    for (&index, tuple) in seen.iter().zip(values.chunks_exact(components)) {
+    let fixed = FixedPoint::for_magnitude(greatest);
+    for (&index, tuple) in seen.iter().zip(values.chunks_exact(group.len())) {
         for (sum, steps) in sums.iter_mut().zip(tuple.iter().map(|&x| fixed.steps(x)).chain([1])) {
             sum.samples_mut()[index] += steps;
         }
@@ -223,7 +244,7 @@ fn sums(
     let real = |(component, sum): (usize, Block<i64>)| {
         let mut block = Block::zero(cells);
         for (to, &sum) in block.samples_mut().iter_mut().zip(sum.samples()) {
-            *to = if component < components { fixed.value(sum) } else { sum as f64 };
+            *to = if component < group.len() { fixed.value(sum) } else { sum as f64 };
         }
         block
     };

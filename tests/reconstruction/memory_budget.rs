@@ -72,6 +72,43 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
 }
 
 #[test]
+fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_little_more_to_carry() {
+    const WIDE: usize = 50;
+    let narrow = |_, position: [f64; 3]| position.map(|c| c as f32);
+    let wide = |_, position: [f64; 3]| std::array::from_fn(|i| position[i % 3] as f32);
+    let particles = Attributed::new(splashes(32))
+        .with("narrow", narrow)
+        .with::<WIDE>("wide", wide)
+        .with::<1000>("wider", |_, _| [1.0; 1000]);
+    let carrying = |carried| Sampling { carried, ..sampling() };
+    let (_, surface) = reconstruct(&particles, &carrying(vec![0, 1]), &surfacing());
+    let [narrow, wide] = &surface.mesh.attributes[..] else { panic!("two attributes") };
+    for (of_narrow, of_wide) in narrow.values.chunks(3).zip(wide.values.chunks(WIDE)) {
+        assert!(of_wide.iter().enumerate().all(|(i, value)| *value == of_narrow[i % 3]));
+    }
+    // What threads smooth in does not grow with the components; what is carried does.
+    let meshing = |carried| {
+        let sampling = carrying(carried);
+        Counted::for_surface(&particles, &sampling, &surfacing(), None).unwrap().estimate().meshing
+    };
+    let threads = rayon::current_num_threads() as u64;
+    assert!(meshing(vec![2]) - meshing(vec![0]) < threads * (256 << 20));
+}
+
+#[test]
+fn attributes_too_wide_for_the_budget_are_refused_before_the_work_with_what_they_take() {
+    let particles = Attributed::new(splashes(33)).with::<20_000>("wide", |_, _| [0.5; 20_000]);
+    let small = Resources::new(MemoryBudget(16 << 20), std::env::temp_dir());
+    let sampling = Sampling { carried: vec![0], resources: small, ..sampling() };
+    let refused = Counted::for_surface(&particles, &sampling, &surfacing(), None).map(drop);
+    let Err(FrameError::WideAttributes { components, needed, budget }) = refused else {
+        panic!("{refused:?}")
+    };
+    assert_eq!((components, budget), (20_000, 16 << 20));
+    assert!(needed >= 2 * 1024 * 4 * 20_000, "{needed}");
+}
+
+#[test]
 fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
     let (mut random, grid) = (Random::new(5), sampling().grid);
     let spray: Vec<[f64; 3]> = (0..500).map(|_| [(); 3].map(|()| 160.0 * random.unit())).collect();

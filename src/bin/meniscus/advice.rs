@@ -123,6 +123,9 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
         }
         FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing right?",
         FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
+        FrameError::WideAttributes { .. } => {
+            "; name those that are needed with --attributes, or allow more with --memory"
+        }
         FrameError::NoRoom { .. } => {
             "; name another folder with --scratch, or allow more with --memory"
         }
