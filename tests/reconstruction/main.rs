@@ -7,6 +7,7 @@ mod changed_inputs;
 mod common;
 mod facade;
 mod memory_budget;
+mod metamorphic;
 #[cfg(unix)]
 mod open_files;
 mod parts;
