@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
@@ -11,7 +11,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::beside::Folder;
 use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
-use super::whole::{FilledFile, Replace, WholeFile, fault_of};
+use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
 use super::{glb, obj, ply, stl, usd, vtk, vtkhdf, vtp};
 
@@ -373,9 +373,10 @@ impl MeshOutput {
         Self { format: self.format.with_layout(layout), ..self }
     }
 
-    /// The file that is written before it gets its name: what an interrupt leaves behind.
-    pub fn temporary(&self) -> Option<&Path> {
-        self.file.temporary()
+    /// The file that is written before it gets its name, and the folders that were made for it: what
+    /// an interrupt leaves behind.
+    pub(crate) fn leftovers(&self, folders: &MadeFolders) -> Vec<PathBuf> {
+        self.file.leftovers(folders)
     }
 
     /// Writes `mesh`. Returns the file's size in bytes.

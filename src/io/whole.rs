@@ -88,6 +88,13 @@ impl WholeFile {
         }
     }
 
+    /// The file that is written before it gets its name, and the folders that were made for it: what
+    /// an interrupt leaves behind.
+    pub(crate) fn leftovers(&self, folders: &MadeFolders) -> Vec<PathBuf> {
+        let folders = folders.paths().iter().map(PathBuf::as_path);
+        self.temporary().into_iter().chain(folders).map(Path::to_owned).collect()
+    }
+
     /// The file that is written before it gets its name: what an interrupt leaves behind.
     pub fn temporary(&self) -> Option<&Path> {
         match &self.target {
@@ -252,6 +259,11 @@ impl MadeFolders {
             Self(missing.take_while(|folder| !folder.exists()).map(Path::to_owned).collect());
         make_folder(folder).map_err(|fault| WriteError::new(file, fault))?;
         Ok(made)
+    }
+
+    /// The folders, the innermost first.
+    pub(crate) fn paths(&self) -> &[PathBuf] {
+        &self.0
     }
 }
 

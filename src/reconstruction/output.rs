@@ -94,9 +94,12 @@ impl Output {
         replace: Replace,
         cancel: &Cancel,
     ) -> Result<Self, Error> {
-        let folders = MadeFolders::of(path)?;
-        let prepare = || MeshOutput::prepare(path, replace);
-        let (file, unfinished) = cancel.guard(prepare, MeshOutput::temporary)?;
+        let prepare = || {
+            let folders = MadeFolders::of(path)?;
+            Ok::<_, WriteError>((MeshOutput::prepare(path, replace)?, folders))
+        };
+        let ((file, folders), unfinished) =
+            cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
         settings.refuse_of_format(path, file.format())?;
         Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
     }
@@ -153,9 +156,12 @@ impl PackedOutput {
                 path.display()
             )));
         }
-        let folders = MadeFolders::of(path)?;
-        let (file, unfinished) =
-            cancel.guard(|| WholeFile::prepare(path, replace), WholeFile::temporary)?;
+        let prepare = || {
+            let folders = MadeFolders::of(path)?;
+            Ok::<_, WriteError>((WholeFile::prepare(path, replace)?, folders))
+        };
+        let ((file, folders), unfinished) =
+            cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
         Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
     }
 

@@ -9,9 +9,10 @@ use std::time::Instant;
 use crate::error::{Cause, Error, SimulationError};
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
-use crate::io::whole::{make_folder, sweep};
+use crate::io::whole::{MadeFolders, sweep};
 use crate::io::{WriteError, WriteFault};
 use crate::reconstruction::Checked;
+use crate::system::cancel::Unfinished;
 
 use super::builder::Simulation;
 use super::conversion::Conversion;
@@ -52,7 +53,7 @@ impl Simulation {
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| {
             let Begun { setup, series, mut store, frames, found } = begun;
-            prepare_folder(setup, &store)?;
+            let _folders = prepare_folder(setup, &store)?;
             let kept = store.begin(found, true)?;
             if let Some(state) = &kept {
                 setup.tell(goes_on(&store, state));
@@ -79,7 +80,7 @@ impl Simulation {
         let plan = Self { watch: None, planned: true, ..self.clone() };
         let numbers = plan.each(hear, |begun| {
             let Begun { setup, mut store, frames, found, .. } = begun;
-            prepare_folder(setup, &store)?;
+            let _folders = prepare_folder(setup, &store)?;
             match store.begin(found, false)? {
                 Some(state) => setup.tell(goes_on(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
@@ -271,14 +272,18 @@ fn goes_on(store: &Store, state: &State) -> Event {
     Event::GoesOn { state: store.state_path(), frozen: Box::new(state.frozen.clone()) }
 }
 
-/// Makes the folder of the outputs ready, and removes what killed processes have left there.
-fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
+/// Makes the folder of the outputs ready, and removes what killed processes have left there. What
+/// is returned removes the folder again if nothing comes to be in it, also where all is abandoned.
+fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(MadeFolders, Unfinished), Error> {
     let folder = setup.outputs.folder();
-    make_folder(folder).map_err(|fault| WriteError::new(folder, fault))?;
+    let cancel = &setup.checked.resources.control.cancel;
+    let make =
+        || MadeFolders::of(store.folder()).map_err(|error| WriteError::new(folder, error.fault));
+    let made = cancel.guard(make, |made| made.paths().to_vec())?;
     sweep(folder);
     sweep(store.folder());
     SmallMeshes::beside(store.folder()).sweep();
-    Ok(())
+    Ok(made)
 }
 
 /// Whether the outputs of each simulation have names of their own.

@@ -35,7 +35,8 @@ impl From<Cancelled> for io::Error {
 #[derive(Debug, Default)]
 struct Shared {
     asked: AtomicBool,
-    /// The temporary files of outputs in progress.
+    /// The temporary files of outputs in progress, and after them the folders that were made for
+    /// them.
     unfinished: Mutex<Vec<PathBuf>>,
     /// Held by everyone whom no end of the process may disturb, and for good by that end itself.
     undisturbed: RwLock<()>,
@@ -79,6 +80,10 @@ impl Cancel {
             let _ = std::fs::remove_file(path);
             remove_belongings(path);
         }
+        // Those that are folders, if nothing is in them.
+        for path in &*self.unfinished() {
+            let _ = std::fs::remove_dir(path);
+        }
         std::mem::forget(held);
     }
 
@@ -96,18 +101,18 @@ impl Cancel {
         act()
     }
 
-    /// Prepares an output whose `temporary` file is removed when all is abandoned, also if that
-    /// comes right after.
+    /// Prepares an output whose `temporary` files and empty folders are removed, in that order, when
+    /// all is abandoned, also if that comes right after.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
-        temporary: impl Fn(&T) -> Option<&Path>,
+        temporary: impl Fn(&T) -> Vec<PathBuf>,
     ) -> Result<(T, Unfinished), E> {
         let _held = self.hold();
         let output = prepare()?;
-        let path = temporary(&output).map(Path::to_owned);
-        self.unfinished().extend(path.clone());
-        Ok((output, Unfinished { of: self.clone(), path }))
+        let paths = temporary(&output);
+        self.unfinished().extend(paths.clone());
+        Ok((output, Unfinished { of: self.clone(), paths }))
     }
 }
 
@@ -129,12 +134,12 @@ pub(crate) fn remove_belongings(temporary: &Path) {
     }
 }
 
-/// An output in progress: as long as this lives, its temporary file is removed when all is
+/// An output in progress: as long as this lives, its temporary files are removed when all is
 /// abandoned.
 #[derive(Debug)]
 pub(crate) struct Unfinished {
     of: Cancel,
-    path: Option<PathBuf>,
+    paths: Vec<PathBuf>,
 }
 
 impl Unfinished {
@@ -147,7 +152,13 @@ impl Unfinished {
 impl Drop for Unfinished {
     fn drop(&mut self) {
         let _held = self.of.hold();
-        self.of.unfinished().retain(|path| Some(path) != self.path.as_ref());
+        let mut unfinished = self.of.unfinished();
+        for own in &self.paths {
+            // Several outputs may be waiting for the same folder.
+            if let Some(at) = unfinished.iter().position(|path| path == own) {
+                unfinished.remove(at);
+            }
+        }
     }
 }
 
@@ -163,7 +174,7 @@ mod tests {
         let cancel = Cancel::new();
         let create = |path: &PathBuf| {
             let prepare = || fs::write(path, "half").map(|()| path.clone());
-            cancel.guard(prepare, |path| Some(path)).unwrap().1
+            cancel.guard(prepare, |path| vec![path.clone()]).unwrap().1
         };
         drop(create(&done));
         let unfinished = create(&begun);
@@ -172,5 +183,28 @@ mod tests {
         assert!(!cancel.is_cancelled());
         // Dropped, it would wait for the end of the process.
         std::mem::forget(unfinished);
+    }
+
+    #[test]
+    fn folders_made_for_an_abandoned_output_go_with_it_and_those_that_hold_something_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let [outer, inner] = ["outer", "outer/inner"].map(|name| folder.path().join(name));
+        let cancel = Cancel::new();
+        let begin = |name: &str| {
+            let file = inner.join(name);
+            let prepare = || {
+                fs::create_dir_all(&inner)?;
+                fs::write(&file, "half")
+            };
+            let paths = || vec![file.clone(), inner.clone(), outer.clone()];
+            cancel.guard(prepare, |()| paths()).unwrap().1
+        };
+        // The folders are waited for by one output less when the first is dropped.
+        drop(begin("done"));
+        let second = begin("second");
+        fs::remove_file(inner.join("done")).unwrap();
+        cancel.abandon();
+        assert!(!outer.exists());
+        std::mem::forget(second);
     }
 }

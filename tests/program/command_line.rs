@@ -592,17 +592,24 @@ fn an_interrupt_is_exit_130_and_leaves_nothing() {
     let pipe = folder.path().join("pipe.xyz");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     // Nothing is written to the pipe, so the run waits for its particles.
-    let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", "out.ply"])
-        .stderr(std::process::Stdio::null())
-        .spawn()
-        .unwrap();
-    wait_until(&mut child, "its temporary file", |_| names(folder.path()).len() == 2);
-    // This returns when the run opens the pipe for reading.
-    let _writer = fs::File::options().write(true).open(&pipe).unwrap();
-    let interrupt = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
-    assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert_eq!(names(folder.path()), ["pipe.xyz"]);
+    for output in ["out.ply", "made/here/out.ply"] {
+        let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", output])
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let place = folder.path().join(output);
+        let begun = |_: &_| {
+            let files = fs::read_dir(place.parent().unwrap()).into_iter().flatten();
+            files.flatten().any(|file| file.file_name().to_string_lossy().starts_with('.'))
+        };
+        wait_until(&mut child, "its temporary file", begun);
+        // This returns when the run opens the pipe for reading.
+        let _writer = fs::File::options().write(true).open(&pipe).unwrap();
+        let id = child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        assert_eq!(child.wait().unwrap().code(), Some(130));
+        assert_eq!(names(folder.path()), ["pipe.xyz"], "{output}");
+    }
 }
 
 #[test]

@@ -172,7 +172,23 @@ fn a_run_that_no_frame_can_be_measured_in_ends_and_leaves_nothing() {
     }
     let errors = run(folder.path(), &with(&["--threads", "2"]), 3);
     assert!(errors.contains("in/f_1.xyz: "), "{errors}");
-    assert!(tree(&folder.path().join("out")).is_empty());
+    assert!(!folder.path().join("out").exists(), "the folder was made, and nothing is in it");
+}
+
+#[test]
+fn statistics_are_written_into_the_folder_that_is_made_for_the_meshes() {
+    let folder = falling(1..=2);
+    for (output, stats) in [("a/", "a/s.jsonl"), ("b/c/m_{}.ply", "b/s.jsonl")] {
+        let asked = ["in/f_{}.xyz", "-o", output, "--stats", stats];
+        run(folder.path(), &[&asked[..], &["--dry-run"]].concat(), 0);
+        assert!(!folder.path().join(stats).parent().unwrap().exists(), "a dry run writes nothing");
+        run(folder.path(), &asked, 0);
+        let lines = fs::read_to_string(folder.path().join(stats)).unwrap();
+        assert_eq!(lines.lines().count(), 2, "{stats}");
+    }
+    let elsewhere = ["in/f_{}.xyz", "-o", "d/", "--stats", "none/s.jsonl"];
+    run(folder.path(), &elsewhere, 4);
+    assert!(!folder.path().join("d").exists());
 }
 
 #[test]

@@ -24,7 +24,7 @@ pub struct Made<'a> {
 
 impl Options {
     /// Makes sure, before the work, that statistics can be appended; a file that was not there is
-    /// not there then.
+    /// not there then. A folder that is made for the meshes need not be there yet.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats
@@ -33,6 +33,10 @@ impl Options {
         else {
             return Ok(());
         };
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if folder.is_some_and(|folder| !folder.exists() && self.output.starts_with(folder)) {
+            return Ok(());
+        }
         let is_new = !path.exists();
         let file = OpenOptions::new().create(true).append(true).open(path);
         file.map_err(|e| WriteError::new(path, e))?;

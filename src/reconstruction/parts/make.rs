@@ -56,7 +56,9 @@ impl Parts {
         let ready = checked.on_threads()?;
         let control = &ready.checked.resources.control;
         let prepare = || WholeFile::prepare(&path, Replace::Allow);
-        let (file, unfinished) = control.cancel.guard(prepare, WholeFile::temporary)?;
+        let (file, unfinished) = control
+            .cancel
+            .guard(prepare, |file| file.temporary().into_iter().map(Into::into).collect())?;
         let mut timings = Timings::default();
         let meshed = self
             .meshed(&ready, &plan, indicator, mark, &mut timings)
