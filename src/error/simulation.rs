@@ -46,13 +46,18 @@ pub enum SimulationError {
     /// Steps of one file, which cannot be followed while they are written.
     #[error("{0}: files can be followed, and not the steps of one")]
     Steps(String),
+    /// Frames in several files, of which nothing says when all are there.
+    #[error(
+        "{0}: frames in several files cannot be followed, as nothing says when all are there; convert them once the simulation is over"
+    )]
+    Joined(String),
     /// A first number after the last.
     #[error("there are no frames from {first} to {last}")]
     Range {
         /// The first number.
-        first: u64,
+        first: i64,
         /// The last number.
-        last: u64,
+        last: i64,
     },
     /// A step that leads nowhere.
     #[error("a step of frames must be 1 at the least")]

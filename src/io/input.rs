@@ -2,12 +2,18 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
+
+use crate::particles::Particles;
+
 use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
+use super::pieces::keep_shared_attributes;
 use super::wanted::Wanted;
 use super::{
-    ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply, text_format, vtk, vtp,
+    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply,
+    text_format, vtk, vtp,
 };
 
 macro_rules! known {
@@ -62,6 +68,75 @@ pub fn open_wanted(
         [] => Ok(file),
         conditions => file.selected(conditions, unpacking).map_err(|f| ReadError::new(path, f)),
     }
+}
+
+/// Opens several files as one set of particles, in their order, with the attributes that all have.
+///
+/// # Errors
+/// As [`open_wanted`], and [`ReadFault::Unsupported`] for files in different units of length.
+pub fn open_joined(
+    paths: &[&Path],
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    if let [path] = paths {
+        return open_wanted(path, wanted, unpacking);
+    }
+    let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
+    let open = |path: &&Path| open_wanted(path, wanted, share);
+    // All are waited for, so that the error is the first file's.
+    let files: Vec<_> = paths.par_iter().map(open).collect();
+    let mut files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    let Some(first) = files.first() else {
+        return Ok(ParticleFile::new(Pieces::default(), "no file"));
+    };
+    let other_unit = files.iter().position(|file| file.unit_metres != first.unit_metres);
+    if let Some(other) = other_unit {
+        let unit = |file: &ParticleFile| {
+            file.unit_metres.map_or("no unit".to_owned(), |unit| format!("a unit of {unit} m"))
+        };
+        let what = format!(
+            "{}, and {} has {}: lengths in one unit can be joined",
+            unit(&files[other]),
+            paths[0].display(),
+            unit(first)
+        );
+        return Err(ReadError::new(paths[other], ReadFault::Unsupported(what)));
+    }
+    let alike = |value: fn(&ParticleFile) -> Option<f64>| {
+        value(first).filter(|_| files.iter().all(|file| value(file) == value(first)))
+    };
+    let spacing = alike(|file| file.spacing);
+    let time = files.iter().find_map(|file| file.time);
+    let box_size = first.box_size.filter(|_| files.iter().all(|f| f.box_size == first.box_size));
+    let (format, unit_metres) = (first.format, first.unit_metres);
+    let ghosts = files.iter().map(|file| file.ghosts).sum();
+    let unselected = files.iter().map(|file| file.unselected).sum();
+    let is_empty = files.iter().all(|file| file.particles.is_empty());
+    let none_selected = files.iter().find_map(|file| file.none_selected.clone());
+    let none_selected = none_selected.filter(|_| is_empty);
+    let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
+    let is_block = |part: &LeftOut| !matches!(part, LeftOut::Attribute(_));
+    let left_out = blocks.filter(is_block).chain(partial).collect();
+    let (unread, particle_types) = (first.unread.clone(), first.particle_types.clone());
+    let pieces = files.into_iter().map(|file| file.particles).collect();
+    let particles =
+        Pieces::join(pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))?;
+    Ok(ParticleFile {
+        particles,
+        format,
+        spacing,
+        time,
+        box_size,
+        unit_metres,
+        particle_types,
+        ghosts,
+        unselected,
+        none_selected,
+        unread,
+        left_out,
+    })
 }
 
 fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {

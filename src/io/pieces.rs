@@ -5,6 +5,7 @@
 //! particles in it. These ghosts are flagged; a run of rows without them is a span, and the spans
 //! of all pieces in order are the particles.
 
+use std::collections::HashSet;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -13,7 +14,7 @@ use crate::particles::{AttributeInfo, Label, Particles, Unread};
 
 use super::columns::ColumnStore;
 use super::windows::Shelf;
-use super::{ReadFault, malformed};
+use super::{LeftOut, ParticleFile, ReadFault, malformed};
 
 /// Flags that are looked at together.
 const FLAGS: usize = 1 << 14;
@@ -213,6 +214,36 @@ impl Pieces {
     }
 }
 
+/// Takes attributes away that some of the files with particles lack. Returns these.
+pub(super) fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
+    let filled = || files.iter().filter(|file| !file.particles.is_empty());
+    let mut partial: Vec<AttributeInfo> = Vec::new();
+    for left_out in filled().flat_map(|file| file.left_out.clone()) {
+        if let LeftOut::Attribute(info) = left_out {
+            partial.push(info);
+        }
+    }
+    let has = |file: &ParticleFile, info: &AttributeInfo| {
+        file.particles.attributes().iter().any(|own| same(own, info))
+    };
+    for info in filled().flat_map(|file| file.particles.attributes()) {
+        if !filled().all(|file| has(file, info)) {
+            partial.push(info.clone());
+        }
+    }
+    let mut seen = HashSet::new();
+    partial.retain(|info| seen.insert((info.name.clone(), info.components)));
+    for file in files {
+        file.particles.retain_attributes(|info| !partial.iter().any(|other| same(other, info)));
+    }
+    partial
+}
+
+/// Whether attributes are the same; pieces may differ in the types of their numbers.
+fn same(a: &AttributeInfo, b: &AttributeInfo) -> bool {
+    (&a.name, a.components) == (&b.name, b.components)
+}
+
 /// The numbers of `own` attributes in the order of `infos`.
 fn same_attributes(
     infos: &[AttributeInfo],
@@ -222,9 +253,6 @@ fn same_attributes(
         let AttributeInfo { name, components, .. } = info;
         malformed(0, format!("{what} {name} of {components} numbers, unlike the pieces before"))
     };
-    // Pieces may differ in the types of their numbers.
-    let same =
-        |a: &AttributeInfo, b: &AttributeInfo| (&a.name, a.components) == (&b.name, b.components);
     if let Some(extra) = own.iter().find(|info| !infos.iter().any(|other| same(info, other))) {
         return Err(differs("an attribute", extra));
     }

@@ -37,7 +37,7 @@ const WHOLE: f64 = 1e-6;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrame {
     /// The frame's number.
-    pub frame: u64,
+    pub frame: i64,
     /// The time in seconds, where the input says it.
     pub time: Option<f64>,
     /// Name of the mesh's file, in the folder of the listings.

@@ -31,19 +31,29 @@ impl Stamp {
     /// # Errors
     /// Where the system has none.
     pub fn of(path: &Path) -> io::Result<Self> {
+        Self::of_all([path])
+    }
+
+    /// Stamps several files, whose particles are of one frame.
+    ///
+    /// # Errors
+    /// Where the system has none.
+    pub fn of_all<'a>(paths: impl IntoIterator<Item = &'a Path>) -> io::Result<Self> {
         let (mut bytes, mut newest, mut files) = (0, 0, Hasher::new());
-        for file in files_of(path) {
-            let metadata = file.metadata()?;
-            let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-            let (size, modified) = (metadata.len(), since.as_nanos() as u64);
-            // Folders are left out: they may have other names on other machines.
-            files.update(file.file_name().unwrap_or_default().as_encoded_bytes());
-            [size, modified].iter().for_each(|number| files.update(&number.to_le_bytes()));
-            (bytes, newest) = (bytes + size, newest.max(modified));
-        }
-        // A file that holds one frame has no number.
-        if let (_, Some(step)) = file_and_step(path) {
-            files.update(&step.to_le_bytes());
+        for path in paths {
+            for file in files_of(path) {
+                let metadata = file.metadata()?;
+                let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+                let (size, modified) = (metadata.len(), since.as_nanos() as u64);
+                // Folders are left out: they may have other names on other machines.
+                files.update(file.file_name().unwrap_or_default().as_encoded_bytes());
+                [size, modified].iter().for_each(|number| files.update(&number.to_le_bytes()));
+                (bytes, newest) = (bytes + size, newest.max(modified));
+            }
+            // A file that holds one frame has no number.
+            if let (_, Some(step)) = file_and_step(path) {
+                files.update(&step.to_le_bytes());
+            }
         }
         Ok(Self { bytes, modified: newest, files: files.finalize() })
     }

@@ -64,7 +64,7 @@ impl Checked {
         engine: &Engine,
         known: Option<&Calibration>,
         infos: Vec<AttributeInfo>,
-        measured_on: Option<u64>,
+        measured_on: Option<i64>,
         timings: &mut Timings,
     ) -> Result<Drawn, FrameError> {
         let drawn = self.draw_whole(engine, known, timings).and_then(|(surface, report)| {
@@ -95,7 +95,7 @@ impl Checked {
         mut report: Report,
         why: Emptiness,
         infos: Vec<AttributeInfo>,
-        measured_on: Option<u64>,
+        measured_on: Option<i64>,
     ) -> Drawn {
         let clouds = report.is_clouds();
         report.warnings.push(Warning::Empty { why, clouds, measured_on });

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::error::Error;
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Engine, FrameError};
-use crate::io::input::open_wanted;
+use crate::io::input::open_joined;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::{LeftOut, ParticleFile, ReadError};
 use crate::particles::{Metered, Particles};
@@ -32,11 +32,15 @@ pub(super) enum Input {
 }
 
 impl Started {
-    pub(super) fn open(self, path: &Path) -> Result<Opened, Error> {
+    /// Opens one file, or several whose particles are of one frame.
+    pub(super) fn open(self, paths: &[&Path]) -> Result<Opened, Error> {
+        let path = *paths.first().ok_or_else(|| Error::Request("no file to open".into()))?;
         let checked = &self.checked;
         let mut timings = Timings::default();
         let open = || {
-            if is_packed(path) {
+            if let [path] = paths
+                && is_packed(path)
+            {
                 checked.settings.refuse_of_packed(path)?;
                 let sampled = open_frame(path, checked.resources.budget.0 / 4)?
                     .with_scratch(&checked.resources.scratch);
@@ -45,7 +49,7 @@ impl Started {
                 return Ok(Input::Packed(Box::new(sampled)));
             }
             checked.refuse_of_indicator()?;
-            let file = open_wanted(path, checked.settings.wanted(), checked.unpacking())?;
+            let file = open_joined(paths, checked.settings.wanted(), checked.unpacking())?;
             let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };

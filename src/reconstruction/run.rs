@@ -65,7 +65,18 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::Read`], and those of [`run`](Self::run) that need no particles.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Opened, Error> {
-        self.checked()?.on_threads()?.open(path.as_ref())
+        self.open_together(&[path.as_ref()])
+    }
+
+    /// Opens files whose particles are of one frame, such as several fluids, with the attributes that
+    /// all of them have.
+    ///
+    /// # Errors
+    /// [`Error::Read`], and those of [`run`](Self::run) that need no particles; [`Error::Request`]
+    /// for no file.
+    pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<Opened, Error> {
+        let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
+        self.checked()?.on_threads()?.open(&paths)
     }
 
     /// Makes sure, before the work, that a mesh file can be written, and can hold what is asked

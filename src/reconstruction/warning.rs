@@ -80,7 +80,7 @@ pub enum Warning {
         /// Whether clouds make the field.
         clouds: bool,
         /// The frame that its isovalue or plateau was measured on, if that is another.
-        measured_on: Option<u64>,
+        measured_on: Option<i64>,
     },
     /// A format leaves vertices in the same place, and has nothing else to tell them by.
     Merged {
@@ -110,7 +110,7 @@ pub enum Warning {
         /// Whether clouds make the field.
         clouds: bool,
         /// The frame that its isovalue or plateau was measured on, if that is another.
-        measured_on: Option<u64>,
+        measured_on: Option<i64>,
     },
 }
 

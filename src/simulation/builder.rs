@@ -28,7 +28,7 @@ pub struct Simulation {
     pub(super) output: PathBuf,
     pub(super) request: Reconstruction,
     pub(super) selection: Selection,
-    pub(super) frames: (u64, u64),
+    pub(super) frames: (i64, i64),
     pub(super) resume: bool,
     pub(super) overwrite: bool,
     pub(super) watch: Option<f64>,
@@ -38,6 +38,8 @@ pub struct Simulation {
     pub(super) planned: bool,
     /// Whether a sheet of the frames will be drawn.
     pub(super) sheet: bool,
+    /// Whether frames of one number are one.
+    pub(super) together: bool,
 }
 
 impl Simulation {
@@ -58,7 +60,7 @@ impl Simulation {
             output: output.into(),
             request: Reconstruction::new(),
             selection: Selection::default(),
-            frames: (0, u64::MAX),
+            frames: (i64::MIN, i64::MAX),
             resume: false,
             overwrite: false,
             watch: None,
@@ -66,6 +68,7 @@ impl Simulation {
             beside: Vec::new(),
             planned: false,
             sheet: false,
+            together: false,
         }
     }
 
@@ -79,12 +82,28 @@ impl Simulation {
         match (Inputs::of(inputs)?, Naming::of(output)?) {
             (None, None) => Ok(None),
             (_, Some(_)) => Ok(Some(Self::of_files(inputs, output))),
-            (Some(inputs), None) => Err(Error::Request(format!(
-                "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder that exists, or ends in /",
-                output.display(),
-                inputs.describe()
-            ))),
+            (Some(inputs), None) => Err(one_output(output, &inputs)),
         }
+    }
+
+    /// Asks for a simulation whose inputs are [joined](Self::together), where the output names one;
+    /// `None` where it names a single frame.
+    ///
+    /// # Errors
+    /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
+    /// the frames of a simulation and one output.
+    pub fn if_together(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+        if Naming::of(output)?.is_some() {
+            return Ok(Some(Self::of_files(inputs, output).together()));
+        }
+        for input in inputs {
+            if let Some(several @ (Inputs::Pattern(_) | Inputs::Steps(_))) =
+                Inputs::of(std::slice::from_ref(input))?
+            {
+                return Err(one_output(output, &several));
+            }
+        }
+        Ok(None)
     }
 
     /// Sets the request by which each frame is reconstructed.
@@ -94,13 +113,13 @@ impl Simulation {
     }
 
     /// Begins the simulation at a frame's number.
-    pub fn start(mut self, number: u64) -> Self {
+    pub fn start(mut self, number: i64) -> Self {
         self.selection.start = number;
         self
     }
 
     /// Ends the simulation at a frame's number, which is part of it.
-    pub fn end(mut self, number: u64) -> Self {
+    pub fn end(mut self, number: i64) -> Self {
         self.selection.end = number;
         self
     }
@@ -113,7 +132,7 @@ impl Simulation {
 
     /// Converts these frames of the simulation only, as one of several jobs; all jobs measure and
     /// keep the same.
-    pub fn frames(mut self, numbers: RangeInclusive<u64>) -> Self {
+    pub fn frames(mut self, numbers: RangeInclusive<i64>) -> Self {
         self.frames = numbers.into_inner();
         self
     }
@@ -139,6 +158,13 @@ impl Simulation {
         self
     }
 
+    /// Joins the frames of all inputs that have one number: their particles make one surface, with
+    /// the attributes that all have.
+    pub fn together(mut self) -> Self {
+        self.together = true;
+        self
+    }
+
     /// Sets frames a second, for times where the files have none.
     pub fn fps(mut self, rate: f64) -> Self {
         self.fps = Some(rate);
@@ -161,6 +187,9 @@ impl Simulation {
             );
             return Err(SimulationError::Names(what).into());
         };
+        if self.together {
+            return Ok((Inputs::together(&self.inputs)?, naming));
+        }
         let inputs = match (Inputs::of(&self.inputs)?, &self.inputs[..]) {
             (Some(inputs), _) => inputs,
             // A folder that is still to come.
@@ -177,7 +206,7 @@ impl Simulation {
     }
 
     /// Whether a frame of the simulation is one of those that are to be converted.
-    pub(super) fn wants(&self, number: u64) -> bool {
+    pub(super) fn wants(&self, number: i64) -> bool {
         let (first, last) = self.frames;
         (first..=last).contains(&number)
     }
@@ -199,4 +228,13 @@ impl Simulation {
         }
         Ok(())
     }
+}
+
+/// The refusal of one output for the frames of a simulation.
+fn one_output(output: &Path, inputs: &Inputs) -> Error {
+    Error::Request(format!(
+        "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder that exists, or ends in /",
+        output.display(),
+        inputs.describe()
+    ))
 }

@@ -65,7 +65,7 @@ impl Conversion<'_> {
         &self,
         known: Option<State>,
         frames: &[FrameFile],
-    ) -> Result<Option<(u64, ParticleFile)>, Error> {
+    ) -> Result<Option<(i64, ParticleFile)>, Error> {
         let Self { setup, store, division, .. } = self;
         self.unchecked.store(known.is_some(), Ordering::Relaxed);
         let measured = || {
@@ -266,7 +266,7 @@ impl Conversion<'_> {
 
     /// The request for a frame, whose progress is told as that of its lane: where a stage begins and
     /// ends, and now and then in between, for every event wakes the caller's thread.
-    fn checked_in(&self, lane: usize, frame: u64) -> Checked {
+    fn checked_in(&self, lane: usize, frame: i64) -> Checked {
         let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
         let told = Mutex::new(Instant::now());
         let tell = move |progress: Progress| {
@@ -375,6 +375,6 @@ impl<'a> Conversion<'a> {
         frame: &FrameFile,
     ) -> Option<&'r Record> {
         let settled = self.settled.get()?.as_ref()?;
-        records.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
+        records.current(frame, &self.output(frame), settled.fingerprint)
     }
 }

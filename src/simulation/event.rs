@@ -77,7 +77,7 @@ pub enum Event {
         /// The lane's number, from 0.
         lane: usize,
         /// The frame's number.
-        frame: u64,
+        frame: i64,
         /// The stage and how much of it is done; `None` once the lane is done with the frame.
         progress: Option<Progress>,
     },
@@ -96,7 +96,7 @@ pub enum Event {
 #[non_exhaustive]
 pub struct FrameDone {
     /// The frame's number.
-    pub frame: u64,
+    pub frame: i64,
     /// The particles' file.
     pub input: PathBuf,
     /// The mesh's file.
@@ -122,7 +122,7 @@ pub struct FrameDone {
 #[non_exhaustive]
 pub struct FrameFailed {
     /// The frame's number.
-    pub frame: u64,
+    pub frame: i64,
     /// The particles' file.
     pub input: PathBuf,
     /// The error.
@@ -179,9 +179,9 @@ impl From<Census> for LeftOut {
 #[non_exhaustive]
 pub struct Missing {
     /// The first number.
-    pub first: u64,
+    pub first: i64,
     /// The last number.
-    pub last: u64,
+    pub last: i64,
     /// From one number to the next.
     pub step: u64,
     /// The names that their files would have.
@@ -235,7 +235,7 @@ impl Summary {
         let missing = self
             .missing
             .iter()
-            .map(|missing| (missing.last - missing.first) / missing.step.max(1) + 1);
+            .map(|missing| missing.last.abs_diff(missing.first) / missing.step.max(1) + 1);
         missing.fold(self.failed.len() as u64, u64::saturating_add)
     }
 

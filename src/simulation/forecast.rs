@@ -10,7 +10,6 @@ use rayon::prelude::*;
 use crate::error::Error;
 use crate::frame::{Counted, Engine};
 use crate::io::bytes::Unpacking;
-use crate::io::input::open_wanted;
 use crate::io::mnf::is_packed;
 use crate::particles::Particles;
 use crate::reconstruction::mesh_bytes;
@@ -51,7 +50,7 @@ pub struct Forecast {
 #[non_exhaustive]
 pub struct Largest {
     /// The frame's number.
-    pub frame: u64,
+    pub frame: i64,
     /// Particles of it.
     pub particles: usize,
     /// Triangles of its mesh, before simplifying.
@@ -115,8 +114,7 @@ impl Setup<'_> {
         let fingerprint = kept.as_ref().filter(|_| self.simulation.resume).map(State::fingerprint);
         let done = |frame: &&&FrameFile| {
             let output = self.output(frame);
-            let current =
-                |fingerprint| records.current(frame.number, &frame.path, &output, fingerprint);
+            let current = |fingerprint| records.current(frame, &output, fingerprint);
             fingerprint.and_then(current).is_some_and(|record| record.is_whole(&output))
         };
         let done = wanted.par_iter().filter(done).count();
@@ -152,7 +150,7 @@ impl Setup<'_> {
             scratch: &resources.scratch,
             control: Some(&resources.control),
         };
-        let file = open_wanted(path, checked.settings.wanted(), unpacking)?;
+        let file = largest.open(checked.settings.wanted(), unpacking)?;
         let carried =
             checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;

@@ -5,10 +5,9 @@ use super::inputs::FrameFile;
 use super::state::{State, Store};
 use crate::error::{Cause, Error};
 use crate::frame::{FrameError, Resources};
+use crate::io::ParticleFile;
 use crate::io::bytes::Unpacking;
-use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::{ParticleFile, ReadError};
 use crate::reconstruction::{self, Doubt, Slab};
 
 use super::event::Event;
@@ -141,7 +140,7 @@ impl Setup<'_> {
         resources: &Resources,
     ) -> Result<(OneMeasured, Option<ParticleFile>), Error> {
         let path = &frame.path;
-        let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
+        let input = frame.stamp()?;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
             self.checked.settings.refuse_of_packed(path)?;
@@ -153,8 +152,7 @@ impl Setup<'_> {
             let frozen = frozen(frame.number, input, sampled.facts.spacing, None, None, measured);
             return Ok((OneMeasured { frozen, trust: measured.trust, doubts: Vec::new() }, None));
         }
-        let file = open_wanted(
-            path,
+        let file = frame.open(
             self.checked.settings.wanted(),
             Unpacking {
                 in_memory: resources.budget.0 / 8,
@@ -187,7 +185,7 @@ impl Setup<'_> {
 }
 
 fn frozen(
-    frame: u64,
+    frame: i64,
     input: Stamp,
     spacing: Option<f64>,
     spacing_source: Option<String>,

@@ -17,7 +17,7 @@ use crate::system::timings::Timings;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Frozen {
     /// The number of the frame that it was measured on.
-    pub frame: u64,
+    pub frame: i64,
     /// The stamp of that frame's file.
     pub input: Stamp,
     /// Distance between neighbouring particles, where it is known.

@@ -8,12 +8,14 @@ use super::pattern::Pattern;
 /// The numbers that are missing between others, by the greatest step that leads to all that are
 /// there.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
-    let steps = neighbours(frames).map(|(a, b)| b.number - a.number);
+    let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
     let step = steps.fold(0, greatest_common_divisor);
     let mut ranges = Vec::new();
     for (a, b) in neighbours(frames) {
-        if b.number - a.number > step {
-            ranges.push((a.number + step, a.number + (b.number - a.number - 1) / step * step));
+        if b.number.abs_diff(a.number) > step {
+            // Every step between two numbers that are there leads to a number.
+            ranges
+                .push((a.number.wrapping_add_unsigned(step), b.number.wrapping_sub_unsigned(step)));
         }
     }
     let gaps = Gaps { step, ranges, sparse: false };
@@ -26,13 +28,24 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
 
 /// The name that the file of a missing number would have, going by the one before it. `pattern` is
 /// that of the names; where there is none, names end with their numbers.
-pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: u64) -> PathBuf {
+pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
     let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
-    let width = if digits.starts_with('0') { digits.len() } else { 1 };
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let at = pattern.map_or(name.len() - digits.len(), |pattern| pattern.prefix.len());
-    path.with_file_name(format!("{}{number:0width$}{}", &name[..at], &name[at + digits.len()..]))
+    let end = name.len() - digits.len().min(name.len());
+    let at = match pattern {
+        Some(pattern) => pattern.place(&name).unwrap_or(0..0),
+        None => end..name.len(),
+    };
+    path.with_file_name(format!("{}{}{}", &name[..at.start], like(digits, number), &name[at.end..]))
+}
+
+/// A number with as many leading zeros as another that is spelled `digits`.
+fn like(digits: &str, number: i64) -> String {
+    let plain = digits.trim_start_matches('-');
+    let width = if plain.starts_with('0') { plain.len() } else { 1 };
+    let sign = if number < 0 { "-" } else { "" };
+    format!("{sign}{:0width$}", number.unsigned_abs())
 }
 
 /// Missing numbers, found by [`gaps`].
@@ -42,7 +55,7 @@ pub struct Gaps {
     pub step: u64,
     /// The first and the last missing number of each gap: there may be any number of frames between
     /// two time stamps.
-    pub ranges: Vec<(u64, u64)>,
+    pub ranges: Vec<(i64, i64)>,
     /// More is missing than there: a choice of frames, and not a simulation with gaps.
     pub sparse: bool,
 }
@@ -50,17 +63,19 @@ pub struct Gaps {
 impl Gaps {
     /// Missing numbers in all.
     pub fn count(&self) -> u64 {
-        self.ranges.iter().map(|(first, last)| (last - first) / self.step.max(1) + 1).sum()
+        self.ranges.iter().map(|(first, last)| last.abs_diff(*first) / self.step.max(1) + 1).sum()
     }
 
     /// Keeps the gaps from `first` to `last`.
-    pub fn within(&self, first: u64, last: u64) -> Self {
+    pub fn within(&self, first: i64, last: i64) -> Self {
         let step = self.step.max(1);
-        let clipped = |&(lo, hi): &(u64, u64)| {
+        let beyond = |low: i64, high: i64| if low < high { high.abs_diff(low) } else { 0 };
+        let clipped = |&(lo, hi): &(i64, i64)| {
             let (below, above) =
-                (first.saturating_sub(lo).div_ceil(step), hi.saturating_sub(last).div_ceil(step));
-            (below.saturating_add(above) <= (hi - lo) / step)
-                .then(|| (lo + below * step, hi - above * step))
+                (beyond(lo, first).div_ceil(step), beyond(last, hi).div_ceil(step));
+            (below.saturating_add(above) <= hi.abs_diff(lo) / step).then(|| {
+                (lo.wrapping_add_unsigned(below * step), hi.wrapping_sub_unsigned(above * step))
+            })
         };
         Self { ranges: self.ranges.iter().filter_map(clipped).collect(), ..self.clone() }
     }
@@ -71,7 +86,7 @@ const TOLD: usize = 20;
 
 impl std::fmt::Display for Gaps {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let range = |&(first, last): &(u64, u64)| {
+        let range = |&(first, last): &(i64, i64)| {
             if first == last { first.to_string() } else { format!("{first} to {last}") }
         };
         f.write_str(&self.ranges.iter().take(TOLD).map(range).collect::<Vec<_>>().join(", "))?;
@@ -86,9 +101,8 @@ impl std::fmt::Display for Gaps {
 mod tests {
     use super::*;
 
-    fn frames(numbers: &[u64]) -> Vec<FrameFile> {
-        let frame =
-            |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
+    fn frames(numbers: &[i64]) -> Vec<FrameFile> {
+        let frame = |&number: &i64| FrameFile::new(number, number.to_string(), PathBuf::new());
         numbers.iter().map(frame).collect()
     }
 
@@ -98,7 +112,7 @@ mod tests {
         assert_eq!((found.step, &*found.ranges, found.count()), (10, &[(30, 30), (60, 80)][..], 4));
         assert!(!found.sparse);
         for (first, last, within) in [
-            (0, u64::MAX, &[(30, 30), (60, 80)][..]),
+            (i64::MIN, i64::MAX, &[(30, 30), (60, 80)][..]),
             (31, 75, &[(60, 70)]),
             (65, 80, &[(70, 80)]),
             (71, 79, &[]),
@@ -113,12 +127,12 @@ mod tests {
 
     #[test]
     fn gaps_between_time_stamps_are_told_by_their_ends() {
-        let stamps = [0, 1_700_000_000_000_000_000, 1_700_000_000_016_666_667, u64::MAX];
+        let stamps = [i64::MIN, 0, 1_700_000_000_000_000_000, 1_700_000_000_016_666_667, i64::MAX];
         let found = gaps(&frames(&stamps));
-        assert_eq!((found.count(), found.sparse), (u64::MAX - 3, true));
+        assert_eq!((found.count(), found.sparse), (u64::MAX - 4, true));
         assert_eq!(found.within(5, 8).ranges, [(5, 8)]);
-        assert_eq!(found.within(u64::MAX, u64::MAX).count(), 0);
-        let many: Vec<u64> = (0..100).map(|i| 3 * i + i % 2).collect();
+        assert_eq!(found.within(i64::MAX, i64::MAX).count(), 0);
+        let many: Vec<i64> = (0..100).map(|i| 3 * i + i % 2).collect();
         let told = gaps(&frames(&many)).to_string();
         assert!(told.starts_with("2, 8, 14, ") && told.ends_with(", and 30 more gaps"), "{told}");
     }

@@ -3,33 +3,41 @@
 //! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern)
 //! says where the number is in a name.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf, is_separator};
 use std::time::Duration;
 
 use glob::MatchOptions;
 
+use crate::io::bytes::Unpacking;
 use crate::io::frame_files::files_of;
-use crate::io::input::{holds_mesh, is_known, steps};
+use crate::io::input::{holds_mesh, is_known, open_joined, steps};
+use crate::io::stamp::Stamp;
+use crate::io::wanted::Wanted;
+use crate::io::{ParticleFile, ReadError};
 
 use crate::error::{Error, SimulationError};
 
-use super::pattern::{Candidate, Pattern, digit_runs, infer};
+use super::pattern::{Candidate, Numbers, Pattern, digit_runs, infer};
 use super::pieces::{may_be_piece, whole_frames};
 
 /// The longest wait for a second file that settles how a first one is to be read.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// One frame, as found.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct FrameFile {
     /// The frame's number.
-    pub number: u64,
+    pub number: i64,
     /// The number as the name spells it.
     pub digits: String,
-    /// The file.
+    /// The time, where the name spells it.
+    pub time: Option<f64>,
+    /// The file, or the first of several.
     pub path: PathBuf,
+    /// Other files whose particles are of this frame too.
+    pub others: Vec<PathBuf>,
 }
 
 /// A request for frames: of one simulation or several.
@@ -45,6 +53,8 @@ pub enum Inputs {
     Files(Vec<PathBuf>),
     /// Frames in one file.
     Steps(PathBuf),
+    /// Several inputs, whose frames of one number are one.
+    Together(Vec<Inputs>),
 }
 
 /// The frames of one simulation, which can be listed again as they come.
@@ -80,6 +90,26 @@ impl Inputs {
         Ok(text.contains(['*', '?', '[']).then(|| Self::Glob(text.into_owned())))
     }
 
+    /// Reads the arguments as simulations whose frames of one number are one.
+    ///
+    /// # Errors
+    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    pub fn together(arguments: &[PathBuf]) -> Result<Self, SimulationError> {
+        let each = arguments.iter().map(|argument| Self::of(std::slice::from_ref(argument)));
+        let each = each.collect::<Result<Vec<_>, _>>()?;
+        let is_file = |argument: &Option<Self>| argument.is_none();
+        let has_number = |argument: &PathBuf| !Candidate::from(argument.clone()).runs.is_empty();
+        let members = if each.iter().all(is_file) && arguments.iter().any(has_number) {
+            vec![Self::Files(arguments.to_vec())]
+        } else {
+            let member = |(inputs, argument): (Option<Self>, &PathBuf)| {
+                inputs.unwrap_or_else(|| Self::Files(vec![argument.clone()]))
+            };
+            each.into_iter().zip(arguments).map(member).collect()
+        };
+        Ok(Self::Together(members))
+    }
+
     /// Returns the inputs in the words of the request.
     pub fn describe(&self) -> String {
         match self {
@@ -88,6 +118,9 @@ impl Inputs {
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => {
                 files.first().map_or(String::new(), |file| file.display().to_string())
+            }
+            Self::Together(members) => {
+                members.iter().map(Self::describe).collect::<Vec<_>>().join(" and ")
             }
         }
     }
@@ -111,6 +144,18 @@ impl Inputs {
         let mut files = match self {
             Self::Pattern(pattern) => return Ok(vec![sequence(Some(pattern.clone()))]),
             Self::Steps(_) => return Ok(vec![sequence(None)]),
+            Self::Together(members) => {
+                let found = members_of(members)?;
+                let pattern = found.iter().find_map(|sequence| sequence.pattern.clone());
+                return match &found[..] {
+                    [] => Ok(Vec::new()),
+                    [only] if !only.is_joined() => Err(SimulationError::Names(format!(
+                        "{}: one simulation, and none to join it with",
+                        only.describe()
+                    ))),
+                    _ => Ok(vec![sequence(pattern)]),
+                };
+            }
             _ => self.candidates()?,
         };
         files.retain(|file| {
@@ -161,12 +206,21 @@ impl Inputs {
         let folder = match self {
             Self::Pattern(pattern) => Some(pattern.folder()),
             Self::Folder(folder) => Some(&**folder),
-            Self::Glob(_) | Self::Files(_) | Self::Steps(_) => None,
+            Self::Glob(_) | Self::Files(_) | Self::Steps(_) | Self::Together(_) => None,
         };
-        match folder.filter(|folder| !folder.exists()) {
-            Some(folder) => SimulationError::NoFolder(folder.to_owned()),
-            None => SimulationError::NoFrames(self.describe()),
+        if let Some(folder) = folder.filter(|folder| !folder.exists()) {
+            return SimulationError::NoFolder(folder.to_owned());
         }
+        if let Self::Pattern(pattern) = self {
+            let times = Pattern { numbers: Numbers::Times, ..pattern.clone() };
+            let files = self.candidates().unwrap_or_default();
+            if files.iter().any(|file| times.digits(&file.name).is_some()) {
+                return SimulationError::Names(format!(
+                    "{pattern}: the numbers of these files are decimals, which are written {{time}}: \"{times}\""
+                ));
+            }
+        }
+        SimulationError::NoFrames(self.describe())
     }
 
     /// The refusal of several simulations, with the names of all.
@@ -206,8 +260,24 @@ impl Inputs {
                 glob::Pattern::new(pattern)
                     .is_ok_and(|pattern| pattern.matches_path_with(path, in_one_folder))
             }
+            Self::Together(members) => members_of(members)
+                .is_ok_and(|members| members.iter().any(|member| member.takes(path))),
             Self::Steps(_) | Self::Files(_) => false,
         }
+    }
+
+    /// Whether a file is hidden, as macOS' `._f_1.npy` is: it is a frame where names that begin with
+    /// a dot are asked for.
+    fn hides(&self, path: &Path) -> bool {
+        let asks = match self {
+            Self::Pattern(pattern) => pattern.prefix.starts_with('.'),
+            Self::Glob(pattern) => {
+                pattern.rsplit(is_separator).next().is_some_and(|name| name.starts_with(['.', '[']))
+            }
+            Self::Folder(_) => false,
+            Self::Files(_) | Self::Steps(_) | Self::Together(_) => true,
+        };
+        !asks && path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
     }
 
     /// The files that may be frames and are there now.
@@ -218,11 +288,13 @@ impl Inputs {
                     |path: PathBuf| pattern.folder.join(path.file_name().unwrap_or_default());
                 all_in(pattern.folder())?
                     .into_iter()
+                    .filter(|path| !self.hides(path))
                     .map(|path| Candidate::from(named(path)))
                     .collect()
             }
             Self::Folder(folder) => {
-                let known = all_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
+                let known = all_in(folder)?.into_iter();
+                let known = known.filter(|path| is_known(path) && !self.hides(path)).collect();
                 // A folder holds other things too: what has no number is no frame.
                 let mut files = whole_frames(known);
                 files.retain(|file| !file.runs.is_empty());
@@ -233,10 +305,10 @@ impl Inputs {
                     |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
                 glob::Pattern::new(pattern).map_err(fail)?;
                 let paths = glob::glob(&below(pattern)).map_err(fail)?.filter_map(Result::ok);
-                whole_frames(paths.filter(|path| path.is_file()).collect())
+                whole_frames(paths.filter(|path| path.is_file() && !self.hides(path)).collect())
             }
             Self::Files(files) => whole_frames(files.clone()),
-            Self::Steps(_) => Vec::new(),
+            Self::Steps(_) | Self::Together(_) => Vec::new(),
         })
     }
 }
@@ -273,12 +345,18 @@ impl Sequence {
     /// where two files are the same frame, or where a file that came later shows that the frames
     /// are numbered otherwise.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
-        let counted = |number: u64, path| FrameFile { number, digits: number.to_string(), path };
+        let counted = |number: i64, path| FrameFile::new(number, number.to_string(), path);
         let mut frames: Vec<_> = match (&self.source, &self.pattern) {
+            (Inputs::Together(members), _) => {
+                let members = members_of(members)?;
+                let lists = members.iter().map(Self::list).collect::<Result<_, _>>()?;
+                return joined(&members, lists);
+            }
             (Inputs::Steps(file), _) => {
                 let steps = steps(file).map_err(|e| SimulationError::Names(e.to_string()))?;
                 let path = |number| PathBuf::from(format!("{}#{number}", file.display()));
-                steps.into_iter().map(|number| counted(number, path(number))).collect()
+                let counted = |number: u64| counted(number as i64, path(number));
+                steps.into_iter().map(counted).collect()
             }
             (source, None) => (0..)
                 .zip(source.candidates()?)
@@ -289,9 +367,13 @@ impl Sequence {
                 self.confirm(pattern, &files)?;
                 let numbered = |file: Candidate| {
                     let digits = self.digits(pattern, &file)?.to_owned();
-                    Some(frame(digits, file.path))
+                    Some((digits, file))
                 };
-                files.into_iter().filter_map(numbered).collect::<Result<_, _>>()?
+                let files: Vec<_> = files.into_iter().filter_map(numbered).collect();
+                match pattern.numbers {
+                    Numbers::Whole => whole(pattern, files)?,
+                    Numbers::Times => timed(files),
+                }
             }
         };
         frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
@@ -300,12 +382,14 @@ impl Sequence {
         {
             refuse_decimals(pattern, &frames)?;
         }
-        if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
+        if let Some((a, b)) = neighbours(&frames)
+            .find(|(a, b)| a.number == b.number || a.time.is_some() && a.time == b.time)
+        {
             return Err(SimulationError::Names(format!(
                 "{} and {} are both frame {}; name one simulation, with {{}} for its numbers",
                 a.path.display(),
                 b.path.display(),
-                a.number
+                a.digits
             )));
         }
         Ok(frames)
@@ -355,8 +439,20 @@ impl Sequence {
     /// Whether a file would be taken for a frame if it were there.
     pub fn takes(&self, path: &Path) -> bool {
         let file = Candidate::from(path.to_owned());
+        let is_joined = matches!(self.source, Inputs::Together(_));
         self.source.takes(path)
-            && self.pattern.as_ref().is_none_or(|pattern| self.digits(pattern, &file).is_some())
+            && !self.source.hides(path)
+            && (is_joined
+                || self
+                    .pattern
+                    .as_ref()
+                    .is_none_or(|pattern| self.digits(pattern, &file).is_some()))
+    }
+
+    /// Whether frames may be in several files that nothing lists.
+    pub(super) fn is_joined(&self) -> bool {
+        matches!(self.source, Inputs::Together(_))
+            || self.pattern.as_ref().is_some_and(Pattern::has_pieces)
     }
 }
 
@@ -400,13 +496,15 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
             Some(inputs @ Inputs::Pattern(_)) => inputs
                 .only()
                 .map(|(_, frames)| frames)?
-                .into_iter()
-                .map(|frame| frame.path)
+                .iter()
+                .flat_map(|frame| frame.paths().map(Path::to_owned))
                 .collect(),
             None if argument.to_string_lossy().ends_with(is_separator) => {
                 return Err(SimulationError::NoFolder(argument.clone()).into());
             }
-            Some(Inputs::Steps(_) | Inputs::Files(_)) | None => vec![argument.clone()],
+            Some(Inputs::Steps(_) | Inputs::Files(_) | Inputs::Together(_)) | None => {
+                vec![argument.clone()]
+            }
         };
         if found.is_empty() {
             return Err(SimulationError::NoFiles(argument.display().to_string()).into());
@@ -445,12 +543,131 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
 }
 
 impl FrameFile {
-    /// Bytes of its file and of its pieces; 0 of what is gone.
+    /// A frame in one file.
+    #[must_use]
+    pub fn new(number: i64, digits: String, path: PathBuf) -> Self {
+        Self { number, digits, time: None, path, others: Vec::new() }
+    }
+
+    /// All files whose particles are the frame's.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        std::iter::once(&self.path).chain(&self.others).map(PathBuf::as_path)
+    }
+
+    /// Bytes of its files and of their pieces; 0 of what is gone.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
-        files_of(&self.path).iter().map(bytes).sum()
+        self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
     }
+
+    /// The stamp of its files as they are now.
+    pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
+        Stamp::of_all(self.paths()).map_err(|fault| ReadError::new(&self.path, fault.into()))
+    }
+
+    /// Opens its particles.
+    pub(super) fn open(
+        &self,
+        wanted: Wanted,
+        unpacking: Unpacking,
+    ) -> Result<ParticleFile, ReadError> {
+        let file = open_joined(&self.paths().collect::<Vec<_>>(), wanted, unpacking)?;
+        Ok(ParticleFile { time: file.time.or(self.time), ..file })
+    }
+}
+
+/// Frames by the whole numbers in their names; files of one number are its pieces, if names tell
+/// them apart.
+fn whole(
+    pattern: &Pattern,
+    files: Vec<(String, Candidate)>,
+) -> Result<Vec<FrameFile>, SimulationError> {
+    let number = |(digits, file): (String, Candidate)| match digits.parse() {
+        Ok(number) => Ok((number, digits, file)),
+        Err(_) => Err(SimulationError::Names(format!(
+            "{}: frames are numbered from {} to {}",
+            file.path.display(),
+            i64::MIN,
+            i64::MAX
+        ))),
+    };
+    let files = files.into_iter().map(number).collect::<Result<Vec<_>, _>>()?;
+    if !pattern.has_pieces() {
+        let frame = |(number, digits, file): (i64, String, Candidate)| {
+            FrameFile::new(number, digits, file.path)
+        };
+        return Ok(files.into_iter().map(frame).collect());
+    }
+    let mut frames: BTreeMap<i64, BTreeMap<u64, (String, PathBuf)>> = BTreeMap::new();
+    for (number, digits, file) in files {
+        let Some(piece) = pattern.piece(&file.name) else { continue };
+        let pieces = frames.entry(number).or_default();
+        if let Some((_, other)) = pieces.insert(piece, (digits, file.path.clone())) {
+            return Err(SimulationError::Names(format!(
+                "{} and {} are both piece {piece} of frame {number}; remove one",
+                other.display(),
+                file.path.display(),
+            )));
+        }
+    }
+    let all: BTreeSet<u64> = frames.values().flat_map(|pieces| pieces.keys().copied()).collect();
+    let mut joined = Vec::new();
+    for (number, pieces) in frames {
+        if let Some(lacking) = all.iter().find(|piece| !pieces.contains_key(piece)) {
+            return Err(SimulationError::Names(format!(
+                "{pattern}: frame {number} lacks piece {lacking}, which other frames have; add it, or leave that frame out"
+            )));
+        }
+        let mut pieces = pieces.into_values();
+        if let Some((digits, path)) = pieces.next() {
+            let others = pieces.map(|(_, path)| path).collect();
+            joined.push(FrameFile { others, ..FrameFile::new(number, digits, path) });
+        }
+    }
+    Ok(joined)
+}
+
+/// Frames in the order of the times in their names, counted from 0.
+fn timed(files: Vec<(String, Candidate)>) -> Vec<FrameFile> {
+    let time = |(digits, file): (String, Candidate)| Some((digits.parse().ok()?, digits, file));
+    let mut files: Vec<(f64, String, Candidate)> = files.into_iter().filter_map(time).collect();
+    files.sort_by(|(a, _, one), (b, _, other)| {
+        a.total_cmp(b).then_with(|| one.path.cmp(&other.path))
+    });
+    let frame = |(number, (time, digits, file)): (i64, (f64, String, Candidate))| FrameFile {
+        time: Some(time),
+        ..FrameFile::new(number, digits, file.path)
+    };
+    (0..).zip(files).map(frame).collect()
+}
+
+/// Joins the frames of several simulations that have one number.
+fn joined(
+    sequences: &[Sequence],
+    lists: Vec<Vec<FrameFile>>,
+) -> Result<Vec<FrameFile>, SimulationError> {
+    let mut lists = lists.into_iter().zip(sequences);
+    let Some((mut frames, first)) = lists.next() else { return Ok(Vec::new()) };
+    for (list, sequence) in lists {
+        let numbers =
+            |frames: &[FrameFile]| frames.iter().map(|f| f.number).collect::<BTreeSet<_>>();
+        let [own, other] = [numbers(&frames), numbers(&list)];
+        if let Some(number) = own.symmetric_difference(&other).next() {
+            let (has, lacks) =
+                if own.contains(number) { (first, sequence) } else { (sequence, first) };
+            return Err(SimulationError::Names(format!(
+                "{} has frame {number} and {} has none; frames are joined where all inputs have the same numbers",
+                has.describe(),
+                lacks.describe()
+            )));
+        }
+        for (frame, other) in frames.iter_mut().zip(list) {
+            frame.others.push(other.path);
+            frame.others.extend(other.others);
+        }
+    }
+    Ok(frames)
 }
 
 /// Leaves out meshes. Files that differ in their last number are all meshes, or none is.
@@ -475,16 +692,6 @@ pub(super) fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFi
     frames.iter().zip(frames.iter().skip(1))
 }
 
-fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SimulationError> {
-    match digits.parse() {
-        Ok(number) => Ok(FrameFile { number, digits, path }),
-        Err(_) => {
-            let what = format!("{}: frames are numbered up to {}", path.display(), u64::MAX);
-            Err(SimulationError::Names(what))
-        }
-    }
-}
-
 /// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in
 /// another order.
 fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
@@ -503,6 +710,15 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
             b.number,
         ))),
     }
+}
+
+/// The simulations of several inputs.
+fn members_of(members: &[Inputs]) -> Result<Vec<Sequence>, SimulationError> {
+    let mut sequences = Vec::new();
+    for member in members {
+        sequences.extend(member.simulations(None)?);
+    }
+    Ok(sequences)
 }
 
 fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
@@ -531,16 +747,16 @@ fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Selection {
     /// The first number.
-    pub start: u64,
+    pub start: i64,
     /// The last number.
-    pub end: u64,
+    pub end: i64,
     /// Every so many numbers from the first.
     pub step: u64,
 }
 
 impl Default for Selection {
     fn default() -> Self {
-        Self { start: 0, end: u64::MAX, step: 1 }
+        Self { start: i64::MIN, end: i64::MAX, step: 1 }
     }
 }
 
@@ -548,14 +764,12 @@ impl Selection {
     /// The frames that are wanted. Steps count from the first number asked for, else from the first
     /// there is.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
-        let from = if self.start > 0 {
-            self.start
-        } else {
-            frames.first().map_or(0, |frame| frame.number)
-        };
-        let wanted = |number: u64| {
+        let is_given = self.start > i64::MIN;
+        let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);
+        let from = first.unwrap_or(self.start);
+        let wanted = |number: i64| {
             (self.start..=self.end).contains(&number)
-                && (number - from).is_multiple_of(self.step.max(1))
+                && number.abs_diff(from).is_multiple_of(self.step.max(1))
         };
         frames.into_iter().filter(|frame| wanted(frame.number)).collect()
     }
@@ -565,9 +779,8 @@ impl Selection {
 mod tests {
     use super::*;
 
-    fn frames(numbers: &[u64]) -> Vec<FrameFile> {
-        let frame =
-            |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
+    fn frames(numbers: &[i64]) -> Vec<FrameFile> {
+        let frame = |&number: &i64| FrameFile::new(number, number.to_string(), PathBuf::new());
         numbers.iter().map(frame).collect()
     }
 
@@ -582,7 +795,8 @@ mod tests {
         };
         assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
         assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
-        assert_eq!(numbers(Selection { start: 2, end: u64::MAX, step: 2 }), [2, 4, 6]);
+        assert_eq!(numbers(Selection { start: -1, step: 3, ..Selection::default() }), [2, 5]);
+        assert_eq!(numbers(Selection { start: 2, end: i64::MAX, step: 2 }), [2, 4, 6]);
     }
 
     #[test]

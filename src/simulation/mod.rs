@@ -26,6 +26,7 @@ pub mod pattern;
 #[cfg(feature = "pictures")]
 mod pictures;
 mod pieces;
+mod placeholder;
 pub mod records;
 mod run;
 mod setup;

@@ -7,7 +7,7 @@ use crate::io::frame_files::snapshot_piece;
 use crate::io::output::MeshFormat;
 
 use super::inputs::{Inputs, Sequence};
-use super::pattern::{Pattern, stem};
+use super::pattern::{Numbers, PIECE, Pattern, stem};
 
 /// How outputs are called.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,7 +32,12 @@ impl Naming {
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));
         }
-        Ok(Pattern::parse(path)?.map(Self::Pattern))
+        let pattern = Pattern::parse(path)?;
+        if pattern.as_ref().is_some_and(Pattern::has_pieces) {
+            let what = "{piece} stands for a piece's number in the name of an input";
+            return Err(SimulationError::Names(format!("{}: {what}", path.display())));
+        }
+        Ok(pattern.map(Self::Pattern))
     }
 
     /// The folder of all outputs.
@@ -57,9 +62,11 @@ impl Naming {
             ),
             // Frames that are counted have only their number.
             (_, None) => Default::default(),
-            (_, Some(Pattern { prefix, suffix, .. })) => (prefix.clone(), tail(suffix)),
+            (_, Some(Pattern { prefix, suffix, .. })) => {
+                (without_piece(prefix), without_piece(&tail(suffix)))
+            }
         };
-        Pattern { folder, prefix, suffix: tail + IN_FOLDER, width: None }
+        Pattern { folder, prefix, suffix: tail + IN_FOLDER, width: None, numbers: Numbers::Whole }
     }
 }
 
@@ -71,6 +78,20 @@ fn tail(suffix: &str) -> String {
     let whole =
         snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
     stem(&whole.unwrap_or(name))[1..].to_owned()
+}
+
+/// A text without the number of a piece, the word before it, and the separator that would be left.
+fn without_piece(text: &str) -> String {
+    let Some((before, after)) = text.split_once(PIECE) else { return text.to_owned() };
+    let separators = ['_', '-', '.', ' '];
+    let before = before.trim_end_matches(separators).trim_end_matches(|c: char| c.is_alphabetic());
+    match before.strip_suffix(separators) {
+        Some(shorter) if after.is_empty() || after.starts_with(separators) => {
+            format!("{shorter}{after}")
+        }
+        None if before.is_empty() => after.trim_start_matches(separators).to_owned(),
+        _ => format!("{before}{after}"),
+    }
 }
 
 /// The name of all frames, by what stands before their number.
@@ -122,6 +143,9 @@ mod tests {
             ("fluid.{}", "fluid.01.ply", "fluid.ply"),
             ("f_{}.final.vtu.gz", "f_01.final.ply", "f.final.ply"),
             ("snap_{}.0.hdf5", "snap_01.ply", "snap.ply"),
+            ("f_{}_rank{piece}.npy", "f_01.ply", "f.ply"),
+            ("rank_{piece}_f{}.npy", "f01.ply", "f.ply"),
+            ("f_p{piece}_t{}_v2.npy", "f_t01_v2.ply", "f_t_v2.ply"),
         ] {
             let outputs = outputs("m/", input);
             assert_eq!(outputs.path(1, "01"), Path::new("m").join(output));

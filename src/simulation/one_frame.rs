@@ -16,7 +16,7 @@ use crate::error::Error;
 use crate::frame::{Counted, Engine, FrameError, Resources};
 use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
-use crate::io::input::{file_and_step, open_wanted};
+use crate::io::input::file_and_step;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{FilledFile, Replace};
@@ -98,7 +98,7 @@ impl Conversion<'_> {
         let mut timings = Timings::default();
         let simulation = self.setup.simulation;
         let path = &frame.path;
-        let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
+        let input = frame.stamp()?;
         let replaces = if simulation.overwrite || again {
             Replaces::Anything
         } else if simulation.resume {
@@ -108,7 +108,9 @@ impl Conversion<'_> {
         };
         let replace = if replaces == Replaces::Nothing { Replace::Refuse } else { Replace::Allow };
         let target = self.output(frame);
-        refuse_same_file(&target, file_and_step(path).0)?;
+        for path in frame.paths() {
+            refuse_same_file(&target, file_and_step(path).0)?;
+        }
         let orientation =
             checked.settings.orientation(checked.settings.usual_up(path), self.format);
         let output = Output::prepare(&checked.settings, &target, replace, self.cancel())?;
@@ -124,8 +126,8 @@ impl Conversion<'_> {
                 scratch,
                 control: Some(&checked.resources.control),
             };
-            let file = particles
-                .map_or_else(|| open_wanted(path, checked.settings.wanted(), unpacking), Ok)?;
+            let file =
+                particles.map_or_else(|| frame.open(checked.settings.wanted(), unpacking), Ok)?;
             timings.done("open");
             Ok::<_, Error>(Some(file))
         };
@@ -172,7 +174,7 @@ impl Conversion<'_> {
         let bounded = Bounded::new(&turned);
         let (file, held) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
-        if Stamp::of(path).ok() != Some(input) {
+        if frame.stamp().ok() != Some(input) {
             return Err(ReadError::new(path, ReadFault::Changed).into());
         }
         let bytes = file.bytes();

@@ -1,8 +1,10 @@
 //! The pattern of the names of a simulation's files: which digits are the frame's number.
 //!
-//! `{}` in a name says where the number is. Without it, [`infer`] finds the pattern from all names
-//! together: the number that varies is the frame's. Names that leave a choice are refused, with the
-//! patterns to choose from.
+//! `{}` in a name stands for the number, which may be negative; `{time}` for a decimal, by which
+//! frames are in order; `{piece}` for the number of one of the files that a frame is in. Other
+//! programs' notations are read as `{}`: `%04d`, `####`, `$F4`, `<frame>`. Without a pattern,
+//! [`infer`] finds it from all names together: the number that varies is the frame's. Names that
+//! leave a choice are refused, with the patterns to choose from.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -10,6 +12,17 @@ use std::path::{Path, PathBuf};
 
 use crate::error::SimulationError;
 use crate::io::compression::plain_name;
+
+use super::placeholder::{Placeholder, all};
+
+/// The numbers of a simulation's frames, as their names spell them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Numbers {
+    /// Whole numbers, which may be negative.
+    Whole,
+    /// Times as decimals: frames are counted in their order.
+    Times,
+}
 
 /// A file name with a place for a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -22,56 +35,128 @@ pub struct Pattern {
     pub suffix: String,
     /// The least number of digits, where `{:04}` says so; padded with zeros.
     pub width: Option<usize>,
+    /// The kind of number.
+    pub numbers: Numbers,
 }
+
+/// The place of a piece's number, in a prefix or suffix.
+pub(super) const PIECE: &str = "{piece}";
 
 impl std::fmt::Display for Pattern {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { folder, prefix, suffix, .. } = self;
-        folder.join(format!("{prefix}{{}}{suffix}")).display().fmt(f)
+        let Self { folder, prefix, suffix, numbers, .. } = self;
+        let number = match numbers {
+            Numbers::Whole => "{}",
+            Numbers::Times => "{time}",
+        };
+        folder.join(format!("{prefix}{number}{suffix}")).display().fmt(f)
     }
 }
 
 impl Pattern {
-    /// Reads `{}` or `{:04}` in the name of `path`; `None` where there is none.
+    /// Reads the place of the number in the name of `path`: `{}`, `{:04}`, `{time}`, or another
+    /// program's notation, unless there is a file of just that name; `None` where there is none.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for more than one, one in a folder's name, or braces that say
+    /// [`SimulationError::Names`] for more than one, one in a folder's name, or one that says
     /// something else.
     pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
         let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
         let folder = path.parent().unwrap_or(Path::new(""));
-        if folder.to_string_lossy().contains("{}") {
+        let in_folder = folder.iter().filter_map(|name| name.to_str());
+        if in_folder.flat_map(all).next().is_some() && !folder.is_dir() {
             return wrong("{} stands for the number in a file's name, not in a folder's");
         }
-        let Some((prefix, rest)) = name.split_once('{') else { return Ok(None) };
-        let Some((inside, suffix)) = rest.split_once('}') else { return Ok(None) };
-        if suffix.contains('{') {
+        let (pieces, mut found): (Vec<_>, Vec<_>) =
+            all(name).into_iter().partition(|(_, placeholder)| *placeholder == Placeholder::Piece);
+        let is_foreign = |(at, _): &(Range<usize>, Placeholder)| !name[at.start..].starts_with('{');
+        if found.iter().any(is_foreign) && path.is_file() {
+            return Ok(None);
+        }
+        if found.len() > 1 || pieces.len() > 1 {
             return wrong("one {} is enough");
         }
-        let width = match inside {
-            "" => None,
-            _ => match inside.strip_prefix(":0").and_then(|width| width.parse().ok()) {
-                Some(width @ 1..=20) => Some(width),
-                _ => {
-                    return wrong(
-                        "a frame's number is written {} or, padded to four digits, {:04}",
-                    );
-                }
-            },
+        let Some((at, placeholder)) = found.pop() else {
+            let lacks = "{piece} stands for a piece's number; {} has to stand for the frame's";
+            return if pieces.is_empty() { Ok(None) } else { wrong(lacks) };
+        };
+        let (prefix, suffix) = (&name[..at.start], &name[at.end..]);
+        if prefix.ends_with(PIECE) || suffix.starts_with(PIECE) {
+            return wrong("text has to be between {} and {piece}");
+        }
+        let (width, numbers) = match placeholder {
+            Placeholder::Number(width) => (width, Numbers::Whole),
+            Placeholder::Time | Placeholder::Piece => (None, Numbers::Times),
+            Placeholder::Unknown(better) => {
+                let ours = folder.join(format!("{prefix}{better}{suffix}"));
+                return wrong(&format!(
+                    "{} does not stand for a frame's number, which is written {{}} or, padded to four digits, {{:04}}: write \"{}\"",
+                    &name[at],
+                    ours.display()
+                ));
+            }
         };
         let (prefix, suffix) = (prefix.to_owned(), suffix.to_owned());
-        Ok(Some(Self { folder: folder.to_owned(), prefix, suffix, width }))
+        Ok(Some(Self { folder: folder.to_owned(), prefix, suffix, width, numbers }))
     }
 
-    /// The digits of a name that fits.
-    pub(super) fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
-        let digits = name.strip_prefix(&*self.prefix)?.strip_suffix(&*self.suffix)?;
-        let padded = |width: usize| {
-            digits.len() == width || digits.len() > width && !digits.starts_with('0')
+    /// Whether a frame may be in several files.
+    pub(super) fn has_pieces(&self) -> bool {
+        self.prefix.contains(PIECE) || self.suffix.contains(PIECE)
+    }
+
+    /// The place of the number in a name that fits.
+    pub(super) fn place(&self, name: &str) -> Option<Range<usize>> {
+        let digits =
+            |text: &str| text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+        let start = match self.prefix.split_once(PIECE) {
+            None => name.starts_with(&*self.prefix).then_some(self.prefix.len())?,
+            Some((before, after)) => {
+                let rest = name.strip_prefix(before)?;
+                let piece = digits(rest);
+                (piece > 0 && rest[piece..].starts_with(after))
+                    .then_some(before.len() + piece + after.len())?
+            }
         };
-        let fits = all_digits(digits) && self.width.is_none_or(padded);
-        fits.then_some(digits)
+        let rest = &name[start..];
+        let end = match self.suffix.split_once(PIECE) {
+            None => rest.strip_suffix(&*self.suffix)?.len(),
+            Some((before, after)) => {
+                let rest = rest.strip_suffix(after)?;
+                let number = rest.trim_end_matches(|c: char| c.is_ascii_digit());
+                (number.len() < rest.len()).then(|| number.strip_suffix(before))??.len()
+            }
+        };
+        let number = &rest[..end];
+        let plain = number.strip_prefix('-').unwrap_or(number);
+        let padded = |width: usize| {
+            let spelled = [plain.len(), number.len()];
+            spelled.contains(&width) || plain.len() > width && !plain.starts_with('0')
+        };
+        let fits = match self.numbers {
+            Numbers::Whole => all_digits(plain) && self.width.is_none_or(padded),
+            Numbers::Times => is_decimal(number),
+        };
+        fits.then_some(start..start + end)
+    }
+
+    /// The digits of a name that fits, with the sign.
+    pub(super) fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
+        self.place(name).map(|place| &name[place])
+    }
+
+    /// The number of the piece, in a name that fits; 0 where frames have no pieces.
+    pub(super) fn piece(&self, name: &str) -> Option<u64> {
+        let place = self.place(name)?;
+        let text = match (self.prefix.split_once(PIECE), self.suffix.split_once(PIECE)) {
+            (Some((before, after)), _) => &name[before.len()..place.start - after.len()],
+            (None, Some((before, after))) => {
+                &name[place.end + before.len()..name.len() - after.len()]
+            }
+            (None, None) => return Some(0),
+        };
+        text.parse().ok()
     }
 
     /// The folder of the files, where no name means the current one.
@@ -80,8 +165,8 @@ impl Pattern {
     }
 
     /// The name for a number, spelled `digits` where no width is given.
-    pub fn path(&self, number: u64, digits: &str) -> PathBuf {
-        let Self { folder, prefix, suffix, width } = self;
+    pub fn path(&self, number: i64, digits: &str) -> PathBuf {
+        let Self { folder, prefix, suffix, width, .. } = self;
         folder.join(match width {
             Some(width) => format!("{prefix}{number:0width$}{suffix}"),
             None => format!("{prefix}{digits}{suffix}"),
@@ -91,6 +176,14 @@ impl Pattern {
 
 pub(super) fn all_digits(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit())
+}
+
+/// Whether a text is a finite number in digits, as a name may spell a time.
+fn is_decimal(text: &str) -> bool {
+    let spelled = text.bytes().all(|b| b.is_ascii_digit() || b"+-.eE".contains(&b));
+    let ends = text.ends_with(|c: char| c.is_ascii_digit())
+        && text.trim_start_matches('-').starts_with(|c: char| c.is_ascii_digit());
+    spelled && ends && text.parse().is_ok_and(f64::is_finite)
 }
 
 /// The runs of digits in a text.
@@ -131,7 +224,8 @@ pub(super) struct Candidate {
     /// The file's name without `.gz` or the like: a compressed frame belongs to the
     /// others.
     pub(super) name: String,
-    /// The digits of the name that may be the frame's number, before the extension.
+    /// The digits of the name that may be the frame's number, before the extension, with their
+    /// sign.
     pub(super) runs: Vec<Range<usize>>,
 }
 
@@ -139,7 +233,16 @@ impl From<PathBuf> for Candidate {
     fn from(path: PathBuf) -> Self {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let name = plain_name(&name).to_owned();
-        Self { runs: digit_runs(stem(&name)), path, name }
+        let mut runs = digit_runs(stem(&name));
+        for run in &mut runs {
+            // A dash after a letter or a digit stands between two parts of a name.
+            let sign = name[..run.start].strip_suffix('-');
+            let signs = |before: &str| {
+                before.is_empty() || before.ends_with(['_', '.', ' ', '-', '=', '(', '['])
+            };
+            run.start -= usize::from(sign.is_some_and(signs));
+        }
+        Self { runs, path, name }
     }
 }
 
@@ -155,10 +258,40 @@ impl Candidate {
 
     /// The pattern of the names that differ from this one in a run of digits.
     pub(super) fn pattern(&self, run: usize) -> Pattern {
-        let Range { start, end } = self.runs[run];
+        self.pattern_at(self.runs[run].clone(), Numbers::Whole)
+    }
+
+    fn pattern_at(&self, Range { start, end }: Range<usize>, numbers: Numbers) -> Pattern {
         let folder = self.path.parent().unwrap_or(Path::new("")).to_owned();
         let [prefix, suffix] = [&self.name[..start], &self.name[end..]].map(str::to_owned);
-        Pattern { folder, prefix, suffix, width: None }
+        Pattern { folder, prefix, suffix, width: None, numbers }
+    }
+
+    /// The numbers of the name, decimals such as `0.95` or `1e-05` as one; a version such as
+    /// `1.2.3` is none.
+    fn decimals(&self) -> Vec<Range<usize>> {
+        let between = |run: usize| {
+            self.runs.get(run + 1).map(|next| &self.name[self.runs[run].end..next.start])
+        };
+        let is_dot =
+            |run: usize| between(run) == Some(".") && !self.digits(run + 1).starts_with('-');
+        let is_exponent = |run: usize| {
+            between(run).is_some_and(|text| matches!(text, "e" | "E" | "e-" | "E-" | "e+" | "E+"))
+        };
+        let (mut numbers, mut run) = (Vec::new(), 0);
+        while run < self.runs.len() {
+            let mut last = run;
+            if is_dot(run) && !is_dot(run + 1) && !(run > 0 && is_dot(run - 1)) {
+                last += 1;
+            }
+            if is_exponent(last) && (last > run || between(last).is_some_and(|text| text.len() > 1))
+            {
+                last += 1;
+            }
+            numbers.push(self.runs[run].start..self.runs[last].end);
+            run = last + 1;
+        }
+        numbers
     }
 }
 
@@ -166,71 +299,292 @@ impl Candidate {
 ///
 /// Names that differ in text besides numbers belong to different simulations. Among the others the
 /// number that varies is the frame's; of a single file it is the last one. Where several numbers
-/// vary, the last is the frame's if the others tell simulations apart that ran side by side.
+/// vary, the last is the frame's if the others tell simulations apart that ran side by side, and a
+/// number after `rank` or `proc` is that of a piece if every frame has the same ones. Decimals are
+/// times where they go on from one whole number to the next.
 ///
 /// # Errors
 /// [`SimulationError::Names`] where several numbers could be the frame's.
 pub(super) fn infer(files: &[Candidate]) -> Result<Vec<Pattern>, SimulationError> {
-    let mut kinds: BTreeMap<String, Vec<&Candidate>> = BTreeMap::new();
-    for file in files.iter().filter(|file| !file.runs.is_empty()) {
-        kinds.entry(file.skeleton()).or_default().push(file);
-    }
+    let numbered = files.iter().filter(|file| !file.runs.is_empty());
     let mut found: BTreeMap<[String; 2], Pattern> = BTreeMap::new();
-    for mut files in kinds.into_values() {
+    let mut add = |pattern: Pattern| {
+        let key = [&pattern.prefix, &pattern.suffix].map(String::clone);
+        found.entry(key).or_insert(pattern);
+    };
+    let mut kinds: BTreeMap<String, Vec<Candidate>> = BTreeMap::new();
+    for files in by(numbered, |file| skeleton(&file.name, &file.decimals())).into_values() {
+        match times(&files) {
+            Some(pattern) => add(pattern),
+            None => files
+                .into_iter()
+                .for_each(|file| kinds.entry(file.skeleton()).or_default().push(file.clone())),
+        }
+    }
+    with_signs(&mut kinds);
+    for files in kinds.into_values() {
+        let mut files: Vec<&Candidate> = files.iter().collect();
         files.sort_by(|a, b| a.path.cmp(&b.path));
-        let run = frame_run(&files)?;
-        for file in files {
-            let pattern = file.pattern(run);
-            let key = [&pattern.prefix, &pattern.suffix].map(String::clone);
-            found.entry(key).or_insert(pattern);
+        match frame_number(&files)? {
+            FrameNumber::InPieces(pattern) => add(pattern),
+            FrameNumber::Run(run) => files.iter().for_each(|file| add(file.pattern(run))),
         }
     }
     Ok(found.into_values().collect())
 }
 
-/// The run of digits that is the frame's number, in files that differ in digits only.
-fn frame_run(files: &[&Candidate]) -> Result<usize, SimulationError> {
+/// Files by a key.
+fn by<'a>(
+    files: impl IntoIterator<Item = &'a Candidate>,
+    key: impl Fn(&Candidate) -> String,
+) -> BTreeMap<String, Vec<&'a Candidate>> {
+    let mut groups: BTreeMap<String, Vec<&Candidate>> = BTreeMap::new();
+    for file in files {
+        groups.entry(key(file)).or_default().push(file);
+    }
+    groups
+}
+
+/// Joins `f-1` with `f1`: where both are there, the dash is a sign.
+fn with_signs(kinds: &mut BTreeMap<String, Vec<Candidate>>) {
+    let dashed: Vec<String> =
+        kinds.keys().filter(|kind| kind.matches("-\0").count() == 1).cloned().collect();
+    for kind in dashed {
+        let plain = kind.replace("-\0", "\0");
+        let Some(number) = kind.find("-\0").map(|at| kind[..at].matches('\0').count()) else {
+            continue;
+        };
+        let Some(files) = kinds.contains_key(&plain).then(|| kinds.remove(&kind)).flatten() else {
+            continue;
+        };
+        let signed = files.into_iter().map(|mut file| {
+            file.runs[number].start -= 1;
+            file
+        });
+        kinds.entry(plain).or_default().extend(signed);
+    }
+}
+
+/// The pattern of files whose names differ in one decimal, if that surely is a time: spelled with
+/// an exponent, a part of one after a separator, or a number that goes on from one whole number to
+/// the next in steps that are no longer than those between.
+fn times(files: &[&Candidate]) -> Option<Pattern> {
+    let first = files[0];
+    let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
+    let text = |file: usize, number: usize| &files[file].name[numbers[file][number].clone()];
+    let all = |number: usize| (0..files.len()).map(move |file| text(file, number));
+    let varies = |&number: &usize| all(number).any(|other| other != text(0, number));
+    let is_fraction = |number: usize| all(number).any(|text| text.contains(['.', 'e', 'E']));
+    let mut varying = (0..numbers[0].len()).filter(varies);
+    let number = match (varying.next(), varying.next()) {
+        (Some(number), None) => number,
+        (None, _) => numbers[0].len().checked_sub(1)?,
+        _ => return None,
+    };
+    if !is_fraction(number) {
+        return None;
+    }
+    let pattern = || first.pattern_at(numbers[0][number].clone(), Numbers::Times);
+    if all(number).any(|text| text.contains(['e', 'E'])) {
+        return Some(pattern());
+    }
+    let wholes: BTreeSet<&str> =
+        all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
+    let fractions: BTreeSet<&str> =
+        all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
+    if wholes.len() == 1 {
+        let before = first.name[..numbers[0][number].start].chars().next_back();
+        let is_apart = !before.is_some_and(char::is_alphanumeric);
+        return (is_apart && wholes.contains("0")).then(pattern);
+    }
+    let mut values: Vec<f64> = all(number).filter_map(|text| text.parse().ok()).collect();
+    values.sort_by(f64::total_cmp);
+    let longest = |within: bool| {
+        let pairs = values.windows(2).filter(|pair| (pair[0].floor() == pair[1].floor()) == within);
+        pairs.map(|pair| pair[1] - pair[0]).fold(0.0, f64::max)
+    };
+    (fractions.len() > 1 && longest(false) < 1.5 * longest(true)).then(pattern)
+}
+
+/// The number of the frame, in files that differ in digits only.
+enum FrameNumber {
+    /// A run of digits.
+    Run(usize),
+    /// The number in this pattern, which has another of pieces.
+    InPieces(Pattern),
+}
+
+fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
     let first = files[0];
     let varies = |&run: &usize| files.iter().any(|file| file.digits(run) != first.digits(run));
     let varying: Vec<usize> = (0..first.runs.len()).filter(varies).collect();
-    let Some((&last, others)) = varying.split_last() else { return Ok(first.runs.len() - 1) };
-    // The digits of 0.95 or 1e-05 are one number in two runs.
-    let is_joint = |text: &str| matches!(text, "." | "e" | "E" | "e-" | "E-" | "e+" | "E+");
-    let joins = |&&run: &&usize| {
-        varying.contains(&(run + 1))
-            && is_joint(&first.name[first.runs[run].end..first.runs[run + 1].start])
+    let Some((&last, others)) = varying.split_last() else {
+        return Ok(FrameNumber::Run(first.runs.len() - 1));
     };
-    let decimal = others.iter().find(joins);
-    if others.is_empty() || decimal.is_none() && side_by_side(files, others, last) {
-        return Ok(last);
-    }
-    let patterns: Vec<_> =
-        varying.iter().map(|&run| format!("\"{}\"", first.pattern(run))).collect();
-    let patterns = patterns.join(" or ");
-    Err(SimulationError::Names(match decimal {
-        Some(&run) => {
-            let number = &first.name[first.runs[run].start..first.runs[run + 1].end];
-            format!(
-                "{}: {number} looks like a decimal, and frames have whole numbers; rename the files, or name some of them with \
-                 {patterns}",
-                first.path.display()
-            )
+    let numbers = first.decimals();
+    let is_joint = |&&run: &&usize| {
+        let is_part = |number: &&Range<usize>| {
+            number.start <= first.runs[run].start && first.runs[run].end <= number.end
+        };
+        numbers.iter().find(is_part).is_some_and(|number| *number != first.runs[run])
+    };
+    let decimal = varying.iter().filter(|_| !others.is_empty()).find(is_joint);
+    if decimal.is_none() {
+        match pieces(files, &varying)? {
+            Pieces::In(pattern) => return Ok(FrameNumber::InPieces(pattern)),
+            Pieces::Unlikely if others.is_empty() || side_by_side(files, others, last) => {
+                return Ok(FrameNumber::Run(last));
+            }
+            Pieces::Unlikely | Pieces::Unclear => {}
         }
+    }
+    let mut choices: Vec<String> = Vec::new();
+    if let Some(&run) = decimal {
+        let time = numbers.iter().find(|number| number.end >= first.runs[run].end);
+        let time = time.map(|number| first.pattern_at(number.clone(), Numbers::Times));
+        choices.extend(time.map(|pattern| format!("\"{pattern}\"")));
+    }
+    choices.extend(varying.iter().map(|&run| format!("\"{}\"", first.pattern(run))));
+    if let (None, [frame, piece]) = (decimal, &varying[..]) {
+        choices.push(format!("\"{}\" for frames in pieces", in_pieces(first, *frame, *piece)));
+    }
+    let choices = choices.join(" or ");
+    Err(SimulationError::Names(match decimal {
+        Some(_) => format!(
+            "{}: its numbers may be a decimal or two whole ones; name the frames with {choices}, where {{time}} stands for a decimal",
+            first.path.display()
+        ),
         None => format!(
-            "more than one number varies in these names: frames could be numbered by {patterns}; give one of these patterns as the \
+            "more than one number varies in these names: frames could be numbered by {choices}; give one of these patterns as the \
              input, or rename the files so that only the frame's number varies"
         ),
     }))
 }
 
+/// Words before the number of a process, whose file is a piece of each frame.
+const PROCESSES: [&str; 9] =
+    ["rank", "proc", "procs", "process", "processor", "processors", "mpi", "pe", "cpu"];
+/// Words before the number of a piece, which also stand before other numbers.
+const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
+
+/// Whether files are pieces of frames.
+enum Pieces {
+    /// They are, in this pattern.
+    In(Pattern),
+    /// They may be.
+    Unclear,
+    /// Nothing says so.
+    Unlikely,
+}
+
+/// Finds files that are pieces of frames, by a word before their number: `rank`, or one that is used
+/// for others too, if there are no more pieces than frames.
+///
+/// # Errors
+/// [`SimulationError::Names`] where the files of processes are not the same in each frame, or have
+/// no other number.
+fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationError> {
+    let first = files[0];
+    let is_called = |run: usize, words: &[&str]| {
+        let before = first.name[..first.runs[run].start].trim_end_matches(['_', '-', '.', ' ']);
+        let start = before
+            .rfind(|c: char| !c.is_ascii_alphabetic())
+            .map_or(0, |at| at + before[at..].chars().next().map_or(1, char::len_utf8));
+        words.contains(&before[start..].to_ascii_lowercase().as_str())
+    };
+    let is_process = |&run: &usize| is_called(run, &PROCESSES);
+    let (piece, frame) = match varying {
+        [piece] if is_process(piece) => {
+            // The frame's number is the last of the others.
+            let Some(frame) = (0..first.runs.len()).rev().find(|run| run != piece) else {
+                return Err(SimulationError::Names(format!(
+                    "{}: the number in its name looks like that of a process, and there is none of a frame; join the files of one frame, or name the frames with \"{}\"",
+                    first.path.display(),
+                    first.pattern(*piece),
+                )));
+            };
+            (*piece, frame)
+        }
+        &[one, other] => match [one, other].map(|run| is_process(&run)) {
+            [false, true] => (other, one),
+            [true, false] => (one, other),
+            _ => match [one, other].map(|run| is_called(run, &MAY_BE_PIECES)) {
+                [false, true] => (other, one),
+                [true, false] => (one, other),
+                _ => return Ok(Pieces::Unlikely),
+            },
+        },
+        _ => return Ok(Pieces::Unlikely),
+    };
+    let mut frames: BTreeMap<&str, BTreeSet<Option<usize>>> = BTreeMap::new();
+    for file in files {
+        frames.entry(file.digits(frame)).or_default().insert(file.digits(piece).parse().ok());
+    }
+    let pieces = frames.values().map(BTreeSet::len).max().unwrap_or(0);
+    let counted: BTreeSet<Option<usize>> = (0..pieces).map(Some).collect();
+    let is_same = frames.values().all(|own| *own == counted);
+    let pattern = in_pieces(first, frame, piece);
+    if is_process(&piece) {
+        if is_same {
+            return Ok(Pieces::In(pattern));
+        }
+        let (frame, own) = frames.iter().find(|(_, own)| **own != counted).expect("one differs");
+        let lacking = counted.difference(own).flatten().next();
+        let lacking =
+            lacking.map_or(String::new(), |piece| format!(", which has none of number {piece}"));
+        return Err(SimulationError::Names(format!(
+            "these files look like pieces of frames, but frame {frame} does not have the pieces 0 to {}{lacking}; complete or remove \
+             that frame, or name frames with \"{pattern}\" or \"{}\"",
+            pieces - 1,
+            first.pattern(varying.iter().copied().find(|run| *run != piece).unwrap_or(piece)),
+        )));
+    }
+    let is_padded = |text: &str| text.len() > 1 && text.starts_with('0');
+    Ok(if files.iter().any(|file| is_padded(file.digits(piece))) {
+        Pieces::Unlikely
+    } else if is_same && pieces > 1 && pieces <= frames.len() {
+        Pieces::In(pattern)
+    } else {
+        Pieces::Unclear
+    })
+}
+
+/// The pattern of frames that are numbered by one run of digits, and in pieces that are by another.
+fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
+    let mut pattern = file.pattern(frame);
+    let Range { start, end } = file.runs[piece].clone();
+    if piece < frame {
+        pattern.prefix.replace_range(start..end, PIECE);
+    } else {
+        let from = file.runs[frame].end;
+        pattern.suffix.replace_range(start - from..end - from, PIECE);
+    }
+    pattern
+}
+
 /// Whether the runs in `others` tell simulations apart whose frames are numbered by the run `last`:
 /// fewer simulations than frames, and at least half of the numbers of each are also those of the
-/// longest.
+/// longest. Numbers that count from 0 alike in all may be those of pieces, unless they are padded
+/// as frames' are.
 fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
         let simulation = others.iter().map(|&run| file.digits(run)).collect();
         simulations.entry(simulation).or_default().insert(file.digits(last));
+    }
+    let is_padded = |file: &&Candidate| {
+        let text = file.digits(last);
+        let longest = others.iter().map(|&run| file.digits(run).len()).max().unwrap_or(0);
+        text.len() > 1 && text.starts_with('0') && text.len() >= longest
+    };
+    let count = |numbers: &BTreeSet<&str>| {
+        let counted: BTreeSet<Option<usize>> = (0..numbers.len()).map(Some).collect();
+        numbers.iter().map(|number| number.parse().ok()).collect::<BTreeSet<_>>() == counted
+    };
+    let mut all = simulations.values();
+    let is_alike = all.next().is_some_and(|first| count(first) && all.all(|own| own == first));
+    if is_alike && !files.iter().any(is_padded) {
+        return false;
     }
     let longest = simulations.values().max_by_key(|numbers| numbers.len());
     longest.is_some_and(|longest| {
@@ -310,6 +664,11 @@ mod tests {
             for i in 0..names.len() {
                 names.swap(i, pick(i + 1));
             }
+            // A dash after a separator is the number's sign.
+            let before = prefix
+                .strip_suffix('-')
+                .filter(|before| before.is_empty() || before.ends_with(['_', '.', ' ', '-']));
+            let prefix = before.unwrap_or(&prefix);
             assert_eq!(patterns(&names).unwrap(), [format!("{prefix}{{}}{suffix}")], "{names:?}");
         }
     }
@@ -336,18 +695,96 @@ mod tests {
             (&["run1_0001.ply", "run2_0002.ply"][..], ["\"run{}_0001.ply\"", "\"run1_{}.ply\""]),
             (&["a1_1.xyz", "a1_2.xyz", "a2_1.xyz", "a2_2.xyz"], ["\"a{}_1.xyz\"", "\"a1_{}.xyz\""]),
             (&["p_1_0.vtu", "p_1_1.vtu", "p_2_0.vtu"], ["\"p_{}_0.vtu\"", "\"p_1_{}.vtu\""]),
-            (&["f_0.90.xyz", "f_0.95.xyz", "f_1.00.xyz"], ["\"f_{}.90.xyz\"", "\"f_0.{}.xyz\""]),
+            (&["f_0.95.xyz", "f_1.00.xyz"], ["\"f_{time}.xyz\"", "\"f_0.{}.xyz\""]),
             (
-                &["f_1e-05.xyz", "f_1e-04.xyz", "f_5e-05.xyz"],
-                ["\"f_{}e-04.xyz\"", "\"f_1e-{}.xyz\""],
+                &["f_1.01.xyz", "f_1.02.xyz", "f_2.01.xyz", "f_2.02.xyz"],
+                ["\"f_{time}.xyz\"", "\"f_1.{}.xyz\""],
             ),
+            // Pieces of two frames, or two simulations.
+            (
+                &["a_1_0.xyz", "a_1_1.xyz", "a_1_2.xyz", "a_2_0.xyz", "a_2_1.xyz", "a_2_2.xyz"],
+                ["\"a_{}_{piece}.xyz\"", "\"a_1_{}.xyz\""],
+            ),
+            (
+                &[
+                    "a_1_p0.xyz",
+                    "a_1_p1.xyz",
+                    "a_1_p2.xyz",
+                    "a_2_p0.xyz",
+                    "a_2_p1.xyz",
+                    "a_2_p2.xyz",
+                ],
+                ["\"a_{}_p{piece}.xyz\"", "\"a_1_p{}.xyz\""],
+            ),
+            (
+                &["a_1_rank0.xyz", "a_1_rank1.xyz", "a_2_rank0.xyz"],
+                ["\"a_{}_rank{piece}.xyz\"", "\"a_{}_rank0.xyz\""],
+            ),
+            (&["rank0.xyz", "rank1.xyz"], ["\"rank{}.xyz\"", "join"]),
         ] {
             let refused = patterns(names).unwrap_err().to_string();
             assert!(choices.iter().all(|choice| refused.contains(choice)), "{refused}");
         }
-        // Four numbers side by side in three whole ones are no simulations.
-        let times: Vec<_> = (0..12).map(|i| format!("f_{}.{:02}.xyz", i / 4, i % 4 * 25)).collect();
-        assert!(patterns(&times).unwrap_err().to_string().contains("0.00 looks like a decimal"));
+    }
+
+    #[test]
+    fn decimals_that_go_on_from_one_whole_number_to_the_next_are_times() {
+        let quarters: Vec<_> =
+            (0..12).map(|i| format!("f_{}.{:02}.xyz", i / 4, i % 4 * 25)).collect();
+        assert_eq!(patterns(&quarters).unwrap(), ["f_{time}.xyz"]);
+        for (names, pattern) in [
+            (&["f_0.90.xyz", "f_0.95.xyz", "f_1.00.xyz"][..], "f_{time}.xyz"),
+            (&["f_0.xyz", "f_0.05.xyz", "f_0.1.xyz", "f_0.15.xyz"], "f_{time}.xyz"),
+            (&["f_1e-05.xyz", "f_1e-04.xyz", "f_5e-05.xyz"], "f_{time}.xyz"),
+            (&["f_1.000e-02.csv", "f_2.000e-03.csv", "f_0.000e+00.csv"], "f_{time}.csv"),
+            (&["f_0.05.xyz"], "f_{time}.xyz"),
+            (&["v1.1001.xyz", "v1.1002.xyz"], "v1.{}.xyz"),
+            (&["1.2.3.xyz", "1.2.4.xyz"], "1.2.{}.xyz"),
+        ] {
+            assert_eq!(patterns(names).unwrap(), [pattern], "{names:?}");
+        }
+        let times = Pattern::parse(Path::new("f_{time}.xyz")).unwrap().unwrap();
+        for (name, digits) in [
+            ("f_0.5.xyz", Some("0.5")),
+            ("f_-1.5e-03.xyz", Some("-1.5e-03")),
+            ("f_1.2.3.xyz", None),
+        ] {
+            assert_eq!(times.digits(name), digits);
+        }
+        for name in ["f_.xyz", "f_inf.xyz", "f_1e999.xyz", "f_+1.xyz", "f_1..xyz"] {
+            assert_eq!(times.digits(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_dash_after_a_separator_or_beside_names_without_it_is_a_sign() {
+        for (names, pattern) in [
+            (&["f_-0010.npy", "f_-0009.npy"][..], "f_{}.npy"),
+            (&["f_-1.npy", "f_0.npy", "f_1.npy"], "f_{}.npy"),
+            (&["f-1.npy", "f0.npy", "f1.npy"], "f{}.npy"),
+            (&["f-1.npy", "f-2.npy"], "f-{}.npy"),
+            (&["2024-01-05.npy", "2024-01-06.npy"], "2024-01-{}.npy"),
+        ] {
+            assert_eq!(patterns(names).unwrap(), [pattern], "{names:?}");
+        }
+    }
+
+    #[test]
+    fn the_number_of_a_process_is_that_of_a_piece_where_every_frame_has_the_same() {
+        for (names, pattern) in [
+            (&["a_1_rank0", "a_1_rank1", "a_2_rank0", "a_2_rank1"][..], "a_{}_rank{piece}"),
+            (&["proc_0.t7", "proc_1.t7", "proc_2.t7"], "proc_{piece}.t{}"),
+            (&["a_1_p0", "a_1_p1", "a_2_p0", "a_2_p1"], "a_{}_p{piece}"),
+        ] {
+            let names: Vec<_> = names.iter().map(|name| format!("{name}.xyz")).collect();
+            assert_eq!(patterns(&names).unwrap(), [format!("{pattern}.xyz")], "{names:?}");
+        }
+        let pattern = Pattern::parse(Path::new("a_{}_rank{piece}.xyz")).unwrap().unwrap();
+        assert_eq!(pattern.digits("a_0007_rank12.xyz"), Some("0007"));
+        assert_eq!(pattern.piece("a_0007_rank12.xyz"), Some(12));
+        assert_eq!(pattern.digits("a_0007_rank.xyz"), None);
+        let pattern = Pattern::parse(Path::new("p{piece}_{}.xyz")).unwrap().unwrap();
+        assert_eq!((pattern.digits("p3_7.xyz"), pattern.piece("p3_7.xyz")), (Some("7"), Some(3)));
     }
 
     #[test]
@@ -357,13 +794,24 @@ mod tests {
         assert_eq!(padded.digits("x_0042.ply"), Some("0042"));
         assert_eq!(padded.digits("x_12345.ply"), Some("12345"));
         assert_eq!((padded.digits("x_42.ply"), padded.digits("x_01234567.ply")), (None, None));
+        assert_eq!(padded.path(-42, "-42"), Path::new("a/x_-042.ply"));
+        for (name, fits) in [("x_-042.ply", true), ("x_-0042.ply", true), ("x_-42.ply", false)] {
+            assert_eq!(padded.digits(name).is_some(), fits, "{name}");
+        }
         let plain = Pattern::parse(Path::new("x{}")).unwrap().unwrap();
         assert_eq!(plain.path(42, "0042"), Path::new("x0042"));
         assert_eq!(
             (plain.digits("x"), plain.digits("x4a"), plain.digits("x007")),
             (None, None, Some("007"))
         );
-        for wrong in ["x_{}_{}.ply", "x_{:4}.ply", "x_{n}.ply", "a_{}/x_{}.ply"] {
+        for wrong in [
+            "x_{}_{}.ply",
+            "x_{:4}.ply",
+            "x_{n}.ply",
+            "a_{}/x_{}.ply",
+            "x_{piece}.ply",
+            "x_{}{piece}.ply",
+        ] {
             Pattern::parse(Path::new(wrong)).unwrap_err();
         }
         assert_eq!(Pattern::parse(Path::new("x.ply")).unwrap(), None);

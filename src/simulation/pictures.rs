@@ -445,7 +445,7 @@ impl Pictures {
 
 /// A mesh whose name need not have a number.
 fn alone(path: &Path) -> FrameFile {
-    FrameFile { number: 0, digits: String::new(), path: path.to_owned() }
+    FrameFile::new(0, String::new(), path.to_owned())
 }
 
 fn of_file(frame: &FrameFile, fault: PictureError) -> Error {

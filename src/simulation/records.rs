@@ -20,6 +20,7 @@ use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
 use super::frozen::Stamp;
+use super::inputs::FrameFile;
 use crate::error::SimulationError;
 
 const MERGED: &str = "frames.jsonl";
@@ -62,7 +63,7 @@ fn crc(path: &Path) -> io::Result<u32> {
 
 /// The record of each frame in the last log that has one.
 #[derive(Debug, Default, PartialEq)]
-pub struct Records(BTreeMap<u64, Record>);
+pub struct Records(BTreeMap<i64, Record>);
 
 impl Records {
     /// Reads the records in `folder`. One that cannot be read is none: the frame is made again.
@@ -84,22 +85,16 @@ impl Records {
     }
 
     /// Whether a frame was made into `output`, which may have changed since.
-    pub fn names(&self, frame: u64, output: &Path) -> bool {
+    pub fn names(&self, frame: i64, output: &Path) -> bool {
         let name = output.file_name();
         self.0.get(&frame).is_some_and(|record| name.is_some_and(|name| *name == *record.mesh.file))
     }
 
     /// The record of a frame whose output has its size, and would have it if it were made now.
-    pub fn current(
-        &self,
-        frame: u64,
-        input: &Path,
-        output: &Path,
-        fingerprint: u32,
-    ) -> Option<&Record> {
-        let record = self.0.get(&frame)?;
+    pub fn current(&self, frame: &FrameFile, output: &Path, fingerprint: u32) -> Option<&Record> {
+        let record = self.0.get(&frame.number)?;
         let same = record.fingerprint == fingerprint
-            && Stamp::of(input).is_ok_and(|stamp| stamp == record.input)
+            && frame.stamp().is_ok_and(|stamp| stamp == record.input)
             && output.file_name().is_some_and(|name| *name == *record.mesh.file)
             && output
                 .metadata()
@@ -254,7 +249,7 @@ fn has_name(file: &File) -> bool {
 mod tests {
     use super::*;
 
-    fn record(frame: u64, fingerprint: u32) -> Record {
+    fn record(frame: i64, fingerprint: u32) -> Record {
         let mesh = SeriesFrame {
             frame,
             time: Some(0.1),
@@ -294,12 +289,13 @@ mod tests {
         fs::create_dir(log.folder()).unwrap();
         log.keep(&record).unwrap();
         let records = Records::read(log.folder());
-        let current = |fingerprint| records.current(1, &input, &output, fingerprint);
+        let frame = |number: i64| FrameFile::new(number, number.to_string(), input.clone());
+        let current = |fingerprint| records.current(&frame(1), &output, fingerprint);
         assert_eq!(current(5), Some(&record));
         assert_eq!(current(6), None, "other settings");
-        assert_eq!(records.current(2, &input, &output, 5), None, "another frame");
+        assert_eq!(records.current(&frame(2), &output, 5), None, "another frame");
         assert_eq!(
-            records.current(1, &input, &folder.path().join("b.ply"), 5),
+            records.current(&frame(1), &folder.path().join("b.ply"), 5),
             None,
             "another output"
         );
@@ -318,7 +314,7 @@ mod tests {
     fn logs_end_in_one_file_in_the_frames_order_and_what_came_last_holds() {
         let folder = tempfile::tempdir().unwrap();
         let [first, second, alive] = [(); 3].map(|()| Log::new(folder.path().to_owned()));
-        let keep = |log: &Log, records: &[(u64, u32)]| {
+        let keep = |log: &Log, records: &[(i64, u32)]| {
             records
                 .iter()
                 .for_each(|&(frame, fingerprint)| log.keep(&record(frame, fingerprint)).unwrap());

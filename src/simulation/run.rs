@@ -76,7 +76,7 @@ impl Simulation {
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
-    pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<u64>, Error> {
+    pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<i64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
         let numbers = plan.each(hear, |begun| {
             let Begun { setup, mut store, frames, found, .. } = begun;
@@ -118,7 +118,7 @@ impl Simulation {
             frames
                 .extend(sequence.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
         }
-        let files: HashSet<&Path> = frames.iter().map(|frame| frame.path.as_path()).collect();
+        let files: HashSet<&Path> = frames.iter().flat_map(FrameFile::paths).collect();
         crate::backend::choice::bytes_of(files)
     }
 
@@ -206,6 +206,11 @@ impl Simulation {
             && (self.planned || self.watch.is_some() || !told_apart(&simulations, &naming))
         {
             return Err(inputs.several(&simulations).into());
+        }
+        if let Some(joined) =
+            simulations.iter().find(|found| found.is_joined() && self.watch.is_some())
+        {
+            return Err(SimulationError::Joined(joined.describe()).into());
         }
         checked.go_on()?;
         ready.threads.install(|| {

@@ -20,7 +20,7 @@ use crate::surface::simplify::BYTES_A_THREAD;
 use super::builder::Simulation;
 use super::event::Event;
 use super::event::Teller;
-use super::frozen::{Frozen, Stamp};
+use super::frozen::Frozen;
 use super::inputs::{FrameFile, Sequence};
 use super::lanes::Division;
 use super::pattern::Pattern;
@@ -124,7 +124,8 @@ impl Setup<'_> {
         };
         let inputs: HashMap<Identity, &Path> = frames
             .iter()
-            .map(|frame| (Identity::of(file_and_step(&frame.path).0), &*frame.path))
+            .flat_map(FrameFile::paths)
+            .map(|path| (Identity::of(file_and_step(path).0), path))
             .collect();
         for frame in frames {
             let output = self.output(frame);
@@ -165,9 +166,7 @@ impl Setup<'_> {
         let mut differing = state.differing(&self.checked.settings.kept());
         let of_others = !differing.is_empty();
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
-        if measured_on
-            .and_then(|frame| Stamp::of(&frame.path).ok())
-            .is_some_and(|s| s != state.frozen.input)
+        if measured_on.and_then(|frame| frame.stamp().ok()).is_some_and(|s| s != state.frozen.input)
         {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);

@@ -26,7 +26,7 @@ impl SmallMeshes {
     }
 
     /// The small mesh of a frame, which may not be there.
-    pub(super) fn path(&self, frame: u64) -> PathBuf {
+    pub(super) fn path(&self, frame: i64) -> PathBuf {
         self.0.join(format!("{frame}.ply"))
     }
 
@@ -56,7 +56,7 @@ impl SmallMeshes {
     ///
     /// # Errors
     /// Those of the system.
-    pub(super) fn keep(&self, frame: u64, mesh: Option<&Mesh>) -> Result<(), WriteError> {
+    pub(super) fn keep(&self, frame: i64, mesh: Option<&Mesh>) -> Result<(), WriteError> {
         let path = self.path(frame);
         let kept = match mesh {
             Some(mesh) => {

@@ -28,9 +28,9 @@ pub(super) struct Tally<'a> {
     conversion: &'a Conversion<'a>,
     series: &'a Series,
     /// All frames that can be loaded, of this run or another.
-    listed: BTreeMap<u64, SeriesFrame>,
+    listed: BTreeMap<i64, SeriesFrame>,
     /// Frames that could not be made, by their numbers.
-    pub(super) failed: BTreeMap<u64, Arc<FrameFailed>>,
+    pub(super) failed: BTreeMap<i64, Arc<FrameFailed>>,
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
@@ -167,7 +167,7 @@ impl<'a> Tally<'a> {
         let missing = gaps(frames).within(first, last);
         let chosen =
             Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
-        let each = |&(first, last): &(u64, u64)| {
+        let each = |&(first, last): &(i64, i64)| {
             let paths =
                 [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
             Missing { first, last, step: missing.step, paths }

@@ -16,7 +16,7 @@ pub(super) struct Watch {
     /// Seconds without news after which the simulation is over.
     idle: f64,
     selection: Selection,
-    seen: BTreeMap<u64, Seen>,
+    seen: BTreeMap<i64, Seen>,
     last_news: Instant,
 }
 
@@ -47,7 +47,7 @@ impl Watch {
         let mut ready = Vec::new();
         for frame in frames {
             // A file that is gone again will be seen when it comes back.
-            let Ok(stamp) = Stamp::of(&frame.path) else { continue };
+            let Ok(stamp) = frame.stamp() else { continue };
             let seen = self.seen.entry(frame.number).or_insert_with(|| {
                 self.last_news = now;
                 Seen { stamp, since: now, given: None, under_way: false }
@@ -66,7 +66,7 @@ impl Watch {
 
     /// Nothing more is done with a frame that was given until its file changes: it was made, or
     /// could not be read.
-    pub(super) fn done(&mut self, number: u64) {
+    pub(super) fn done(&mut self, number: i64) {
         if let Some(seen) = self.seen.get_mut(&number) {
             seen.under_way = false;
         }
@@ -76,7 +76,7 @@ impl Watch {
     pub(super) fn is_over(&self) -> bool {
         let Selection { end, step, .. } = self.selection;
         let last = self.seen.last_key_value();
-        let complete = last.is_some_and(|(number, _)| number.saturating_add(step) > end)
+        let complete = last.is_some_and(|(number, _)| number.saturating_add_unsigned(step) > end)
             && self.seen.values().all(|seen| seen.given == Some(seen.stamp));
         complete || self.last_news.elapsed().as_secs_f64() > self.idle.max(SETTLED.as_secs_f64())
     }

@@ -196,7 +196,7 @@ pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
 }
 
 /// The advice on a surface that holds less than its particles.
-fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<u64>) -> String {
+fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<i64>) -> String {
     let mut advice = String::new();
     if let Some(frame) = measured_on {
         let what = if clouds { "its plateau" } else { "its isovalue" };

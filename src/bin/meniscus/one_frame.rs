@@ -1,7 +1,7 @@
 //! One frame's mesh: what is checked before the work, and what is said and written after it,
 //! however it is made.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use meniscus::files::{Output, Replace, file_and_step, is_same_file};
@@ -32,21 +32,23 @@ pub struct Ready {
 }
 
 /// Checks a request for one frame, and makes sure that its mesh can be written.
-pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
+pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
     let notes = options.run.notes();
     match options.parts.parts {
         Some(_) => options.simulation.refuse_for_parts()?,
         None => options.simulation.refuse_for_one_frame()?,
     }
     let request = options.request()?;
-    request.check(input)?;
-    let request = options.run.machine(request, &options.output, || bytes_of([input]))?;
-    request.check(input)?;
-    refuse_same_file(file_and_step(input).0, &options.output)?;
-    if let Some(stats) = &options.stats {
-        refuse_same_file(input, stats)?;
-        refuse_same_file(&options.output, stats)?;
+    let check = |request: &Reconstruction| inputs.iter().try_for_each(|input| request.check(input));
+    check(&request)?;
+    let bytes = || bytes_of(inputs.iter().map(PathBuf::as_path));
+    let request = options.run.machine(request, &options.output, bytes)?;
+    check(&request)?;
+    for input in inputs {
+        refuse_same_file(file_and_step(input).0, &options.output)?;
+        options.stats.iter().try_for_each(|stats| refuse_same_file(input, stats))?;
     }
+    options.stats.iter().try_for_each(|stats| refuse_same_file(&options.output, stats))?;
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;

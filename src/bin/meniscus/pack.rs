@@ -43,7 +43,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let packed = request.packed_output(output, replace)?;
 
     let opened = request.open(input)?;
-    report_opened(input, &opened, &notes);
+    report_opened(std::slice::from_ref(input), &opened, &notes);
     let frame = opened.sample()?;
     warn_all(&frame.warnings(), None, &notes);
     let packed = frame.pack(packed)?;

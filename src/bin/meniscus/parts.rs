@@ -31,7 +31,7 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
     if let Some(what) = refused {
         return Err(Error::Request(what.into()));
     }
-    let Ready { request, output, preview, notes } = ready(options, input)?;
+    let Ready { request, output, preview, notes } = ready(options, &[input.to_owned()])?;
     let parts = parts(options, &request, input, count);
     match step {
         Step::Plan => {

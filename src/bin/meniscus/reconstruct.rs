@@ -1,11 +1,11 @@
 //! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see
 //! `simulation`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use meniscus::error::shown;
-use meniscus::files::MeshFormat;
+use meniscus::files::{InputFormat, MeshFormat, files};
 use meniscus::{Error, Needs, Opened, Simulation};
 
 use crate::notes::{Verdict, print};
@@ -17,6 +17,9 @@ use crate::simulation;
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
+    if options.together {
+        return run_together(options);
+    }
     match (Simulation::if_several(&options.inputs, &options.output)?, options.parts.parts) {
         (Some(_), Some(_)) => {
             let what = "--parts is for one frame: jobs of a simulation take --frames of it each";
@@ -24,14 +27,30 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
         }
         (Some(simulation), None) => simulation::run(options, simulation),
         (None, Some(count)) => parts::run(options, &options.inputs[0], count),
-        (None, None) => run_frame(options, &options.inputs[0]),
+        (None, None) => run_frame(options, &options.inputs[..1]),
     }
 }
 
-fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
-    let Ready { request, output, preview, notes } = ready(options, input)?;
-    let opened = request.open(input)?;
-    report_opened(input, &opened, &notes);
+/// Joins the inputs, as one frame or frame by frame.
+fn run_together(options: &Options) -> Result<Verdict, Error> {
+    if options.parts.parts.is_some() {
+        return Err(Error::Request("--parts reads one file, and --together several".into()));
+    }
+    match Simulation::if_together(&options.inputs, &options.output)? {
+        Some(simulation) => simulation::run(options, simulation),
+        None => {
+            let is_known =
+                |path: &Path| options.settings.format.is_some() || InputFormat::of(path).is_some();
+            run_frame(options, &files(&options.inputs, is_known)?)
+        }
+    }
+}
+
+fn run_frame(options: &Options, inputs: &[PathBuf]) -> Result<Verdict, Error> {
+    let Ready { request, output, preview, notes } = ready(options, inputs)?;
+    let opened = request.open_together(inputs)?;
+    let input = &inputs[0];
+    report_opened(inputs, &opened, &notes);
     if options.dry_run {
         print(&dry_run(options, &opened, output.format())?)?;
         return Ok(Verdict::Good);

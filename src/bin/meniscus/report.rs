@@ -1,6 +1,6 @@
 //! The report of a frame, for people.
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use bytesize::ByteSize;
 use meniscus::devices::{Counters, Device, Timing};
@@ -16,10 +16,11 @@ use crate::notes::Notes;
 use crate::options::Options;
 
 /// Says what was opened, and what was chosen for it.
-pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
+pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
+    let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     notes.say(format!(
         "{}: {} particles, {}",
-        input.display(),
+        names.join(" and "),
         opened.particles(),
         opened.format()
     ));

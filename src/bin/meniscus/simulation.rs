@@ -48,7 +48,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     let sheet = options.preview.then(|| simulation.sheet()).transpose()?;
     interrupt::resumable();
     if options.simulation.plan {
-        let numbers: Vec<String> = simulation.plan(hear)?.iter().map(u64::to_string).collect();
+        let numbers: Vec<String> = simulation.plan(hear)?.iter().map(i64::to_string).collect();
         print(&numbers.join("\n"))?;
         return Ok(teller.verdict());
     }
@@ -194,7 +194,7 @@ fn lacking(summary: &Summary) -> String {
     let failed = failed
         .map(|failed| (failed.frame, format!("frame {}: {}", failed.frame, told(&failed.error))));
     let missing = summary.missing.iter().map(|missing| (missing.first, missing.to_string()));
-    let lines: BTreeSet<(u64, String)> = failed.chain(missing).collect();
+    let lines: BTreeSet<(i64, String)> = failed.chain(missing).collect();
     let lacking = summary.lacking();
     let mut list =
         format!("meniscus: {lacking} frame{} failed:", if lacking == 1 { "" } else { "s" });
@@ -205,17 +205,29 @@ fn lacking(summary: &Summary) -> String {
 #[derive(Args)]
 pub struct SimulationOptions {
     /// The first frame of the simulation.
-    #[arg(long, value_name = "N", help_heading = "Simulations", hide_short_help = true)]
-    start: Option<u64>,
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        help_heading = "Simulations",
+        hide_short_help = true
+    )]
+    start: Option<i64>,
     /// The last frame of the simulation.
-    #[arg(long, value_name = "N", help_heading = "Simulations", hide_short_help = true)]
-    end: Option<u64>,
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        help_heading = "Simulations",
+        hide_short_help = true
+    )]
+    end: Option<i64>,
     /// Every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
     /// Convert these frames of the simulation only, both ends included, as one of several jobs.
-    #[arg(long, value_name = "A..B", value_parser = range, help_heading = "Simulations", hide_short_help = true)]
-    frames: Option<(u64, u64)>,
+    #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
+    frames: Option<(i64, i64)>,
     /// Go on with a conversion that was begun.
     ///
     /// Skip what is done and whole; make the rest. Other settings are refused, unless --overwrite
@@ -239,7 +251,7 @@ pub struct SimulationOptions {
     pub progress: ProgressMode,
 }
 
-fn range(text: &str) -> Result<(u64, u64), String> {
+fn range(text: &str) -> Result<(i64, i64), String> {
     let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
     numbers.filter(|(a, b)| a <= b).ok_or_else(|| "two numbers in order, as 100..199".to_owned())
 }

@@ -11,10 +11,10 @@ use rayon::prelude::*;
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::input_format::{InputFormat, extension};
 use crate::io::names::percent_decoded;
+use crate::io::pieces::keep_shared_attributes;
 use crate::io::vertices::Triangles;
 use crate::io::wanted::Wanted;
 use crate::io::{LeftOut, ParticleFile, Pieces, ReadError, ReadFault, malformed};
-use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::Mesh;
 
 use super::layout::Tag;
@@ -76,30 +76,6 @@ pub fn open_particles(
 
 /// Blocks that a message names, at the most.
 const SHOWN: usize = 4;
-
-/// Takes attributes away that some of the files with particles lack. Returns these.
-fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
-    let mut partial = Vec::new();
-    let filled = || files.iter().filter(|file| !file.particles.is_empty());
-    let own = |file: &ParticleFile| file.left_out.clone();
-    for left_out in filled().flat_map(own) {
-        if let LeftOut::Attribute(info) = left_out {
-            partial.push(info);
-        }
-    }
-    for info in filled().flat_map(|file| file.particles.attributes()) {
-        let is_shared = filled().all(|file| file.particles.attributes().contains(info));
-        if !is_shared {
-            partial.push(info.clone());
-        }
-    }
-    let mut seen = HashSet::new();
-    partial.retain(|info| seen.insert(info.clone()));
-    for file in files {
-        file.particles.retain_attributes(|info| !seen.contains(info));
-    }
-    partial
-}
 
 /// Whether there are polygons in any piece, or nothing at all in all of them.
 ///
