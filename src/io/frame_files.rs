@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::collection::{is_list, listed};
 use super::input::file_and_step;
 use super::input_format::InputFormat;
 #[cfg(feature = "hdf5")]
@@ -21,7 +22,12 @@ pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 
 /// The file that holds a frame, and those of its other pieces that are there.
 pub fn files_of(path: &Path) -> Vec<PathBuf> {
-    let (file, _) = file_and_step(path);
+    let (file, step) = file_and_step(path);
+    // A list may name more frames by now, which are no matter to those that it named before.
+    if let Some(frames) = is_list(file).then(|| listed(file).ok()).flatten() {
+        let frame = usize::try_from(step.unwrap_or(0)).ok().and_then(|step| frames.get(step));
+        return frame.map_or(Vec::new(), |f| f.files.iter().flat_map(|f| files_of(f)).collect());
+    }
     let mut files = vec![file.to_owned()];
     // What is wrong with it is told of when it is read.
     let named = pieces_named(file).unwrap_or_default().into_iter();

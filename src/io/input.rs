@@ -7,13 +7,14 @@ use rayon::prelude::*;
 use crate::particles::Particles;
 
 use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
+use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::pieces::keep_shared_attributes;
 use super::wanted::Wanted;
 use super::{
-    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, json, npy, npz, ply,
-    text_format, vtk, vtp,
+    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz,
+    ply, text_format, vtk, vtp,
 };
 
 macro_rules! known {
@@ -142,6 +143,9 @@ pub fn open_joined(
 fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let (file, step) = file_and_step(path);
+    if is_list(file) {
+        return collection::open_particles(path, file, step, wanted, unpacking);
+    }
     let format = wanted.format.or_else(|| InputFormat::of(file));
     let reader = reader(format.ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?);
     let bytes = open_bytes_within(file, unpacking)?;
@@ -161,6 +165,7 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
         use InputFormat::{Csv, Hdf5, Lammps, Npy, Npz, Xyz};
         let file = Path::new(file);
         let holds_steps = match InputFormat::of(file) {
+            _ if is_list(file) => true,
             Some(format) => matches!(format, Csv | Hdf5 | Lammps | Npy | Npz | Xyz),
             // Its format is named, not its extension.
             None => file.is_file() && !path.exists(),
@@ -175,6 +180,10 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
 /// # Errors
 /// [`ReadError`] where the file may hold several and cannot be read.
 pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
+    if is_list(path) {
+        let frames = collection::listed(path)?.len() as u64;
+        return Ok((0..frames).filter(|_| frames > 1).collect());
+    }
     use InputFormat::{Csv, Lammps, Xyz};
     match InputFormat::of(path) {
         Some(format @ (Csv | Lammps | Xyz)) => text_format::steps(open_bytes(path)?, format)

@@ -7,6 +7,7 @@ mod beside;
 pub mod bgeo;
 pub mod bi4;
 pub mod bytes;
+pub mod collection;
 pub mod columns;
 pub mod compression;
 pub mod cursor;

@@ -43,6 +43,14 @@ impl Drop for AtLast<'_> {
     }
 }
 
+/// The end of a conversion.
+pub(super) enum Ran {
+    /// All frames are made, or have failed.
+    Ended(Box<Summary>),
+    /// The frame of this file, which was measured for all, has changed since.
+    Outdated(PathBuf),
+}
+
 /// A frame to be made.
 struct Job {
     frame: FrameFile,
@@ -112,7 +120,7 @@ impl Conversion<'_> {
         known: Option<State>,
         frames: &[FrameFile],
         series: &Series,
-    ) -> Result<Summary, Error> {
+    ) -> Result<Ran, Error> {
         let options = self.setup.simulation;
         let mut tally = Tally::new(self, series);
         // Where all frames are to be made, the first are opened while one of them is measured.
@@ -173,7 +181,13 @@ impl Conversion<'_> {
             }
         });
         converted?;
-        tally.finish(&self.setup.frames()?)
+        let frames = self.setup.frames()?;
+        match self.changed(&frames) {
+            Some(frame) if !self.cancel().is_cancelled() && !tally.is_broken() => {
+                Ok(Ran::Outdated(frame.path.clone()))
+            }
+            _ => tally.finish(&frames).map(|summary| Ran::Ended(Box::new(summary))),
+        }
     }
 
     /// Gives the lanes what becomes complete, until nothing more is to be expected.
@@ -200,7 +214,13 @@ impl Conversion<'_> {
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
-                    for Ready { frame, again } in watch.ready(&self.setup.frames()?) {
+                    let ready = watch.ready(&self.setup.frames()?);
+                    let frames: Vec<_> = ready.iter().map(|ready| ready.frame.clone()).collect();
+                    if self.changed(&frames).is_some() {
+                        self.stop.store(true, Ordering::Relaxed);
+                        continue;
+                    }
+                    for Ready { frame, again } in ready {
                         let is_done = options.resume && !again && tally.lists(&frame);
                         if !options.wants(frame.number) || is_done {
                             watch.done(frame.number);
@@ -218,6 +238,13 @@ impl Conversion<'_> {
                 }
             }
         }
+    }
+
+    /// The frame that was measured for all, if it is there and has changed since.
+    fn changed<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
+        let frozen = &self.settled.get()?.as_ref()?.state.frozen;
+        let measured = frames.iter().find(|frame| frame.number == frozen.frame)?;
+        measured.stamp().is_ok_and(|stamp| stamp != frozen.input).then_some(measured)
     }
 
     /// Whether no further frame is to be begun.
@@ -315,7 +342,7 @@ pub(super) fn convert(
     known: Option<State>,
     frames: &[FrameFile],
     series: &Series,
-) -> Result<Summary, Error> {
+) -> Result<Ran, Error> {
     conversion.run(known, frames, series)
 }
 

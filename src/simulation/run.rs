@@ -10,13 +10,12 @@ use crate::error::{Cause, Error, SimulationError};
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
 use crate::io::whole::{MadeFolders, sweep};
-use crate::io::{WriteError, WriteFault};
+use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 use crate::reconstruction::Checked;
 use crate::system::cancel::Unfinished;
 
 use super::builder::Simulation;
-use super::conversion::Conversion;
-use super::conversion::convert;
+use super::conversion::{Conversion, Ran, convert};
 use super::event::{Event, Summary};
 use super::event::{Teller, hearing};
 use super::forecast::Forecast;
@@ -25,6 +24,9 @@ use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
 use super::small_meshes::SmallMeshes;
 use super::state::{Found, State, Store};
+
+/// How often all is measured again where files are replaced that nobody watches.
+const ATTEMPTS: usize = 3;
 
 /// The inputs of one of several simulations, and what came of it.
 type Each<T> = (String, Result<T, Arc<Error>>);
@@ -51,16 +53,7 @@ impl Simulation {
     /// [`Error::Simulation`], [`Error::TwoPurposes`], [`Error::Write`] as soon as nothing can be
     /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
-        let converted = self.each(hear, |begun| {
-            let Begun { setup, series, mut store, frames, found } = begun;
-            let _folders = prepare_folder(setup, &store)?;
-            let kept = store.begin(found, true)?;
-            if let Some(state) = &kept {
-                setup.tell(goes_on(&store, state));
-            }
-            let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
-            convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
-        })?;
+        let converted = self.each(hear, |begun| self.convert(begun))?;
         let summed = |(inputs, converted): (String, Result<Summary, Arc<Error>>)| {
             converted.unwrap_or_else(|error| Summary {
                 inputs,
@@ -69,6 +62,41 @@ impl Simulation {
             })
         };
         Ok(converted.into_iter().map(summed).collect())
+    }
+
+    /// Converts a simulation, and begins again where the frame that was measured for all changes
+    /// meanwhile: it is measured again, and frames that were made by it are made again.
+    fn convert(&self, begun: Begun<'_>) -> Result<Summary, Error> {
+        // What is there by now is this conversion's own.
+        let resumed = Self { resume: true, ..self.clone() };
+        let first = begun.setup;
+        let mut ran = self.convert_once(begun)?;
+        let mut attempts = 0;
+        loop {
+            let changed = match ran {
+                Ran::Ended(summary) => return Ok(*summary),
+                Ran::Outdated(path) => path,
+            };
+            attempts += 1;
+            if attempts > ATTEMPTS && self.watch.is_none() {
+                return Err(ReadError::new(changed, ReadFault::Changed).into());
+            }
+            let outputs = first.outputs.clone();
+            let setup = Setup { simulation: &resumed, outputs, ..*first };
+            let begun = resumed.begin(&setup, setup.frames()?)?;
+            ran = resumed.convert_once(begun)?;
+        }
+    }
+
+    fn convert_once(&self, begun: Begun<'_>) -> Result<Ran, Error> {
+        let Begun { setup, series, mut store, frames, found } = begun;
+        let _folders = prepare_folder(setup, &store)?;
+        let kept = store.begin(found, true)?;
+        if let Some(state) = &kept {
+            setup.tell(goes_on(&store, state));
+        }
+        let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
+        convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
     }
 
     /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers

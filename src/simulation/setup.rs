@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::error::{Error, SimulationError};
 use crate::frame::{Method, Resources, Sampling};
+use crate::io::frame_files::files_of;
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
@@ -125,7 +126,12 @@ impl Setup<'_> {
         let inputs: HashMap<Identity, &Path> = frames
             .iter()
             .flat_map(FrameFile::paths)
-            .map(|path| (Identity::of(file_and_step(path).0), path))
+            .flat_map(|path| {
+                let listed =
+                    if file_and_step(path).1.is_some() { files_of(path) } else { Vec::new() };
+                let own = [file_and_step(path).0.to_owned()].into_iter().chain(listed);
+                own.map(move |file| (Identity::of(&file), path))
+            })
             .collect();
         for frame in frames {
             let output = self.output(frame);

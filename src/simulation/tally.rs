@@ -82,6 +82,11 @@ impl<'a> Tally<'a> {
         self.listed.contains_key(&frame.number)
     }
 
+    /// Whether nothing more can be made.
+    pub(super) fn is_broken(&self) -> bool {
+        self.fatal.is_some()
+    }
+
     /// Notes a frame; true where it makes no sense to go on with any other.
     pub(super) fn take(
         &mut self,

@@ -415,7 +415,7 @@ fn text(xml: &[u8], at: usize) -> Range<usize> {
 }
 
 /// An element and where it starts.
-pub(super) struct Tag<'a> {
+pub(in crate::io) struct Tag<'a> {
     pub tag: &'a BytesStart<'a>,
     pub at: usize,
 }
@@ -432,7 +432,7 @@ impl Tag<'_> {
             .transpose()
     }
 
-    fn number<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, ReadFault> {
+    pub fn number<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, ReadFault> {
         let Some(value) = self.value(name)? else { return Ok(None) };
         let parsed =
             value.trim().parse().map_err(|_| malformed(self.at, format!("{name} is {value:?}")))?;

@@ -1,0 +1,230 @@
+//! Lists of frames: ParaView's .pvd collections and .series files, which name the files and the time
+//! of each frame.
+
+use std::path::{Path, PathBuf};
+
+use quick_xml::Reader;
+use quick_xml::events::Event;
+use serde::Deserialize;
+
+use super::bytes::{Unpacking, open_whole};
+use super::input::open_joined;
+use super::vtp::Tag;
+use super::wanted::Wanted;
+use super::{ParticleFile, ReadError, ReadFault, malformed};
+
+/// A frame as a list names it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ListedFrame {
+    /// The time, where the list says it.
+    pub time: Option<f64>,
+    /// The files whose particles are the frame's, in the order of their parts.
+    pub files: Vec<PathBuf>,
+}
+
+/// Whether a file lists frames, by its extension.
+pub fn is_list(path: &Path) -> bool {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    matches!(extension.as_deref(), Some("pvd" | "series"))
+}
+
+/// The frames in a list, in its order. Data sets of one time step are parts of one frame.
+///
+/// # Errors
+/// [`ReadError`] for a list that cannot be read, that names nothing, or that names another list.
+pub fn listed(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
+    let bytes = open_whole(path)?;
+    let is_xml = bytes.trim_ascii_start().starts_with(b"<");
+    let named = if is_xml { collection(&bytes) } else { series(&bytes) };
+    let named = named.map_err(|fault| ReadError::new(path, fault))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let frame = |(time, names): (Option<f64>, Vec<String>)| ListedFrame {
+        time,
+        files: names.iter().map(|name| resolved(folder, name)).collect(),
+    };
+    let frames: Vec<ListedFrame> = named.into_iter().map(frame).collect();
+    let fault = match frames.iter().flat_map(|frame| &frame.files).find(|file| is_list(file)) {
+        Some(other) => format!("{} is a list, too; name files of particles", other.display()),
+        None if frames.is_empty() => "it lists no files".to_owned(),
+        None => return Ok(frames),
+    };
+    Err(ReadError::new(path, malformed(0, fault)))
+}
+
+/// Opens the frame of a number in a list, or the only one.
+///
+/// # Errors
+/// [`ReadError`] where the list or a file of the frame cannot be read, and
+/// [`ReadFault::Unsupported`] for a number that is not there, or none where there are several.
+pub fn open_particles(
+    path: &Path,
+    list: &Path,
+    number: Option<u64>,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    let mut frames = listed(list)?;
+    let count = frames.len();
+    let number =
+        number.or((count == 1).then_some(0)).and_then(|number| usize::try_from(number).ok());
+    let Some(number) = number.filter(|number| *number < count) else {
+        let what = format!(
+            "it lists {count} frames, from {0}#0 to {0}#{1}; name one of them, or outputs for all",
+            list.display(),
+            count - 1
+        );
+        return Err(ReadError::new(path, ReadFault::Unsupported(what)));
+    };
+    let ListedFrame { time, files } = frames.swap_remove(number);
+    let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
+    let opened = open_joined(&files, wanted, unpacking)?;
+    Ok(ParticleFile { time: time.or(opened.time), ..opened })
+}
+
+/// Names of files, by the time that they are of.
+type Named = Vec<(Option<f64>, Vec<String>)>;
+
+/// The data sets of a .pvd.
+fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
+    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+        return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
+    }
+    let mut xml = Reader::from_reader(bytes);
+    let mut sets: Vec<(Option<f64>, i64, String)> = Vec::new();
+    loop {
+        let at = xml.buffer_position() as usize;
+        let event = xml
+            .read_event()
+            .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
+        let tag = match &event {
+            Event::Start(tag) | Event::Empty(tag) => Tag { tag, at },
+            Event::Eof => break,
+            _ => continue,
+        };
+        if tag.tag.name().as_ref() == "DataSet" {
+            let file = tag.value("file")?.filter(|file| !file.is_empty());
+            let file = file.ok_or_else(|| malformed(at, "a DataSet without a file"))?;
+            let time: Option<f64> = tag.number("timestep")?;
+            if time.is_some_and(|time| !time.is_finite()) {
+                return Err(malformed(at, "a timestep that is not finite"));
+            }
+            sets.push((time, tag.number("part")?.unwrap_or(0), file));
+        }
+    }
+    let mut places = std::collections::HashMap::new();
+    let mut frames: Vec<(Option<f64>, Vec<(i64, String)>)> = Vec::new();
+    for (time, part, file) in sets {
+        let place = *places.entry(time.map(f64::to_bits)).or_insert(frames.len());
+        if place == frames.len() {
+            frames.push((time, Vec::new()));
+        }
+        frames[place].1.push((part, file));
+    }
+    let in_order = |(time, mut parts): (Option<f64>, Vec<(i64, String)>)| {
+        parts.sort_by_key(|(part, _)| *part);
+        (time, parts.into_iter().map(|(_, file)| file).collect())
+    };
+    Ok(frames.into_iter().map(in_order).collect())
+}
+
+#[derive(Deserialize)]
+struct FileSeries {
+    files: Vec<FileOfSeries>,
+}
+
+#[derive(Deserialize)]
+struct FileOfSeries {
+    name: String,
+    time: Option<f64>,
+}
+
+/// The files of a .series.
+fn series(bytes: &[u8]) -> Result<Named, ReadFault> {
+    let series: FileSeries = serde_json::from_slice(bytes)
+        .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;
+    Ok(series.files.into_iter().map(|file| (file.time, vec![file.name])).collect())
+}
+
+/// The file that a list in `folder` calls by a name: as it is spelled, else with Windows' separators
+/// and the escapes of a URL replaced.
+fn resolved(folder: &Path, name: &str) -> PathBuf {
+    let plain = name.replace('\\', "/");
+    let spelled = [name.to_owned(), plain.clone(), unescaped(&plain)];
+    let mut paths = spelled.iter().map(|name| folder.join(name));
+    paths.find(|path| path.exists()).unwrap_or_else(|| folder.join(plain))
+}
+
+/// A text with `%20` and the like as the bytes that they stand for.
+fn unescaped(text: &str) -> String {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.as_bytes();
+    while let [first, after @ ..] = rest {
+        let hex = |digit: Option<&u8>| digit.and_then(|digit| char::from(*digit).to_digit(16));
+        match (first, hex(after.first()), hex(after.get(1))) {
+            (b'%', Some(high), Some(low)) => {
+                bytes.push((16 * high + low) as u8);
+                rest = &after[2..];
+            }
+            _ => {
+                bytes.push(*first);
+                rest = after;
+            }
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn listed_in(name: &str, text: &str, files: &[&str]) -> Result<Vec<ListedFrame>, ReadError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        for file in files {
+            std::fs::create_dir_all(folder.path().join(file).parent().unwrap()).unwrap();
+            std::fs::write(folder.path().join(file), "").unwrap();
+        }
+        let mut frames = listed(&path)?;
+        for file in frames.iter_mut().flat_map(|frame| &mut frame.files) {
+            *file = file.strip_prefix(folder.path()).unwrap().to_owned();
+        }
+        Ok(frames)
+    }
+
+    fn frame(time: impl Into<Option<f64>>, files: &[&str]) -> ListedFrame {
+        ListedFrame { time: time.into(), files: files.iter().map(PathBuf::from).collect() }
+    }
+
+    #[test]
+    fn parts_of_one_time_step_are_one_frame_and_names_are_read_as_windows_and_urls_spell_them() {
+        let list = r#"<VTKFile type="Collection"><Collection>
+            <DataSet timestep="0.5" group="" part="1" file="b%20c.vtp"/>
+            <DataSet timestep="0.5" part="0" file="d\a.vtp"/>
+            <DataSet timestep="0.25" file="100%25.vtp"/>
+            </Collection></VTKFile>"#;
+        let frames = listed_in("s.pvd", list, &["b c.vtp", "d/a.vtp", "100%25.vtp"]).unwrap();
+        assert_eq!(frames, [frame(0.5, &["d/a.vtp", "b c.vtp"]), frame(0.25, &["100%25.vtp"])]);
+        let series = r#"{"file-series-version": "1.0",
+            "files": [{"name": "a.vtp", "time": 1}, {"name": "b.vtp"}]}"#;
+        let frames = listed_in("s.vtp.series", series, &[]).unwrap();
+        assert_eq!(frames, [frame(1.0, &["a.vtp"]), frame(None, &["b.vtp"])]);
+    }
+
+    #[test]
+    fn lists_that_are_cut_off_empty_or_of_lists_are_refused() {
+        for (name, text) in [
+            ("s.pvd", ""),
+            ("s.pvd", "<VTKFile><Collection><DataSet file=\"a.vtp\"/>"),
+            ("s.pvd", "<VTKFile><Collection></Collection></VTKFile>"),
+            ("s.pvd", "<VTKFile><DataSet timestep=\"1\"/></VTKFile>"),
+            ("s.pvd", "<VTKFile><DataSet timestep=\"nan\" file=\"a.vtp\"/></VTKFile>"),
+            ("s.pvd", "<VTKFile><DataSet file=\"s.pvd\"/></VTKFile>"),
+            ("s.vtp.series", "{\"files\": [{\"name\": \"a.vtp\"}"),
+            ("s.vtp.series", "{\"files\": []}"),
+        ] {
+            listed_in(name, text, &[]).unwrap_err();
+        }
+    }
+}
