@@ -11,6 +11,7 @@ use std::time::Duration;
 use glob::MatchOptions;
 
 use crate::io::bytes::Unpacking;
+use crate::io::collection::{is_list, listed};
 use crate::io::frame_files::files_of;
 use crate::io::input::{holds_mesh, is_known, open_joined, steps};
 use crate::io::stamp::Stamp;
@@ -493,6 +494,9 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
                 let files = inputs.candidates()?.into_iter().map(|file| file.path);
                 files.filter(|file| wanted(file)).collect()
             }
+            _ if argument.is_file() && is_list(argument) => {
+                listed(argument)?.into_iter().flat_map(|frame| frame.files).collect()
+            }
             Some(inputs @ Inputs::Pattern(_)) => inputs
                 .only()
                 .map(|(_, frames)| frames)?
@@ -703,7 +707,7 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
     match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
         None => Ok(()),
         Some((a, b)) => Err(SimulationError::Names(format!(
-            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by {pattern}",
+            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by \"{pattern}\"",
             a.path.display(),
             b.path.display(),
             a.number,

@@ -307,18 +307,20 @@ fn gaps_between_time_stamps_are_told_by_their_ends() {
 }
 
 #[test]
-fn numbers_that_are_none_or_may_be_decimals_are_refused() {
+fn numbers_that_are_none_or_may_be_decimals_are_refused_with_the_pattern_to_type() {
     let folder = frames(&["f_99999999999999999999999.xyz", "f_1.xyz"]);
     for inputs in [".", "f_{}.xyz", "*.xyz"] {
         refused(
             folder.path(),
             &["reconstruct", inputs, "-o", "m_{}.ply"],
-            "numbered up to 18446744073709551615",
+            "numbered from -9223372036854775808 to 9223372036854775807",
         );
     }
-    let folder = frames(&["f_0.1.xyz", "f_0.15.xyz", "f_0.2.xyz"]);
-    refused(folder.path(), &["reconstruct", ".", "-o", "m_{}.ply"], "f_0.{}.xyz");
-    run(folder.path(), &["reconstruct", "f_0.{}.xyz", "-o", "m_{}.ply", "--spacing", "1"], 0);
+    let folder = frames(&["f_3.1.xyz", "f_3.15.xyz", "f_3.2.xyz"]);
+    refused(folder.path(), &["reconstruct", ".", "-o", "m_{}.ply"], "f_3.{}.xyz");
+    refused(folder.path(), &["reconstruct", "f_{}.xyz", "-o", "m_{}.ply"], "f_{time}.xyz");
+    run(folder.path(), &["reconstruct", "f_3.{}.xyz", "-o", "m_{}.ply", "--spacing", "1"], 0);
+    run(folder.path(), &["reconstruct", "f_{time}.xyz", "-o", "t_{}.ply", "--spacing", "1"], 0);
     let folder = frames(&["f_0.1.xyz", "f_0.2.xyz", "f_0.3.xyz"]);
     run(folder.path(), &["reconstruct", ".", "-o", "m_{}.ply", "--spacing", "1"], 0);
 }

@@ -140,6 +140,54 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     assert!(!summary.is_complete());
 }
 
+/// Converts four frames, the first of which is `early` until it is measured or made, and then is as
+/// it will stay. Returns the files, and those of the frames as they stay.
+fn converted_while_changed(
+    ask: fn(Simulation) -> Simulation,
+    is_time: fn(&Event) -> bool,
+) -> [BTreeMap<String, Vec<u8>>; 2] {
+    let (folder, still) = (simulated(4), simulated(4));
+    let first = folder.path().join("sim/drop_1.xyz");
+    // A spacing and a place of their own.
+    let early: Vec<[f32; 3]> = falling(7).iter().map(|p| p.map(|x| 1.3 * x)).collect();
+    write(&first, &early);
+    let mut is_early = true;
+    let mut measured = 0;
+    let request = Reconstruction::new().threads(2).memory(MemoryBudget(1 << 30));
+    let by = |folder: &Path| simulation(folder, "mesh").reconstruction(request.clone());
+    let hear = |event: Event| {
+        measured += usize::from(matches!(event, Event::Measured { .. }));
+        if is_early && is_time(&event) {
+            write(&first, &falling(1));
+            is_early = false;
+        }
+    };
+    let summaries = ask(by(folder.path())).run(hear).unwrap();
+    assert!(summaries.iter().all(Summary::is_complete), "{summaries:?}");
+    assert_eq!((is_early, measured), (false, 2));
+    by(still.path()).run(|_| ()).unwrap().iter().for_each(|summary| assert!(summary.is_complete()));
+    [folder, still].map(|folder| {
+        let mut files = tree(&folder.path().join("mesh"));
+        // The state and the records tell when inputs were written.
+        files.retain(|name, _| !name.contains(".meniscus"));
+        files
+    })
+}
+
+#[test]
+fn a_frame_that_changes_after_it_was_measured_is_measured_again_for_all() {
+    let [files, still] =
+        converted_while_changed(|all| all, |event| matches!(event, Event::Measured { .. }));
+    assert!(files == still, "{:?}", files.keys());
+}
+
+#[test]
+fn a_followed_frame_that_grows_after_it_was_measured_is_measured_again_for_all() {
+    let is_last = |event: &Event| matches!(event, Event::Done(done) if done.progress.done == 4);
+    let [files, still] = converted_while_changed(|all| all.watch(3.0), is_last);
+    assert!(files == still, "{:?}", files.keys());
+}
+
 #[test]
 fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with() {
     let folder = simulated(40);

@@ -1204,3 +1204,110 @@ fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
 }
+
+/// Halves of a ball's particles.
+fn halves(frame: u64) -> [Vec<[f64; 3]>; 2] {
+    let all = ball(frame);
+    let (low, high) = all.split_at(all.len() / 2);
+    [low.to_vec(), high.to_vec()]
+}
+
+/// The meshes in a folder, in the order of their names.
+fn meshes_in(folder: &Path) -> Vec<Vec<u8>> {
+    let meshes = tree(folder).into_iter().filter(|(name, _)| name.ends_with(".ply"));
+    meshes.map(|(_, bytes)| bytes).collect()
+}
+
+#[test]
+fn files_of_one_frame_make_the_surface_of_all_their_particles() {
+    let folder = falling(1..=2);
+    run(folder.path(), &["in", "-o", "whole/"], 0);
+    let whole = meshes_in(&folder.path().join("whole"));
+    let write = |name: String, particles: &[[f64; 3]]| {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, raw(particles)).unwrap();
+    };
+    let mut list = String::new();
+    for frame in 1..=2 {
+        for (piece, half) in halves(frame).iter().enumerate() {
+            write(format!("ranks/f_{frame}_rank{piece}.xyz"), half);
+            write(format!("fluids/{}_{frame}.xyz", ["air", "oil"][piece]), half);
+            list += &format!(
+                "<DataSet timestep=\"{frame}.5\" part=\"{piece}\" file=\"ranks\\f_{frame}_rank{piece}.xyz\"/>"
+            );
+        }
+    }
+    let list = format!("<VTKFile type=\"Collection\"><Collection>{list}</Collection></VTKFile>");
+    fs::write(folder.path().join("list.pvd"), list).unwrap();
+    for (n, inputs) in [
+        &["ranks"][..],
+        &["ranks/f_{}_rank{piece}.xyz"],
+        &["fluids", "--together"],
+        &["fluids/air_{}.xyz", "fluids/oil_{}.xyz", "--together"],
+        &["list.pvd"],
+    ]
+    .iter()
+    .enumerate()
+    {
+        let out = format!("out{n}/");
+        run(folder.path(), &[inputs, &["-o", &out][..]].concat(), 0);
+        assert!(meshes_in(&folder.path().join(out)) == whole, "{inputs:?}");
+    }
+    let json: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("out4/list.ply.json")).unwrap())
+            .unwrap();
+    let times: Vec<_> =
+        json["frames"].as_array().unwrap().iter().map(|f| f["time"].as_f64().unwrap()).collect();
+    assert_eq!(times, [1.5, 2.5]);
+    let single = ["fluids/air_1.xyz", "fluids/oil_1.xyz", "--together", "-o", "one.ply"];
+    run(folder.path(), &single, 0);
+    run(folder.path(), &["in/f_1.xyz", "-o", "whole.ply"], 0);
+    let [one, alone] =
+        ["one.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
+    assert!(one == alone);
+
+    // Where a piece or a frame is lacking nothing is made.
+    fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
+    fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
+    for inputs in [&["ranks"][..], &["ranks/f_{}_rank{piece}.xyz"], &["fluids", "--together"]] {
+        run(folder.path(), &[inputs, &["-o", "none/"]].concat(), 2);
+        assert!(!folder.path().join("none").exists());
+    }
+    run(folder.path(), &["ranks/f_{}_rank0.xyz", "-o", "rank0/", "--watch=1"], 0);
+    run(folder.path(), &["fluids", "--together", "-o", "none/", "--watch=1"], 2);
+}
+
+#[test]
+fn frames_before_the_first_have_negative_numbers_and_times_are_in_their_order() {
+    let folder = falling(1..=4);
+    for (frame, [number, time]) in
+        (1..).zip([["-0010", "0.95"], ["-0009", "1.00"], ["0000", "1.05"], ["0001", "1.1e1"]])
+    {
+        for name in [format!("pre/f_{number}.xyz"), format!("times/f_{time}.xyz")] {
+            let path = folder.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, raw(&ball(frame))).unwrap();
+        }
+        fs::write(folder.path().join(format!("pre/._f_{number}.xyz")), "no frame").unwrap();
+    }
+    let listed = |list: &str| -> Vec<(i64, f64, String)> {
+        let json: Value =
+            serde_json::from_slice(&fs::read(folder.path().join(list)).unwrap()).unwrap();
+        let frame = |frame: &Value| {
+            let file = frame["file"].as_str().unwrap().to_owned();
+            (frame["frame"].as_i64().unwrap(), frame["time"].as_f64().unwrap(), file)
+        };
+        json["frames"].as_array().unwrap().iter().map(frame).collect()
+    };
+    run(folder.path(), &["pre/*.xyz", "-o", "pre_$F4.ply", "--start", "-10", "--end", "0"], 0);
+    run(folder.path(), &["pre/f_%04d.xyz", "-o", "pre_{:04}.ply", "--resume"], 0);
+    let frames: Vec<_> = listed("pre.ply.json").into_iter().map(|(n, _, file)| (n, file)).collect();
+    let expected = [(-10, "-010"), (-9, "-009"), (0, "0000"), (1, "0001")];
+    assert!(frames.iter().cloned().eq(expected.map(|(n, text)| (n, format!("pre_{text}.ply")))));
+    run(folder.path(), &["times", "-o", "meshes/"], 0);
+    let expected = [(0, 0.95), (1, 1.0), (2, 1.05), (3, 11.0)];
+    let times: Vec<_> = listed("meshes/f.ply.json").into_iter().map(|(n, t, _)| (n, t)).collect();
+    assert_eq!(times, expected);
+    assert!(folder.path().join("meshes/f_1.1e1.ply").exists());
+}
