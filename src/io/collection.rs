@@ -1,6 +1,7 @@
 //! Lists of frames: ParaView's .pvd collections and .series files, which name the files and the time
 //! of each frame.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use quick_xml::Reader;
@@ -111,20 +112,19 @@ fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
             sets.push((time, tag.number("part")?.unwrap_or(0), file));
         }
     }
-    let mut places = std::collections::HashMap::new();
-    let mut frames: Vec<(Option<f64>, Vec<(i64, String)>)> = Vec::new();
+    let mut places = HashMap::new();
+    let mut frames = Named::new();
+    let mut parts: Vec<(usize, i64, String)> = Vec::new();
     for (time, part, file) in sets {
         let place = *places.entry(time.map(f64::to_bits)).or_insert(frames.len());
         if place == frames.len() {
             frames.push((time, Vec::new()));
         }
-        frames[place].1.push((part, file));
+        parts.push((place, part, file));
     }
-    let in_order = |(time, mut parts): (Option<f64>, Vec<(i64, String)>)| {
-        parts.sort_by_key(|(part, _)| *part);
-        (time, parts.into_iter().map(|(_, file)| file).collect())
-    };
-    Ok(frames.into_iter().map(in_order).collect())
+    parts.sort_by_key(|(place, part, _)| (*place, *part));
+    parts.into_iter().for_each(|(place, _, file)| frames[place].1.push(file));
+    Ok(frames)
 }
 
 #[derive(Deserialize)]
