@@ -469,9 +469,9 @@ const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 
 /// Whether files are pieces of frames.
 enum Pieces {
-    /// They are, in this pattern.
+    /// Pieces of frames in this pattern.
     In(Pattern),
-    /// They may be.
+    /// Pieces perhaps, or frames.
     Unclear,
     /// Nothing says so.
     Unlikely,
