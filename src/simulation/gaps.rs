@@ -34,7 +34,10 @@ pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let end = name.len() - digits.len().min(name.len());
     let at = match pattern {
-        Some(pattern) => pattern.place(&name).unwrap_or(0..0),
+        Some(pattern) => {
+            let unpacked = || pattern.place(name.strip_suffix(".gz")?);
+            pattern.place(&name).or_else(unpacked).unwrap_or(end..name.len())
+        }
         None => end..name.len(),
     };
     path.with_file_name(format!("{}{}{}", &name[..at.start], like(digits, number), &name[at.end..]))
