@@ -34,18 +34,51 @@ parsed!(i64, u64, usize, f32);
 impl Number for f64 {
     fn of(word: &[u8]) -> Option<Self> {
         // What C and Python write. All else is rare, and its spellings do not overlap.
-        let plain = std::str::from_utf8(word).ok()?.parse().ok();
-        plain.or_else(|| not_finite(word)).or_else(|| fortran(word))
+        short(word)
+            .or_else(|| std::str::from_utf8(word).ok()?.parse().ok())
+            .or_else(|| not_finite(word))
+            .or_else(|| fortran(word))
     }
+}
+
+/// A decimal of few digits without an exponent: two numbers that f64 holds exactly, whose quotient
+/// is therefore the nearest f64 (Clinger, "How to Read Floating Point Numbers Accurately", 1990).
+fn short(word: &[u8]) -> Option<f64> {
+    const MOST: usize = 15;
+    const POWERS: [f64; MOST + 1] =
+        [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
+    let (negative, digits) = match word {
+        [b'-', rest @ ..] => (true, rest),
+        rest => (false, rest),
+    };
+    let (mut whole, mut point) = (0_u64, None);
+    if digits.len() > MOST + 1 {
+        return None;
+    }
+    for (at, &byte) in digits.iter().enumerate() {
+        match byte {
+            b'0'..=b'9' => whole = 10 * whole + u64::from(byte - b'0'),
+            b'.' if point.is_none() => point = Some(at),
+            _ => return None,
+        }
+    }
+    let count = digits.len() - usize::from(point.is_some());
+    if !(1..=MOST).contains(&count) {
+        return None;
+    }
+    let fraction = point.map_or(0, |at| count - at);
+    let number = whole as f64 / POWERS[fraction];
+    Some(if negative { -number } else { number })
 }
 
 /// The number that a word with this decimal character spells.
 pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
-    if decimal == Decimal::Point || !word.contains(&b',') {
+    if decimal == Decimal::Point {
+        return f64::of(word);
+    }
+    if !word.contains(&b',') {
         // Where commas are decimal, a point separates thousands.
-        return f64::of(word).filter(|number| {
-            decimal == Decimal::Point || !number.is_finite() || !word.contains(&b'.')
-        });
+        return f64::of(word).filter(|number| !number.is_finite() || !word.contains(&b'.'));
     }
     if word.contains(&b'.') {
         return None;
@@ -166,6 +199,34 @@ mod tests {
         }
         assert_eq!(f64::of(b"-1.#INF"), Some(f64::NEG_INFINITY));
         for word in ["nano", "nan(", "nan()x", "1.#", "1.#FOO", "2.#INF", "1#INF", "inf0"] {
+            assert_eq!(f64::of(word.as_bytes()), None, "{word}");
+        }
+    }
+
+    #[test]
+    fn short_decimals_are_the_numbers_that_the_standard_library_reads() {
+        for word in [
+            "0",
+            "-0",
+            "-0.0",
+            "0.1",
+            ".5",
+            "5.",
+            "123456789012345",
+            "0.00000000000001",
+            "9007199254740993",
+            "0.3",
+            "-12345.6789012345",
+            "999999999999.999",
+        ] {
+            let number: f64 = word.parse().unwrap();
+            assert_eq!(
+                f64::of(word.as_bytes()).map(f64::to_bits),
+                Some(number.to_bits()),
+                "{word}"
+            );
+        }
+        for word in ["", "-", ".", "-.", "1.2.3", "1 2"] {
             assert_eq!(f64::of(word.as_bytes()), None, "{word}");
         }
     }

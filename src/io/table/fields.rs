@@ -79,12 +79,14 @@ pub fn is_comment(line: &[u8]) -> bool {
 /// The lines that are not blank: number from 1, first byte, content without spaces at its ends.
 /// Tabs there may separate empty cells.
 pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
-    let mut start = 0;
-    let lines = text.split_inclusive(|&byte| byte == b'\n').zip(1..).map(move |(content, line)| {
-        let begin = start;
-        start += content.len();
-        (line, begin, trimmed(content))
+    let mut at = 0;
+    let lines = std::iter::from_fn(move || {
+        let start = at;
+        let rest = text.get(start..).filter(|rest| !rest.is_empty())?;
+        at += memchr(b'\n', rest).map_or(rest.len(), |end| end + 1);
+        Some((start, trimmed(&text[start..at])))
     });
+    let lines = (1..).zip(lines).map(|(line, (start, content))| (line, start, content));
     lines.filter(|(.., content)| content.iter().any(|byte| !byte.is_ascii_whitespace()))
 }
 
@@ -125,12 +127,17 @@ impl<'a> Fields<'a> {
     }
 
     fn is_blank(&self, byte: u8) -> bool {
-        byte.is_ascii_whitespace() && self.separator != Separator::Byte(byte)
+        byte <= b' ' && byte.is_ascii_whitespace() && self.separator != Separator::Byte(byte)
     }
 
-    fn skip_blanks(&mut self) {
-        while self.line.get(self.at).is_some_and(|&byte| self.is_blank(byte)) {
-            self.at += 1;
+    fn ends_field(&self, at: usize, start: usize) -> bool {
+        let byte = self.line[at];
+        match self.separator {
+            Separator::Blanks => byte <= b' ' && byte.is_ascii_whitespace(),
+            Separator::Byte(separator) => {
+                byte == separator
+                    || self.marked && byte == b'#' && at > start && self.is_blank(self.line[at - 1])
+            }
         }
     }
 
@@ -159,8 +166,11 @@ impl<'a> Iterator for Fields<'a> {
     type Item = &'a [u8];
 
     fn next(&mut self) -> Option<&'a [u8]> {
-        self.skip_blanks();
-        let Some(&first) = self.line.get(self.at) else {
+        let line = self.line;
+        while self.at < line.len() && self.is_blank(line[self.at]) {
+            self.at += 1;
+        }
+        let Some(&first) = line.get(self.at) else {
             let has_empty = std::mem::take(&mut self.open) && self.missing > 0;
             self.missing = self.missing.saturating_sub(1);
             return has_empty.then_some(&[]);
@@ -175,24 +185,15 @@ impl<'a> Iterator for Fields<'a> {
             b'"' | b'\'' => self.quoted_end().unwrap_or(start),
             _ => start,
         };
-        let rest = &self.line[from..];
-        let end = match self.separator {
-            Separator::Byte(separator) if self.marked => {
-                let ends = |at: usize| {
-                    rest[at] == separator
-                        || rest[at] == b'#' && at > 0 && self.is_blank(rest[at - 1])
-                };
-                (0..rest.len()).find(|&at| ends(at))
-            }
-            Separator::Byte(separator) => rest.iter().position(|&byte| byte == separator),
-            Separator::Blanks => rest.iter().position(u8::is_ascii_whitespace),
-        };
-        let end = end.map_or(self.line.len(), |end| from + end);
-        self.open = self.line.get(end).is_some_and(|&byte| byte != b'#');
+        let mut end = from;
+        while end < line.len() && !self.ends_field(end, from) {
+            end += 1;
+        }
+        self.open = line.get(end).is_some_and(|&byte| byte != b'#');
         self.at = end + usize::from(self.open);
         self.open &= self.separator != Separator::Blanks;
         self.missing = self.missing.saturating_sub(1);
-        Some(self.line[start..end].trim_ascii())
+        Some(line[start..end].trim_ascii_end())
     }
 }
 
