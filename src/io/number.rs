@@ -7,9 +7,9 @@ const LONGEST: usize = 64;
 /// The character before a number's fraction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Decimal {
-    /// As in 0.5.
+    /// A point, as in 0.5.
     Point,
-    /// As in 0,5.
+    /// A point, as in 0.5.
     Comma,
 }
 

@@ -35,7 +35,7 @@ enum Packing {
     Block,
 }
 
-/// What a header says of a zone.
+/// A zone as its header describes it.
 #[derive(Debug, Default)]
 struct Zone {
     /// Points along I, J and K.

@@ -209,7 +209,7 @@ mod tests {
     fn callers_call_values_as_files_do() {
         are_called_as_in_files::<IndicatorKind>(3);
         are_called_as_in_files::<MethodName>(4);
-        are_called_as_in_files::<InputFormat>(11);
+        are_called_as_in_files::<InputFormat>(13);
         are_called_as_in_files::<UpAxis>(2);
         are_called_as_in_files::<PeriodicMesh>(2);
     }

@@ -20,7 +20,7 @@ pub const MOST_FIELDS: usize = 4096;
 /// Rows of which the first column is looked at.
 const SAMPLED_ROWS: usize = 256;
 
-/// What the head of a table says.
+/// The head of a table, above and up to its first row.
 #[derive(Debug)]
 pub struct Heading {
     /// The first byte of the first row.

@@ -91,7 +91,7 @@ pub(super) fn read(
 struct Slot {
     /// The place among the numbers of a row.
     place: usize,
-    /// What becomes of a field without a number.
+    /// The handling of a field without a number.
     otherwise: Otherwise,
 }
 
