@@ -8,6 +8,7 @@ use memchr::{memchr, memchr_iter};
 use rayon::prelude::*;
 
 use super::bytes::{Bytes, Slice, Unpacked, Unpacking, View};
+use super::columns::Endian;
 use super::scan::Scanner;
 use super::windows::{Source, Windows};
 use super::{ReadFault, malformed};
@@ -18,8 +19,7 @@ const WINDOW: usize = 1 << 18;
 const LONGEST_LINE: usize = 1 << 16;
 /// Marks of a text's encoding.
 const UTF8: &[u8] = b"\xef\xbb\xbf";
-const UTF16: [([u8; 2], fn([u8; 2]) -> u16); 2] =
-    [([0xff, 0xfe], u16::from_le_bytes), ([0xfe, 0xff], u16::from_be_bytes)];
+const UTF16: [([u8; 2], Endian); 2] = [([0xff, 0xfe], Endian::Little), ([0xfe, 0xff], Endian::Big)];
 
 /// Bytes of a piece, at the least.
 const PIECE: usize = 1 << 16;
@@ -136,13 +136,17 @@ pub(super) fn decode_numbers(
 pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let mark = view.read(0..view.len().min(2))?;
-    let Some((_, unit)) = UTF16.iter().find(|(known, _)| mark[..] == known[..]) else {
+    let Some((_, endian)) = UTF16.iter().find(|(known, _)| mark[..] == known[..]) else {
         drop(mark);
         return Ok(bytes);
     };
     if !view.len().is_multiple_of(2) {
         return Err(malformed(view.len() - 1, "half a character of UTF-16"));
     }
+    let unit = match endian {
+        Endian::Little => u16::from_le_bytes,
+        Endian::Big => u16::from_be_bytes,
+    };
     let mut text = Unpacked::new(unpacking);
     let mut units: Vec<u16> = Vec::new();
     for at in (2..view.len()).step_by(WINDOW) {
