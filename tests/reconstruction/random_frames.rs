@@ -37,7 +37,7 @@ struct Water {
 
 impl Water {
     fn new(positions: Vec<[f64; 3]>) -> Self {
-        let info = |name: &str, components| AttributeInfo { name: name.into(), components };
+        let info = |name: &str, components| AttributeInfo::new(name, components);
         let numbers = (0..positions.len() as u32).collect();
         Self { positions, numbers, attributes: vec![info("velocity", 3), info("heat", 1)] }
     }
