@@ -359,7 +359,9 @@ impl Engine {
     pub fn shortfall(&self, surface: &Stitched) -> Result<Option<Shortfall>, FrameError> {
         let facts = self.facts();
         let Some(spacing) = facts.spacing else { return Ok(None) };
-        Shortfall::of(surface, facts.own_cells(), facts.census.binned, spacing)
+        let coincident = self.coincident();
+        let (own, particles) = (facts.own_cells(), facts.census.binned);
+        Shortfall::of(surface, own, particles, coincident.as_ref(), spacing)
             .map_err(self.resources.scratch_error())
     }
 

@@ -8,6 +8,8 @@ use crate::grid::CellBox;
 use crate::grid::units::shown;
 use crate::surface::stitch::Stitched;
 
+use super::coincident::Coincident;
+
 /// The share of its particles' volume that is expected of a surface. Smoothing takes something off
 /// each drop and sheet.
 const EXPECTED: f64 = 0.5;
@@ -17,15 +19,15 @@ const EXPECTED: f64 = 0.5;
 pub struct Shortfall {
     /// Volume of the surface over that of its particles.
     pub share: f64,
-    /// How many particles it is of.
+    /// The number of particles, but for those in the same place as another.
     pub particles: usize,
     /// The spacing of the particles: each fills a cube of this edge.
     pub spacing: f64,
 }
 
 impl Shortfall {
-    /// Compares a surface, as far as it is around some cells, with so many particles, so far apart;
-    /// `None` where it holds what one expects.
+    /// Compares a surface, as far as it is around some cells, with so many particles, so far apart
+    /// but for some in the same place as others; `None` where it holds what one expects.
     ///
     /// # Errors
     /// Where the surface is in a scratch file that cannot be read.
@@ -33,8 +35,10 @@ impl Shortfall {
         surface: &Stitched,
         around: Option<CellBox>,
         particles: usize,
+        coincident: Option<&Coincident>,
         spacing: f64,
     ) -> io::Result<Option<Self>> {
+        let particles = particles - coincident.map_or(0, |found| found.particles as usize);
         let share = surface.volume_within(around)? / (particles as f64 * spacing.powi(3));
         Ok((share < EXPECTED).then_some(Self { share, particles, spacing }))
     }

@@ -122,7 +122,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let camera = Camera::of([solid.centre - reach, solid.centre + reach]);
     // The map's red is its least value.
     let values = distances.into_iter().map(|distance| -distance as f32).collect();
-    mesh.attributes.push(VertexAttribute { name: "inside".to_owned(), components: 1, values });
+    mesh.attributes.push(VertexAttribute::new("inside", 1, values));
     let by_distance = Colour::Attribute { name: "inside".to_owned(), map: "red-blue".parse()? };
     let full = FULL_COLOUR as f32;
     write(&camera.coloured(&mesh, SIZE, by_distance, Some([-full, full]))?, &png)?;

@@ -138,8 +138,11 @@ fn drawn(
     report.lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();
-    let shortfall =
-        spacing.map(|spacing| Shortfall::of(&surface, own, census.binned, spacing)).transpose();
+    let shortfall = spacing
+        .map(|spacing| {
+            Shortfall::of(&surface, own, census.binned, plan.coincident.as_ref(), spacing)
+        })
+        .transpose();
     checked.judge(&mut report, &surface, shortfall.map_err(in_scratch)?.flatten());
     timings.done("merge");
 
