@@ -10,6 +10,7 @@ use serde::Deserialize;
 
 use super::bytes::{Unpacking, open_whole};
 use super::input::open_joined;
+use super::listed::resolved;
 use super::vtp::Tag;
 use super::wanted::Wanted;
 use super::{ParticleFile, ReadError, ReadFault, malformed};
@@ -143,35 +144,6 @@ fn series(bytes: &[u8]) -> Result<Named, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;
     Ok(series.files.into_iter().map(|file| (file.time, vec![file.name])).collect())
-}
-
-/// The file that a list in `folder` calls by a name: as it is spelled, else with Windows' separators
-/// and the escapes of a URL replaced.
-fn resolved(folder: &Path, name: &str) -> PathBuf {
-    let plain = name.replace('\\', "/");
-    let spelled = [name.to_owned(), plain.clone(), unescaped(&plain)];
-    let mut paths = spelled.iter().map(|name| folder.join(name));
-    paths.find(|path| path.exists()).unwrap_or_else(|| folder.join(plain))
-}
-
-/// A text with `%20` and the like as the bytes that they stand for.
-fn unescaped(text: &str) -> String {
-    let mut bytes = Vec::with_capacity(text.len());
-    let mut rest = text.as_bytes();
-    while let [first, after @ ..] = rest {
-        let hex = |digit: Option<&u8>| digit.and_then(|digit| char::from(*digit).to_digit(16));
-        match (first, hex(after.first()), hex(after.get(1))) {
-            (b'%', Some(high), Some(low)) => {
-                bytes.push((16 * high + low) as u8);
-                rest = &after[2..];
-            }
-            _ => {
-                bytes.push(*first);
-                rest = after;
-            }
-        }
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 #[cfg(test)]

@@ -23,6 +23,7 @@ pub mod input;
 mod input_format;
 pub mod json;
 pub mod lammps;
+mod listed;
 pub mod mnf;
 pub mod names;
 pub mod npy;

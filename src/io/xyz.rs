@@ -8,6 +8,7 @@
 use super::bytes::{Bytes, Unpacking, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::error::several_steps;
+use super::names::Quantity;
 use super::table::unnamed_columns;
 use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
 use super::text::TextLines;
@@ -182,7 +183,11 @@ impl Frame {
                 (Syntax::BLANKS, columns)
             }
             None => match unnamed_columns(&head)? {
-                Some((syntax, columns)) => {
+                Some((syntax, mut columns)) => {
+                    if let Some(element) = columns.position.columns[0].checked_sub(1) {
+                        let (name, columns_of) = ("element".to_owned(), vec![element]);
+                        columns.attributes.push(Quantity { name, columns: columns_of });
+                    }
                     let names = names_in(&comment);
                     let named = names.len() == columns.names.len();
                     (syntax, named.then(|| Named::of(names)).flatten().unwrap_or(columns))
@@ -231,9 +236,9 @@ fn columns_of(properties: &str) -> Result<Named, String> {
     const MOST: usize = 64;
     let shown = || format!("Properties={}", excerpt(properties.as_bytes()));
     let parts: Vec<&str> = properties.split(':').collect();
-    let (mut names, mut is_text) = (Vec::new(), Vec::new());
+    let mut names = Vec::new();
     for part in parts.chunks(3) {
-        let &[name, kind, count] = part else {
+        let &[name, _, count] = part else {
             return Err(format!("{} are not triples of name, type and number", shown()));
         };
         let count = count.parse().ok().filter(|count| (1..=MOST).contains(count));
@@ -244,11 +249,8 @@ fn columns_of(properties: &str) -> Result<Named, String> {
             1 => names.push(name.to_owned()),
             _ => names.extend((0..count).map(|component| format!("{name}:{component}"))),
         }
-        is_text.resize(names.len(), matches!(kind, "S" | "L"));
     }
-    let mut columns = Named::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))?;
-    columns.attributes.retain(|attribute| !attribute.columns.iter().any(|&c| is_text[c]));
-    Ok(columns)
+    Named::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
 }
 
 /// The edges of a box along the axes, from the nine numbers of its vectors.

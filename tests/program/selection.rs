@@ -52,6 +52,12 @@ fn words(particles: &[([f64; 3], u32)]) -> String {
     format!("x;y;z;phase\n{}", rows.collect::<String>())
 }
 
+fn xyz(comment: &str, particles: &[([f64; 3], u32)]) -> String {
+    let element = |kind: &u32| ["O", "Si"][*kind as usize];
+    let rows = particles.iter().map(|([x, y, z], kind)| format!("{} {x} {y} {z}\n", element(kind)));
+    format!("{}\n{comment}\n{}", particles.len(), rows.collect::<String>())
+}
+
 /// A folder with the tank in some formats, and with its fluid alone.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
@@ -59,6 +65,8 @@ fn scenes() -> TempDir {
     let tank = tank();
     write("tank.csv", csv(&tank));
     write("words.csv", words(&tank));
+    write("plain.xyz", xyz("a tank", &tank));
+    write("extended.xyz", xyz("Properties=species:S:1:pos:R:3", &tank));
     write("tank.ply", ply(&tank));
     write("tank.vtk", vtk(&tank));
     let fluid: Vec<_> = tank.into_iter().filter(|(_, kind)| *kind == 0).collect();
@@ -82,6 +90,8 @@ fn the_surface_is_that_of_the_chosen_particles_in_every_format() {
         ("tank.ply", &["--where", "Type!=1"]),
         ("tank.vtk", &["--where", "type<0.5"]),
         ("words.csv", &["--where", "phase=fluid"]),
+        ("plain.xyz", &["--where", "element=O"]),
+        ("extended.xyz", &["--where", "species!=Si"]),
         ("words.csv", &["--where", "phase!='the wall'"]),
         ("tank.csv", &["--where", "Type=0,7 and age<=0.1", "--where", "y<1e3"]),
         ("tank.csv", &["--where", "x>=-4 and x<=4 and z>=-4 and z<=4 and y>=-4"]),

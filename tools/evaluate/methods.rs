@@ -172,7 +172,7 @@ impl Iso {
 /// How much of the volume of so many particles a surface holds, 1 being all. What is timed has to
 /// hold half of it at least.
 pub fn held(surface: &Stitched, particles: usize, spacing: f64) -> Outcome<f64> {
-    match Shortfall::of(surface, None, particles, spacing)? {
+    match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
         Some(shortfall) => {
             Err(format!("what was timed is no surface of the fluid: {shortfall}").into())

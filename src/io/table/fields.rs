@@ -59,8 +59,9 @@ impl Separator {
 
 /// Whether a field is one of the words for a value that is missing.
 fn is_missing(field: &[u8]) -> bool {
-    field.is_empty()
-        || ["NA", "N/A", "null", "none"].iter().any(|w| field.eq_ignore_ascii_case(w.as_bytes()))
+    // Na is sodium.
+    const WORDS: [&str; 8] = ["NA", "N/A", "n/a", "null", "NULL", "Null", "none", "None"];
+    field.is_empty() || WORDS.iter().any(|word| field == word.as_bytes())
 }
 
 /// A field without the quotes around it.

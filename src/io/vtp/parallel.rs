@@ -2,7 +2,7 @@
 //! relative to it, whose points are one set; the blocks of a .vtm may hold other things too.
 
 use std::collections::{HashMap, HashSet};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::input_format::{InputFormat, extension};
-use crate::io::names::percent_decoded;
+use crate::io::listed::resolved;
 use crate::io::pieces::keep_shared_attributes;
 use crate::io::vertices::Triangles;
 use crate::io::wanted::Wanted;
@@ -247,39 +247,6 @@ impl Sources {
         }
         Ok(format)
     }
-}
-
-/// The place of a file that a list in `folder` names. Names may be written as on Windows or with
-/// codes as in a URL: the first spelling counts by which a file is there.
-fn resolved(folder: &Path, name: &str) -> PathBuf {
-    let slashed = name.replace('\\', "/");
-    let decoded = [percent_decoded(name), percent_decoded(&slashed)];
-    let spellings = [name, &slashed, &decoded[0], &decoded[1]];
-    let path = |spelling: &&str| within(folder, Path::new(spelling));
-    // Most names have one spelling, and the system is not asked.
-    let differ = spellings.iter().any(|spelling| *spelling != name);
-    let found = spellings.iter().map(path).find(|path| !differ || path.exists());
-    found.unwrap_or_else(|| path(&spellings[1]))
-}
-
-/// The path of a name in a folder, as the system lists it: without `.`, and without `..` where that
-/// is the same place.
-fn within(folder: &Path, name: &Path) -> PathBuf {
-    let mut plain = folder.to_owned();
-    for part in name.components() {
-        let is_folder = matches!(plain.components().next_back(), Some(Component::Normal(_)));
-        match part {
-            Component::CurDir => {}
-            Component::ParentDir if is_folder => {
-                plain.pop();
-            }
-            part => plain.push(part),
-        }
-    }
-    let (same, whole) = (|path: &Path| path.canonicalize().ok(), folder.join(name));
-    let has_parents = name.components().any(|part| part == Component::ParentDir);
-    // A link may lead elsewhere.
-    if has_parents && same(&whole) != same(&plain) { whole } else { plain }
 }
 
 /// A list as it is written.
