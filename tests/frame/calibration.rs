@@ -405,12 +405,16 @@ fn a_surface_that_holds_less_than_half_of_its_particles_is_told() {
     let pool = scaled(&cube(14.0, 1.0, Disorder::Jittered(0.3), 2), 1.5);
     for indicator in INDICATORS {
         let whole = draw(&sample(&pool, &sampling_at(1.5, indicator)), &surfacing());
-        assert_eq!(Shortfall::of(&whole, None, pool.len(), 1.5).unwrap(), None, "{indicator:?}");
+        assert_eq!(
+            Shortfall::of(&whole, None, pool.len(), None, 1.5).unwrap(),
+            None,
+            "{indicator:?}"
+        );
     }
     let frame = sample(&pool, &sampling_at(1.5, COUNTING));
     let high = Isovalue::new(0.28).unwrap();
     let lost = draw(&frame, &Surfacing { iso: Some(high), ..surfacing() });
-    let shortfall = Shortfall::of(&lost, None, pool.len(), 1.5).unwrap().unwrap();
+    let shortfall = Shortfall::of(&lost, None, pool.len(), None, 1.5).unwrap().unwrap();
     let volume =
         measure(&lost.to_mesh().unwrap()).volume.unwrap() / (pool.len() as f64 * 1.5_f64.powi(3));
     assert!(

@@ -164,7 +164,7 @@ fn attributes_that_not_all_pieces_have_are_left_out_by_name_and_flags_need_not_b
         assert_eq!(positions(&file), [0, 1, 2, 4, 5].map(at), "{name}");
         assert_eq!(attribute(&file, "id"), [0.0, 1.0, 2.0, 4.0, 5.0], "{name}");
         assert_eq!((file.particles.attributes().len(), file.ghosts), (1, 1), "{name}");
-        let info = |name: &str| AttributeInfo { name: name.to_owned(), components: 1 };
+        let info = |name: &str| AttributeInfo::new(name, 1);
         assert_eq!(file.left_out, ["mass", "T"].map(info).map(LeftOut::Attribute), "{name}");
     }
 }

@@ -20,7 +20,7 @@ fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {
     Series { format, simulation: folder.join(format!("pool{format}")), fps, up: UpAxis::Z }
 }
 
-fn frame(frame: u64, file: &str, time: Option<f64>) -> SeriesFrame {
+fn frame(frame: i64, file: &str, time: Option<f64>) -> SeriesFrame {
     let mesh = dressed(sphere(1.0, 1));
     SeriesFrame {
         frame,

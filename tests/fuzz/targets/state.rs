@@ -3,6 +3,7 @@
 
 use std::fs;
 
+use meniscus::files::FrameFile;
 use meniscus::internals::io::scene::spacing_beside;
 use meniscus::internals::settings::Kept;
 use meniscus::internals::simulation::records::Records;
@@ -73,8 +74,9 @@ fn records(data: &[u8]) {
     store.log.merge().unwrap();
     assert!(Records::read(&folder) == before, "records are lost");
     let here = folder::file("mesh.ply", b"mesh");
-    for frame in [0, 1, 2, u64::MAX] {
-        if let Some(record) = before.current(frame, &here, &here, 5) {
+    for number in [-1, 0, 1, 2, i64::MAX] {
+        let frame = FrameFile::new(number, number.to_string(), here.clone());
+        if let Some(record) = before.current(&frame, &here, 5) {
             store.log.keep(record).unwrap();
             assert!(Records::read(&folder) == before, "a record that is kept again is another");
             let _ = record.is_whole(&here);
