@@ -6,6 +6,7 @@
 //! is loaded once, by a volatile read through a pointer, and whatever it is then is used. The
 //! library bears positions that differ from one reading to the next, and says so.
 
+use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 use numpy::prelude::*;
 use numpy::{PyArrayDescrMethods, PyUntypedArray};
 use pyo3::exceptions::PyTypeError;
@@ -33,6 +34,70 @@ pub struct Numbers {
 enum Kind {
     F32,
     F64,
+    I8,
+    I16,
+    I32,
+    I64,
+    U8,
+    U16,
+    U32,
+    U64,
+}
+
+impl Kind {
+    /// The kind of numbers by NumPy's letter and their bytes.
+    fn of(letter: u8, bytes: usize) -> Option<Self> {
+        Some(match (letter, bytes) {
+            (b'f', 4) => Self::F32,
+            (b'f', 8) => Self::F64,
+            (b'i', 1) => Self::I8,
+            (b'i', 2) => Self::I16,
+            (b'i', 4) => Self::I32,
+            (b'i', 8) => Self::I64,
+            (b'u', 1) => Self::U8,
+            (b'u', 2) => Self::U16,
+            (b'u', 4) => Self::U32,
+            (b'u', 8) => Self::U64,
+            _ => return None,
+        })
+    }
+
+    fn is_float(self) -> bool {
+        matches!(self, Self::F32 | Self::F64)
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::F32 | Self::I32 | Self::U32 => 4,
+            Self::F64 | Self::I64 | Self::U64 => 8,
+        }
+    }
+
+    /// NumPy's name of the type.
+    fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "float32",
+            Self::F64 => "float64",
+            Self::I8 => "int8",
+            Self::I16 => "int16",
+            Self::I32 => "int32",
+            Self::I64 => "int64",
+            Self::U8 => "uint8",
+            Self::U16 => "uint16",
+            Self::U32 => "uint32",
+            Self::U64 => "uint64",
+        }
+    }
+}
+
+/// The types of numbers that an array may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Types {
+    Floats,
+    /// Or whole numbers.
+    Numbers,
 }
 
 // SAFETY: the numbers are only read, each at once, whoever else reads or writes them meanwhile.
@@ -49,9 +114,19 @@ pub struct Held<'py> {
 impl Held<'_> {
     /// Bytes of all numbers.
     pub fn bytes(&self) -> u64 {
-        let each = if self.numbers.kind == Kind::F32 { 4 } else { 8 };
-        (self.numbers.rows * self.numbers.columns * each) as u64
+        (self.numbers.rows * self.numbers.columns * self.numbers.kind.bytes()) as u64
     }
+}
+
+/// Loads the number of a type at a place: byte by byte where it is not aligned. A number is there.
+macro_rules! loaded {
+    ($number:ty, $at:expr, $aligned:expr) => {
+        if $aligned {
+            $at.cast::<$number>().read_volatile()
+        } else {
+            <$number>::from_ne_bytes($at.cast::<[u8; size_of::<$number>()]>().read_volatile())
+        }
+    };
 }
 
 impl Numbers {
@@ -63,11 +138,56 @@ impl Numbers {
         self.columns
     }
 
-    /// Hands out the numbers of rows from `first` on, row by row, until no more are taken.
+    /// One column alone.
+    ///
+    /// # Panics
+    /// If there are not so many columns.
+    pub fn column(&self, column: usize) -> Self {
+        assert!(column < self.columns, "columns of an array");
+        let first = self.first.wrapping_offset(column as isize * self.strides[1]);
+        Self { first, columns: 1, ..*self }
+    }
+
+    /// The meaning of an attribute of these numbers: as of one in a file that stores such.
+    pub fn meaning(&self, info: &AttributeInfo) -> AttributeKind {
+        match self.kind {
+            Kind::F32 | Kind::F64 => info.kind,
+            Kind::U8 if info.kind.is_colour() => AttributeKind::ByteColour,
+            _ if info.kind.is_colour() => AttributeKind::Number,
+            _ if velocity_attribute(std::slice::from_ref(info)).is_some() => AttributeKind::Number,
+            Kind::I8 | Kind::I16 | Kind::I32 | Kind::U8 | Kind::U16 => AttributeKind::Signed,
+            Kind::U32 => AttributeKind::Unsigned,
+            Kind::I64 | Kind::U64 => AttributeKind::Wide,
+        }
+    }
+
+    /// Hands out the numbers of rows from `first` on, row by row.
     ///
     /// # Panics
     /// If there are not so many rows.
-    pub fn read(&self, first: usize, rows: usize, mut put: impl FnMut(usize, f64)) {
+    pub fn read(&self, first: usize, rows: usize, put: impl FnMut(usize, f64)) {
+        // SAFETY: it is called with places of numbers only.
+        self.each(first, rows, |at| unsafe { self.load(at) }, put);
+    }
+
+    /// Hands out the numbers as [`read`](Self::read) does, as whole ones, which f64 need not hold.
+    /// Greater ones than an i64 holds become the greatest.
+    ///
+    /// # Panics
+    /// If there are not so many rows.
+    pub fn read_whole(&self, first: usize, rows: usize, put: impl FnMut(usize, i64)) {
+        // SAFETY: it is called with places of numbers only.
+        self.each(first, rows, |at| unsafe { self.load_whole(at) }, put);
+    }
+
+    /// Loads the numbers of rows from `first` on, and hands them out.
+    fn each<T>(
+        &self,
+        first: usize,
+        rows: usize,
+        load: impl Fn(*const u8) -> T,
+        mut put: impl FnMut(usize, T),
+    ) {
         assert!(first.checked_add(rows).is_some_and(|end| end <= self.rows), "rows of an array");
         let mut number = 0;
         for row in first..first + rows {
@@ -75,7 +195,7 @@ impl Numbers {
                 let [down, along] = self.strides;
                 let offset = row as isize * down + column as isize * along;
                 // SAFETY: row and column are the array's, which is held as long as it is read.
-                put(number, unsafe { self.load(self.first.offset(offset)) });
+                put(number, load(unsafe { self.first.offset(offset) }));
                 number += 1;
             }
         }
@@ -87,15 +207,35 @@ impl Numbers {
     /// One of the array's numbers is there.
     #[inline(always)]
     unsafe fn load(&self, at: *const u8) -> f64 {
-        // SAFETY: the number is there; where it is not aligned it is loaded byte by byte.
+        // SAFETY: as for this function.
         unsafe {
-            match (self.kind, self.aligned) {
-                (Kind::F32, true) => at.cast::<f32>().read_volatile().into(),
-                (Kind::F64, true) => at.cast::<f64>().read_volatile(),
-                (Kind::F32, false) => {
-                    f32::from_ne_bytes(at.cast::<[u8; 4]>().read_volatile()).into()
-                }
-                (Kind::F64, false) => f64::from_ne_bytes(at.cast::<[u8; 8]>().read_volatile()),
+            match self.kind {
+                Kind::F32 => loaded!(f32, at, self.aligned).into(),
+                Kind::F64 => loaded!(f64, at, self.aligned),
+                _ => self.load_whole(at) as f64,
+            }
+        }
+    }
+
+    /// Loads the whole number at a place.
+    ///
+    /// # Safety
+    /// One of the array's numbers is there.
+    #[inline(always)]
+    unsafe fn load_whole(&self, at: *const u8) -> i64 {
+        // SAFETY: as for this function.
+        unsafe {
+            match self.kind {
+                Kind::F32 => loaded!(f32, at, self.aligned) as i64,
+                Kind::F64 => loaded!(f64, at, self.aligned) as i64,
+                Kind::I8 => loaded!(i8, at, self.aligned).into(),
+                Kind::I16 => loaded!(i16, at, self.aligned).into(),
+                Kind::I32 => loaded!(i32, at, self.aligned).into(),
+                Kind::I64 => loaded!(i64, at, self.aligned),
+                Kind::U8 => loaded!(u8, at, self.aligned).into(),
+                Kind::U16 => loaded!(u16, at, self.aligned).into(),
+                Kind::U32 => loaded!(u32, at, self.aligned).into(),
+                Kind::U64 => i64::try_from(loaded!(u64, at, self.aligned)).unwrap_or(i64::MAX),
             }
         }
     }
@@ -103,7 +243,7 @@ impl Numbers {
 
 /// Takes positions or velocities: an array of N x 3.
 pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
-    let held = held(name, object)?;
+    let held = held(name, object, Types::Floats)?;
     let shape = held.array.shape();
     if shape.len() != 2 || shape[1] != 3 {
         let way = if shape.len() == 2 && shape[0] == 3 { "; .T turns it" } else { "" };
@@ -115,9 +255,9 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py
     Ok(held)
 }
 
-/// Takes a value or several for each particle: an array of N, or of N x K.
+/// Takes a value or several for each particle: an array of N, or of N x K, also of whole numbers.
 pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
-    let held = held(name, object)?;
+    let held = held(name, object, Types::Numbers)?;
     let shape = held.array.shape();
     if !(1..=2).contains(&shape.len()) || held.numbers.columns == 0 {
         return Err(InputError::new_err(format!(
@@ -145,22 +285,26 @@ fn shown(shape: &[usize]) -> String {
     }
 }
 
-fn held<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
+fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<Held<'py>> {
     let array = as_array(name, object)?;
     let dtype = array.dtype();
     let called = || dtype.str().map_or_else(|_| "another".into(), |text| text.to_string());
-    let kind = match (dtype.kind(), dtype.itemsize()) {
-        (b'f', 4) => Kind::F32,
-        (b'f', 8) => Kind::F64,
-        _ => {
+    let kind = Kind::of(dtype.kind(), dtype.itemsize());
+    let kind = match kind.filter(|kind| types == Types::Numbers || kind.is_float()) {
+        Some(kind) => kind,
+        None => {
             let way = match dtype.kind() {
                 b'V' => "numpy.lib.recfunctions.structured_to_unstructured",
                 // As of torch's tensors.
                 _ if !object.hasattr("astype")? && object.hasattr("float")? => ".float()",
                 _ => ".astype(\"float32\")",
             };
+            let wanted = match types {
+                Types::Floats => "numbers of type float32 or float64",
+                Types::Numbers => "numbers of type float32 or float64, or integers",
+            };
             return Err(PyTypeError::new_err(format!(
-                "{name}: numbers of type float32 or float64 are needed, not {}; {way} makes them",
+                "{name}: {wanted} are needed, not {}; {way} makes them",
                 called()
             )));
         }
@@ -169,7 +313,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
         return Err(PyTypeError::new_err(format!(
             "{name}: its numbers are byte-swapped ({}); .astype(\"{}\") turns them",
             called(),
-            if kind == Kind::F32 { "float32" } else { "float64" },
+            kind.name(),
         )));
     }
     let (shape, strides) = (array.shape(), array.strides());

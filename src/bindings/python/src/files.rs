@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use meniscus::Particles;
-use meniscus::files::{frames, open_particles, velocity_attribute};
+use meniscus::files::{AttributeKind, ParticleFile, frames, open_particles, velocity_attribute};
 use numpy::prelude::*;
 use numpy::{PyArray1, PyArray2};
 use pyo3::exceptions::PyTypeError;
@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::exception;
+use crate::mesh::column;
 use crate::options::{Keywords, Known};
 use crate::work::Work;
 
@@ -22,8 +23,9 @@ use crate::work::Work;
 ///     In the file's unit of length.
 /// velocity : float32 array of shape (N, 3) or None
 ///     The attribute that the file calls so, or ``v``, or the like.
-/// attributes : dict from names to float32 arrays of shape (N,) or (N, K)
-///     All attributes, under the names that the file gives them.
+/// attributes : dict from names to arrays of shape (N,) or (N, K)
+///     All attributes, under the names that the file gives them: float32, and of whole numbers int32, uint32 or, where the file stores 64
+///     bits, int64.
 /// spacing : float or None
 ///     Distance between neighbouring particles, by the file or a scene beside it.
 /// time : float or None
@@ -54,8 +56,47 @@ impl ParticleData {
     }
 }
 
-/// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .ply, .npy, .npz, .csv,
-/// .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
+/// All values of an attribute, in the type that holds them.
+enum Values {
+    Floats(Vec<f32>),
+    Signed(Vec<i32>),
+    Unsigned(Vec<u32>),
+    Wide(Vec<i64>),
+}
+
+impl Values {
+    fn of(file: &ParticleFile, index: usize) -> Self {
+        let particles = &file.particles;
+        let info = &particles.attributes()[index];
+        let count = info.components * particles.len();
+        if !info.kind.is_whole() {
+            let mut values = vec![0.0; count];
+            particles.attribute(index, 0, &mut values);
+            return Self::Floats(values);
+        }
+        let mut whole = vec![0; count];
+        particles.integers(index, 0, &mut whole);
+        match info.kind {
+            AttributeKind::Signed => Self::Signed(whole.into_iter().map(|x| x as i32).collect()),
+            AttributeKind::Unsigned => {
+                Self::Unsigned(whole.into_iter().map(|x| x as u32).collect())
+            }
+            _ => Self::Wide(whole),
+        }
+    }
+
+    fn into_array(self, py: Python<'_>, components: usize) -> PyResult<Bound<'_, PyAny>> {
+        match self {
+            Self::Floats(values) => column(py, values, components),
+            Self::Signed(values) => column(py, values, components),
+            Self::Unsigned(values) => column(py, values, components),
+            Self::Wide(values) => column(py, values, components),
+        }
+    }
+}
+
+/// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm, .ply, .npy, .npz,
+/// .csv, .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
 ///
 /// Parameters
 /// ----------
@@ -91,13 +132,8 @@ pub fn read_particles(
         let particles = &file.particles;
         let mut positions = vec![[0.0; 3]; particles.len()];
         particles.positions(0, &mut positions);
-        let values: Vec<Vec<f32>> = (particles.attributes().iter().enumerate())
-            .map(|(index, info)| {
-                let mut values = vec![0.0; info.components * particles.len()];
-                particles.attribute(index, 0, &mut values);
-                values
-            })
-            .collect();
+        let values: Vec<_> =
+            (0..particles.attributes().len()).map(|index| Values::of(&file, index)).collect();
         particles.check().map_err(|fault| meniscus::Error::Frame {
             path: Some(path.clone()),
             fault: fault.into(),
@@ -112,11 +148,7 @@ pub fn read_particles(
     let velocity = velocity_attribute(infos);
     let mut found = None;
     for (index, (info, values)) in infos.iter().zip(values).enumerate() {
-        let values = PyArray1::from_vec(py, values);
-        let values = match info.components {
-            1 => values.into_any(),
-            components => values.reshape([count, components])?.into_any(),
-        };
+        let values = values.into_array(py, info.components)?;
         if velocity == Some(index) {
             found = Some(values.clone().unbind());
         }
@@ -143,24 +175,26 @@ pub fn read_particles(
 /// Returns
 /// -------
 /// list of pairs of int and pathlib.Path
-///     In the order of the numbers; ``sim.h5part#12`` is a step of a file of several.
+///     In the order of the numbers, which are negative before frame 0; ``sim.h5part#12`` is a step of a file of several. Of a frame that
+///     is in several files, the first.
 ///
 /// Raises
 /// ------
 /// meniscus.InputError, meniscus.FileError
 ///     Where there are none, or those of several simulations, or the folder cannot be read.
 #[pyfunction]
-pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(u64, PathBuf)>> {
-    let inputs = paths(inputs)?;
+pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(i64, PathBuf)>> {
+    let inputs = paths("inputs", inputs)?;
     let found = py.detach(|| frames(&inputs)).map_err(exception)?;
     Ok(found.into_iter().map(|frame| (frame.number, frame.path)).collect())
 }
 
 /// One path or several.
-pub fn paths(inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
+pub fn paths(name: &str, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
     if let Ok(path) = inputs.extract::<PathBuf>() {
         return Ok(vec![path]);
     }
     let several = inputs.try_iter().and_then(|paths| paths.map(|path| path?.extract()).collect());
-    several.map_err(|_| PyTypeError::new_err("inputs: a path or a list of paths is needed"))
+    several
+        .map_err(|_| PyTypeError::new_err(format!("{name}: a path or a list of paths is needed")))
 }

@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::other;
+use crate::files::paths;
 use crate::mesh::Mesh;
 use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
@@ -50,7 +51,14 @@ impl Frame {
         let request = Keywords::of(
             function,
             Some(&all),
-            &[Known::Sampling, Known::Where, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
+            &[
+                Known::Sampling,
+                Known::Where,
+                Known::Surface,
+                Known::Machine,
+                Known::Files,
+                Known::Attributes,
+            ],
         )?
         .request;
         Ok(match &self.named {
@@ -87,8 +95,11 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let keywords =
-            Keywords::of("Frame", keywords, &[Known::Sampling, Known::Where, Known::Surface, Known::Machine])?;
+        let keywords = Keywords::of(
+            "Frame",
+            keywords,
+            &[Known::Sampling, Known::Where, Known::Surface, Known::Machine],
+        )?;
         let arrays = Arrays::take(positions, velocity, attributes)?;
         let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
         let named = arrays.named();
@@ -112,8 +123,9 @@ impl Frame {
     ///
     /// Parameters
     /// ----------
-    /// path : str or os.PathLike
-    ///     The file: .mnf, or one of particles.
+    /// path : str or os.PathLike, or list of them
+    ///     The file: .mnf, or one of particles. Of several files, such as of several fluids, the particles make one surface, with the
+    ///     attributes that all of them have.
     /// attributes : list of str, optional
     ///     The attributes of the particles that vertices carry; their velocity by default.
     /// format : str, optional
@@ -135,20 +147,29 @@ impl Frame {
     )]
     fn load(
         py: Python<'_>,
-        path: PathBuf,
+        path: &Bound<'_, PyAny>,
         progress: Option<&Bound<'_, PyAny>>,
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
+        let files = paths("path", path)?;
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
         let request = Keywords::of(
             "load",
             keywords,
-            &[Known::Sampling, Known::Where, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
+            &[
+                Known::Sampling,
+                Known::Where,
+                Known::Surface,
+                Known::Machine,
+                Known::Files,
+                Known::Attributes,
+            ],
         )?;
         let request = request.on_machine(None)?;
         let work = Work::new();
         let request = work.holds(request, progress.is_some());
-        let sampled = with_progress(py, progress, work, || request.open(&path)?.sample())?;
+        let sampled =
+            with_progress(py, progress, work, || request.open_together(&files)?.sample())?;
         Ok(Self {
             sampled: Arc::new(sampled),
             asked: asked.unbind(),

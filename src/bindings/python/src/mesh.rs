@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
-use meniscus::files::Replace;
+use meniscus::files::{AttributeKind, Replace};
 use meniscus::mesh::{Measures, VertexAttribute, check, measure};
 use meniscus::picture::PictureFile;
 use meniscus::{Reconstruction, Surface};
@@ -65,14 +65,19 @@ impl Mesh {
         self.arrays.get_or_try_init(py, || {
             let mesh = self.whole(py)?;
             let attributes = PyDict::new(py);
-            for VertexAttribute { name, components, values, .. } in mesh.attributes {
-                let values = PyArray1::from_vec(py, values);
-                if components == 1 {
-                    attributes.set_item(name, values)?;
-                } else {
-                    attributes
-                        .set_item(name, values.reshape([values.len() / components, components])?)?;
-                }
+            for VertexAttribute { name, components, values, kind, whole } in mesh.attributes {
+                let array = match kind {
+                    AttributeKind::Unsigned => {
+                        let whole: Vec<_> = whole.into_iter().map(|x| x as u32).collect();
+                        column(py, whole, components)
+                    }
+                    _ if kind.is_whole() => {
+                        let whole: Vec<_> = whole.into_iter().map(|x| x as i32).collect();
+                        column(py, whole, components)
+                    }
+                    _ => column(py, values, components),
+                };
+                attributes.set_item(name, array?)?;
             }
             Ok(Arrays {
                 vertices: threes(py, mesh.positions)?,
@@ -96,6 +101,20 @@ impl Mesh {
         });
         Ok(self.measures.get_or_init(|| measures))
     }
+}
+
+/// An array of N, or of N x K for K components, that takes the numbers over as they are.
+pub fn column<T: Element>(
+    py: Python<'_>,
+    values: Vec<T>,
+    components: usize,
+) -> PyResult<Bound<'_, PyAny>> {
+    let rows = values.len() / components;
+    let values = PyArray1::from_vec(py, values);
+    Ok(match components {
+        1 => values.into_any(),
+        _ => values.reshape([rows, components])?.into_any(),
+    })
 }
 
 /// An array of N x 3 that takes the numbers over as they are.
@@ -133,7 +152,8 @@ impl Mesh {
     }
 
     /// Further values on the vertices by their names: float32 of shape (V,), or (V, K) for K
-    /// numbers a vertex.
+    /// numbers a vertex. Whole numbers of the particles, such as identifiers, are int32 or uint32:
+    /// a vertex has those of the particle nearest to it.
     #[getter]
     fn attributes(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         Ok(self.arrays(py)?.attributes.clone_ref(py))

@@ -60,7 +60,8 @@ impl<'py> Arrays<'py> {
     /// The particles, to be read as long as the arrays are held.
     pub fn water(&self) -> Water {
         let info = |(name, held): &(String, Held<'_>)| {
-            AttributeInfo::new(name, held.numbers.columns())
+            let info = AttributeInfo::new(name, held.numbers.columns());
+            AttributeInfo { kind: held.numbers.meaning(&info), ..info }
         };
         Water {
             positions: self.positions.numbers,
@@ -100,5 +101,15 @@ impl Particles for Water {
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         let values = &self.values[index];
         values.read(first, out.len() / values.columns(), |at, number| out[at] = number as f32);
+    }
+
+    fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
+        let rows = out.len();
+        self.values[index].column(component).read(first, rows, |at, number| out[at] = number);
+    }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        let values = &self.values[index];
+        values.read_whole(first, out.len() / values.columns(), |at, number| out[at] = number);
     }
 }

@@ -22,7 +22,8 @@ use crate::work::{Work, with_progress};
 /// velocity : array of shape (N, 3), optional
 ///     Velocities, which the vertices carry as ``attributes["velocity"]``.
 /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
-///     Further values, which the vertices carry. What is called ``v`` or the like is ``velocity`` there.
+///     Further values, which the vertices carry. What is called ``v`` or the like is ``velocity`` there. Of integers, such as identifiers,
+///     a vertex has those of the particle nearest to it; they have to fit 32 bits.
 /// where : str or list of str, optional
 ///     Conditions on ``attributes`` of the particles that are used, such as "Type=1" or "age<2.5 and z>0".
 /// spacing, radius : float, optional
@@ -113,8 +114,11 @@ pub fn reconstruct(
     progress: Option<&Bound<'_, PyAny>>,
     keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Mesh> {
-    let keywords =
-        Keywords::of("reconstruct", keywords, &[Known::Sampling, Known::Where, Known::Surface, Known::Machine])?;
+    let keywords = Keywords::of(
+        "reconstruct",
+        keywords,
+        &[Known::Sampling, Known::Where, Known::Surface, Known::Machine],
+    )?;
     let arrays = Arrays::take(positions, velocity, attributes)?;
     let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
     if let Some(names) = arrays.named() {

@@ -19,8 +19,18 @@ use crate::values::Given;
 use crate::work::{News, Work, with_progress};
 
 /// The keywords of which frames are made, and how it goes.
-pub const SIMULATION: [&str; 9] =
-    ["start", "end", "step", "frames", "resume", "overwrite", "watch", "fps", "preview"];
+pub const SIMULATION: [&str; 10] = [
+    "start",
+    "end",
+    "step",
+    "frames",
+    "resume",
+    "overwrite",
+    "watch",
+    "fps",
+    "together",
+    "preview",
+];
 
 /// The frames of a simulation, all alike: cells, grid and calibration are measured once, and
 /// frozen.
@@ -38,7 +48,7 @@ pub const SIMULATION: [&str; 9] =
 /// output : path, optional
 ///     A name with ``{}`` or ``{:04}`` for the number, or a folder.
 /// start, end, step : int, optional
-///     The first and the last frame of the simulation, and every how many.
+///     The first and the last frame of the simulation, and every how many. Frames before 0 have negative numbers.
 /// frames : pair of int, optional
 ///     Convert these frames only, both ends included, as one of several jobs.
 /// resume : bool, optional
@@ -49,6 +59,8 @@ pub const SIMULATION: [&str; 9] =
 ///     Follow a simulation that runs, until nothing has come for so many seconds.
 /// fps : float, optional
 ///     Frames a second, for times where the files have none.
+/// together : bool, optional
+///     Make one surface of the frames of one number of all inputs, such as several fluids, each a name with ``{}``, a folder or a glob.
 /// preview : bool, optional
 ///     Draw a sheet of the frames beside their meshes, as .png.
 /// attributes : list of str, optional
@@ -101,8 +113,8 @@ impl Simulation {
     #[pyo3(
         signature = (inputs=None, output=None, **keywords),
         text_signature = "(inputs=None, output=None, *, start=None, end=None, step=None, frames=None, resume=None, \
-            overwrite=None, watch=None, fps=None, preview=None, attributes=None, format=None, where=None, spacing=None, radius=None, \
-            cell=None, cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
+            overwrite=None, watch=None, fps=None, together=None, preview=None, attributes=None, format=None, where=None, \
+            spacing=None, radius=None, cell=None, cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
             memory=None, scratch=None)"
@@ -121,7 +133,8 @@ impl Simulation {
                 _ => None,
             };
         let known = &[
-            Known::Sampling, Known::Where,
+            Known::Sampling,
+            Known::Where,
             Known::Surface,
             Known::Machine,
             Known::Files,
@@ -138,7 +151,7 @@ impl Simulation {
             let live = LiveSimulation::new(&request).map_err(exception)?;
             return Ok(Self { kind: Kind::Live(Mutex::new(live)), request, names, process });
         };
-        let (files, preview) = of_files(paths(inputs)?, output.clone(), keywords)?;
+        let (files, preview) = of_files(paths("inputs", inputs)?, output.clone(), keywords)?;
         let files = files.reconstruction(asked.request.clone());
         files.check().map_err(exception)?;
         let request = asked.on_machine(files.input_bytes())?;
@@ -248,7 +261,7 @@ impl Simulation {
     /// -------
     /// list of int
     #[pyo3(signature = (*, progress=None))]
-    fn plan(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<u64>> {
+    fn plan(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<i64>> {
         self.on_files(py, progress, |files, tell| files.plan(tell))
     }
 }
@@ -286,9 +299,7 @@ impl Simulation {
 fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
-        if !value.is_none()
-            && (name == "format" || SIMULATION.contains(&name.as_str()))
-        {
+        if !value.is_none() && (name == "format" || SIMULATION.contains(&name.as_str())) {
             return Err(InputError::new_err(format!("{name}: it is for inputs and an output")));
         }
     }
@@ -309,13 +320,13 @@ fn of_files(
         }
         let given = Given { name: &name, value: &value };
         files = match name.as_str() {
-            "start" => files.start(given.whole()?),
-            "end" => files.end(given.whole()?),
+            "start" => files.start(given.frame()?),
+            "end" => files.end(given.frame()?),
             "step" => files.step(given.whole()?),
             "frames" => {
                 let wrong =
                     |_| PyTypeError::new_err("frames: a pair of numbers is needed: first and last");
-                let (first, last): (u64, u64) = value.extract().map_err(wrong)?;
+                let (first, last): (i64, i64) = value.extract().map_err(wrong)?;
                 if first > last {
                     return Err(InputError::new_err(format!("frames: {first} is after {last}")));
                 }
@@ -325,6 +336,7 @@ fn of_files(
             "overwrite" if given.switch()? => files.overwrite(),
             "watch" => files.watch(given.number()?),
             "fps" => files.fps(given.number()?),
+            "together" if given.switch()? => files.together(),
             "preview" => {
                 preview = given.switch()?;
                 files

@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 /// message : str
 ///     A line for people.
 /// frame : int or None
-///     The frame's number.
+///     The frame's number; negative before frame 0.
 /// output : pathlib.Path or None
 ///     The mesh's file, of a frame that is done.
 /// stage : str or None
@@ -29,7 +29,7 @@ use pyo3::prelude::*;
 pub struct Event {
     kind: &'static str,
     message: String,
-    frame: Option<u64>,
+    frame: Option<i64>,
     output: Option<PathBuf>,
     stage: Option<&'static str>,
     share: Option<f64>,
@@ -124,7 +124,7 @@ pub struct Summary {
     folder: PathBuf,
     made: usize,
     failed: usize,
-    failures: BTreeMap<u64, String>,
+    failures: BTreeMap<i64, String>,
     error: Option<String>,
     missing: Vec<String>,
     complete: bool,

@@ -31,6 +31,14 @@ impl<'py> Given<'_, 'py> {
         count.ok_or_else(|| InputError::new_err(format!("{}: {number} is out of range", self.name)))
     }
 
+    /// Takes a frame's number, which is below 0 before the first frame.
+    pub fn frame(&self) -> PyResult<i64> {
+        let number: i128 = self.value.extract().map_err(|_| self.wants("a whole number"))?;
+        let out_of_range =
+            |_| InputError::new_err(format!("{}: {number} is out of range", self.name));
+        number.try_into().map_err(out_of_range)
+    }
+
     /// Takes a text, or a whole number as its digits.
     pub fn text_or_number(&self) -> PyResult<String> {
         match self.value.extract::<u32>() {
