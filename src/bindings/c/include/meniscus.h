@@ -92,7 +92,7 @@ typedef int32_t MeniscusStage;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// The type of numbers in the caller's memory.
+// The type of numbers in the caller's memory. Positions are F32 or F64.
 enum MeniscusType
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -102,6 +102,10 @@ enum MeniscusType
   MENISCUS_TYPE_F32 = 0,
   // double, 8 bytes.
   MENISCUS_TYPE_F64 = 1,
+  // int32_t, 4 bytes: for attributes.
+  MENISCUS_TYPE_I32 = 2,
+  // uint32_t, 4 bytes: for attributes.
+  MENISCUS_TYPE_U32 = 3,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -249,8 +253,9 @@ typedef struct MeniscusAttribute {
   ptrdiff_t component_stride;
   // Numbers per particle, from 1 to 65536.
   uint32_t components;
-  // The type of the numbers, one of MeniscusType. They are carried as float: a double that is
-  // not finite as such counts as none.
+  // The type of the numbers, one of MeniscusType. F32 and F64 are carried as float: a double that
+  // is not finite as such counts as none. I32 and U32, such as identifiers, are carried as they
+  // are: a vertex has those of the particle nearest to it, for meniscus_mesh_attribute_whole.
   int32_t number;
 } MeniscusAttribute;
 
@@ -275,7 +280,7 @@ typedef struct MeniscusParticles {
   const struct MeniscusAttribute *attributes;
   // How many attributes there are.
   size_t attribute_count;
-  // The type of the coordinates, one of MeniscusType.
+  // The type of the coordinates, MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64.
   int32_t number;
   // Must be 0.
   int32_t reserved;
@@ -285,7 +290,8 @@ typedef struct MeniscusParticles {
 typedef struct MeniscusMeshAttribute {
   // The name.
   const char *name;
-  // All components of one vertex after the other.
+  // All components of one vertex after the other. Whole numbers are rounded to float:
+  // meniscus_mesh_attribute_whole copies them as they are.
   const float *values;
   // Numbers per vertex.
   uint64_t components;
@@ -415,8 +421,9 @@ typedef struct MeniscusEvent {
   // The doubts about a frame that is done, a line each; NULL where there are none. Valid during
   // the callback.
   const char *warnings;
-  // The number of the frame, for stages, and for frames that are done or failed.
-  uint64_t frame;
+  // The number of the frame, for stages, and for frames that are done or failed; negative before
+  // frame 0.
+  int64_t frame;
   // Frames that are done or have failed so far, where that is known.
   uint64_t done;
   // Frames that are to be made, where that is known.
@@ -461,7 +468,8 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 // side, whole or not at all.
 //
 // `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
-// files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
+// files of `input_count` frames; or, with the option "together", inputs whose frames of one number
+// are one. `output`: a name with {} or {:04} for the number, or a folder.
 // `options`: which frames, and how; NULL for all defaults. Their progress function is not called.
 // `summary`: NULL, or where to put what was done.
 //
@@ -665,13 +673,31 @@ MeniscusStatus meniscus_mesh_triangles_u64(const struct MeniscusMesh *mesh, uint
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
+// Returns 1 if an attribute by its number from 0 is of whole numbers, which
+// meniscus_mesh_attribute_whole copies as they are; else 0, also where there is no such attribute.
+//
+// `mesh` is NULL, or a handle that is not freed yet.
+int32_t meniscus_mesh_attribute_is_whole(const struct MeniscusMesh *mesh, size_t index);
+
 // Copies an attribute of the vertices by its number from 0: all components of one vertex after the
-// other.
+// other. Whole numbers are rounded to float.
 //
 // `capacity`: the numbers that `out` has room for, at least the vertices times the components.
 //
 // Pointers are NULL or as is said.
 MeniscusStatus meniscus_mesh_attribute(const struct MeniscusMesh *mesh, size_t index, float *out, uint64_t capacity);
+
+// Copies an attribute of whole numbers, such as identifiers, by its number from 0: all components
+// of one vertex after the other. MENISCUS_STATUS_REQUEST for an attribute of other numbers.
+//
+// Numbers are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the numbers that `out` has
+// room for, at least the vertices times the components.
+//
+// Pointers are NULL or as is said.
+MeniscusStatus meniscus_mesh_attribute_whole(const struct MeniscusMesh *mesh,
+                                             size_t index,
+                                             int64_t *out,
+                                             uint64_t capacity);
 
 // Lends the whole mesh, in memory that the library allocates with the first such call, and frees
 // with the mesh. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.

@@ -53,8 +53,9 @@ pub struct MeniscusEvent {
     /// The doubts about a frame that is done, a line each; NULL where there are none. Valid during
     /// the callback.
     pub warnings: *const c_char,
-    /// The number of the frame, for stages, and for frames that are done or failed.
-    pub frame: u64,
+    /// The number of the frame, for stages, and for frames that are done or failed; negative before
+    /// frame 0.
+    pub frame: i64,
     /// Frames that are done or have failed so far, where that is known.
     pub done: u64,
     /// Frames that are to be made, where that is known.
@@ -195,7 +196,8 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
 /// side, whole or not at all.
 ///
 /// `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
-/// files of `input_count` frames. `output`: a name with {} or {:04} for the number, or a folder.
+/// files of `input_count` frames; or, with the option "together", inputs whose frames of one number
+/// are one. `output`: a name with {} or {:04} for the number, or a folder.
 /// `options`: which frames, and how; NULL for all defaults. Their progress function is not called.
 /// `summary`: NULL, or where to put what was done.
 ///

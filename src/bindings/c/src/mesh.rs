@@ -6,7 +6,7 @@ use std::path::Path;
 use std::ptr::null;
 use std::sync::OnceLock;
 
-use meniscus::files::MeshFormat;
+use meniscus::files::{AttributeInfo, MeshFormat};
 use meniscus::mesh::{self, Mesh, Outline};
 use meniscus::{Error, Surface};
 
@@ -45,7 +45,8 @@ unsafe impl Sync for Lent {}
 pub struct MeniscusMeshAttribute {
     /// The name.
     pub name: *const c_char,
-    /// All components of one vertex after the other.
+    /// All components of one vertex after the other. Whole numbers are rounded to float:
+    /// meniscus_mesh_attribute_whole copies them as they are.
     pub values: *const f32,
     /// Numbers per vertex.
     pub components: u64,
@@ -148,6 +149,30 @@ impl MeniscusMesh {
         };
         // SAFETY: as for this function.
         unsafe { self.copy(out, self.outline.vertices.saturating_mul(3), each) }
+    }
+
+    /// The attribute of a number.
+    fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
+        let there = self.names.len();
+        let none =
+            || Failure::request(format!("attribute number {index} of a mesh that has {there}"));
+        self.outline.attributes.get(index).ok_or_else(none)
+    }
+
+    unsafe fn copy_attribute<T>(
+        &self,
+        index: usize,
+        out: (*mut T, u64),
+        number: impl Fn(f32) -> T,
+    ) -> Outcome {
+        let each = |piece, put: &mut dyn FnMut(T)| {
+            let vertices = self.surface.mesh().vertices(piece)?;
+            vertices.attributes[index].iter().for_each(|&word| put(number(word)));
+            Ok(())
+        };
+        let components = self.attribute(index)?.components as u64;
+        // SAFETY: as for this function.
+        unsafe { self.copy(out, self.outline.vertices.saturating_mul(components), each) }
     }
 
     unsafe fn copy_triangles<T>(&self, out: (*mut T, u64), number: impl Fn(u64) -> T) -> Outcome {
@@ -362,8 +387,25 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
     })
 }
 
+/// Returns 1 if an attribute by its number from 0 is of whole numbers, which
+/// meniscus_mesh_attribute_whole copies as they are; else 0, also where there is no such attribute.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
+    mesh: *const MeniscusMesh,
+    index: usize,
+) -> i32 {
+    // SAFETY: as for this function.
+    unsafe {
+        asked(mesh, 0, |mesh| {
+            mesh.outline.attributes.get(index).is_some_and(|info| info.kind.is_whole()).into()
+        })
+    }
+}
+
 /// Copies an attribute of the vertices by its number from 0: all components of one vertex after the
-/// other.
+/// other. Whole numbers are rounded to float.
 ///
 /// `capacity`: the numbers that `out` has room for, at least the vertices times the components.
 ///
@@ -378,20 +420,38 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
     call(|| {
         // SAFETY: as for this function.
         let mesh = unsafe { of(mesh) }?;
-        let Some(info) = mesh.outline.attributes.get(index) else {
-            let (wanted, there) = (index, mesh.names.len());
-            return Err(Failure::request(format!(
-                "attribute number {wanted} of a mesh that has {there}"
-            )));
-        };
-        let each = |piece, put: &mut dyn FnMut(f32)| {
-            let vertices = mesh.surface.mesh().vertices(piece)?;
-            vertices.attributes[index].iter().for_each(|&x| put(info.kind.number(x)));
-            Ok(())
-        };
-        let needed = mesh.outline.vertices.saturating_mul(info.components as u64);
+        let kind = mesh.attribute(index)?.kind;
         // SAFETY: as for this function.
-        unsafe { mesh.copy((out, capacity), needed, each) }
+        unsafe { mesh.copy_attribute(index, (out, capacity), |word| kind.number(word)) }
+    })
+}
+
+/// Copies an attribute of whole numbers, such as identifiers, by its number from 0: all components
+/// of one vertex after the other. MENISCUS_STATUS_REQUEST for an attribute of other numbers.
+///
+/// Numbers are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the numbers that `out` has
+/// room for, at least the vertices times the components.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
+    mesh: *const MeniscusMesh,
+    index: usize,
+    out: *mut i64,
+    capacity: u64,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let mesh = unsafe { of(mesh) }?;
+        let info = mesh.attribute(index)?;
+        if !info.kind.is_whole() {
+            return Err(Failure::request(format!(
+                "{}: an attribute of floating-point numbers; meniscus_mesh_attribute copies them",
+                info.name
+            )));
+        }
+        // SAFETY: as for this function.
+        unsafe { mesh.copy_attribute(index, (out, capacity), |word| info.kind.whole(word)) }
     })
 }
 

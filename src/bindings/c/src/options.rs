@@ -94,14 +94,14 @@ options! {
     /// The frames that a conversion makes.
     Frames:
     /// The first frame of the simulation, for meniscus_convert.
-    start: u64 = Source::count,
+    start: i64 = frame,
     /// The last frame of the simulation, for meniscus_convert.
-    end: u64 = Source::count,
+    end: i64 = frame,
     /// Every Nth frame, for meniscus_convert.
     step: u64 = step,
     /// Convert these frames of the simulation only, such as 100..199, as one of several jobs, for
     /// meniscus_convert.
-    frames: (u64, u64) = range,
+    frames: (i64, i64) = range,
     /// Resume an interrupted conversion: skip finished frames. Other settings are refused, unless
     /// outputs may be overwritten, for meniscus_convert.
     resume: bool = Source::switch,
@@ -112,6 +112,9 @@ options! {
     watch: f64 = Source::number,
     /// Frames per second, for times where the files have none, for meniscus_convert.
     fps: f64 = Source::number,
+    /// Make one surface of the frames of one number of all inputs, such as several fluids, for
+    /// meniscus_convert.
+    together: bool = Source::switch,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -141,7 +144,19 @@ fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
         .ok_or_else(|| "expected a whole number from 1".into())
 }
 
-fn range<S: Source<Error = String>>(value: &S) -> Result<(u64, u64), String> {
+/// The number of a frame, which is negative before frame 0.
+fn frame<S: Source<Error = String>>(value: &S) -> Result<i64, String> {
+    // f64 holds all whole numbers up to here.
+    const LARGEST: f64 = 9_007_199_254_740_992.0;
+    let is_whole = |number: &f64| number.fract() == 0.0 && number.abs() <= LARGEST;
+    let number = match value.text() {
+        Ok(text) => text.parse().ok(),
+        Err(_) => value.number().ok().filter(is_whole).map(|number| number as i64),
+    };
+    number.ok_or_else(|| "expected a whole number".into())
+}
+
+fn range<S: Source<Error = String>>(value: &S) -> Result<(i64, i64), String> {
     let text = value.text()?;
     let ends = text.split_once("..");
     let ends = ends.and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
@@ -169,6 +184,9 @@ impl Frames {
         }
         if let Some(fps) = self.fps {
             simulation = simulation.fps(fps);
+        }
+        if self.together == Some(true) {
+            simulation = simulation.together();
         }
         if self.resume == Some(true) {
             simulation = simulation.resume();

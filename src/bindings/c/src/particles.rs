@@ -4,13 +4,13 @@ use std::ffi::c_char;
 use std::slice::from_raw_parts;
 
 use meniscus::Particles;
-use meniscus::files::AttributeInfo;
+use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 
 use crate::sized::{Growing, read};
 use crate::status::{Failure, Outcome};
 use crate::text::optional;
 
-/// The type of numbers in the caller's memory.
+/// The type of numbers in the caller's memory. Positions are F32 or F64.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusType {
@@ -18,6 +18,10 @@ pub enum MeniscusType {
     F32 = 0,
     /// double, 8 bytes.
     F64 = 1,
+    /// int32_t, 4 bytes: for attributes.
+    I32 = 2,
+    /// uint32_t, 4 bytes: for attributes.
+    U32 = 3,
 }
 
 impl MeniscusType {
@@ -26,6 +30,8 @@ impl MeniscusType {
         match number {
             0 => Ok(Self::F32),
             1 => Ok(Self::F64),
+            2 => Ok(Self::I32),
+            3 => Ok(Self::U32),
             _ => Err(Failure::request(format!("{what} is {number}, which is no MeniscusType"))),
         }
     }
@@ -52,8 +58,9 @@ pub struct MeniscusAttribute {
     pub component_stride: isize,
     /// Numbers per particle, from 1 to 65536.
     pub components: u32,
-    /// The type of the numbers, one of MeniscusType. They are carried as float: a double that is
-    /// not finite as such counts as none.
+    /// The type of the numbers, one of MeniscusType. F32 and F64 are carried as float: a double that
+    /// is not finite as such counts as none. I32 and U32, such as identifiers, are carried as they
+    /// are: a vertex has those of the particle nearest to it, for meniscus_mesh_attribute_whole.
     pub number: i32,
 }
 
@@ -80,7 +87,7 @@ pub struct MeniscusParticles {
     pub attributes: *const MeniscusAttribute,
     /// How many attributes there are.
     pub attribute_count: usize,
-    /// The type of the coordinates, one of MeniscusType.
+    /// The type of the coordinates, MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64.
     pub number: i32,
     /// Must be 0.
     pub reserved: i32,
@@ -166,6 +173,8 @@ impl Numbers {
             match self.number {
                 MeniscusType::F32 => f64::from(at.cast::<f32>().read_unaligned()),
                 MeniscusType::F64 => at.cast::<f64>().read_unaligned(),
+                MeniscusType::I32 => at.cast::<i32>().read_unaligned().into(),
+                MeniscusType::U32 => at.cast::<u32>().read_unaligned().into(),
             }
         }
     }
@@ -174,8 +183,23 @@ impl Numbers {
 impl MeniscusType {
     fn bytes(self) -> isize {
         match self {
-            Self::F32 => 4,
+            Self::F32 | Self::I32 | Self::U32 => 4,
             Self::F64 => 8,
+        }
+    }
+
+    fn is_whole(self) -> bool {
+        matches!(self, Self::I32 | Self::U32)
+    }
+
+    /// The meaning of an attribute of these numbers: as of one in a file that stores such.
+    fn meaning(self, info: &AttributeInfo) -> AttributeKind {
+        match self {
+            Self::F32 | Self::F64 => info.kind,
+            _ if info.kind.is_colour() => AttributeKind::Number,
+            _ if velocity_attribute(std::slice::from_ref(info)).is_some() => AttributeKind::Number,
+            Self::I32 => AttributeKind::Signed,
+            Self::U32 => AttributeKind::Unsigned,
         }
     }
 }
@@ -204,6 +228,12 @@ impl Borrowed {
         // SAFETY: as for this function.
         let said = unsafe { read(at, "particles") }?;
         let number = MeniscusType::of(said.number, "particles.number")?;
+        if number.is_whole() {
+            return Err(Failure::request(format!(
+                "particles.number is {}: coordinates are MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64",
+                said.number
+            )));
+        }
         if said.reserved != 0 {
             return Err(Failure::request(format!(
                 "particles.reserved is {}, and must be 0",
@@ -283,7 +313,9 @@ impl Borrowed {
             }
             .with_strides();
             numbers.refuse_unaddressable(self.count, &format!("{what}.values"))?;
-            self.attributes.push(AttributeInfo::new(name, numbers.components));
+            let info = AttributeInfo::new(name, numbers.components);
+            let kind = numbers.number.meaning(&info);
+            self.attributes.push(AttributeInfo { kind, ..info });
             self.values.push(numbers);
         }
         Ok(())
@@ -342,6 +374,26 @@ impl Particles for Borrowed {
             for (component, to) in to.iter_mut().enumerate() {
                 // SAFETY: the particle is there, as was looked at.
                 *to = unsafe { from.get(particle, component) } as f32;
+            }
+        }
+    }
+
+    fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
+        let from = &self.values[index];
+        assert!(component < from.components && first + out.len() <= self.count, "no such number");
+        for (particle, to) in (first..).zip(out) {
+            // SAFETY: the particle is there, as was looked at.
+            *to = unsafe { from.get(particle, component) };
+        }
+    }
+
+    fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
+        let from = &self.values[index];
+        assert!(first + out.len() / from.components <= self.count, "particles beyond the last");
+        for (particle, to) in (first..).zip(out.chunks_exact_mut(from.components)) {
+            for (component, to) in to.iter_mut().enumerate() {
+                // SAFETY: the particle is there, as was looked at. 32 bits are exact in f64.
+                *to = unsafe { from.get(particle, component) } as i64;
             }
         }
     }
