@@ -51,7 +51,10 @@ class Span {
 
 template <class T>
 constexpr int32_t number_type() {
-  static_assert(std::is_same_v<T, float> || std::is_same_v<T, double>, "coordinates are float or double");
+  static_assert(std::is_same_v<T, float> || std::is_same_v<T, double> || std::is_same_v<T, int32_t> || std::is_same_v<T, uint32_t>,
+                "coordinates are float or double, and attributes also int32_t or uint32_t");
+  if constexpr (std::is_same_v<T, int32_t>) return MENISCUS_TYPE_I32;
+  if constexpr (std::is_same_v<T, uint32_t>) return MENISCUS_TYPE_U32;
   return std::is_same_v<T, float> ? MENISCUS_TYPE_F32 : MENISCUS_TYPE_F64;
 }
 
@@ -60,6 +63,7 @@ class Particles {
  public:
   template <class T>
   Particles(const T *positions, std::size_t count, std::ptrdiff_t stride = 0, std::ptrdiff_t component_stride = 0) {
+    static_assert(std::is_floating_point_v<T>, "coordinates are float or double");
     c_.size = sizeof c_, c_.count = count, c_.positions = positions, c_.number = number_type<T>();
     c_.stride = stride, c_.component_stride = component_stride;
   }
@@ -228,7 +232,7 @@ class Mesh {
   Span<uint32_t> triangles() const { return {arrays().triangles, 3 * arrays().triangle_count}; }
   // The normal of each vertex; empty where none were asked for.
   Span<float> normals() const { return {arrays().normals, arrays().normals ? 3 * arrays().vertex_count : 0}; }
-  // All components of each vertex, of an attribute by its name.
+  // All components of each vertex, of an attribute by its name; whole numbers rounded to float.
   Span<float> attribute(const std::string &name) const {
     const MeniscusArrays lent = arrays();
     for (const auto &one : Span(lent.attributes, lent.attribute_count)) {
@@ -240,6 +244,7 @@ class Mesh {
   // Copies, in the width that is asked for.
   template <class T>
   std::vector<T> copy_positions() const {
+    static_assert(std::is_floating_point_v<T>, "coordinates are float or double");
     std::vector<T> out(3 * vertex_count());
     if constexpr (number_type<T>() == MENISCUS_TYPE_F32) {
       check(meniscus_mesh_positions_f32(c(), out.data(), out.size()));
@@ -247,6 +252,16 @@ class Mesh {
       check(meniscus_mesh_positions_f64(c(), out.data(), out.size()));
     }
     return out;
+  }
+  // All components of each vertex, of an attribute of whole numbers by its name, as they are.
+  std::vector<int64_t> copy_whole(const std::string &name) const {
+    for (std::size_t i = 0; i < meniscus_mesh_attribute_count(c()); i++) {
+      if (name != meniscus_mesh_attribute_name(c(), i)) continue;
+      std::vector<int64_t> out(meniscus_mesh_attribute_components(c(), i) * vertex_count());
+      check(meniscus_mesh_attribute_whole(c(), i, out.data(), out.size()));
+      return out;
+    }
+    throw std::out_of_range("the mesh has no attribute " + name);
   }
   std::vector<uint64_t> copy_triangles() const {
     std::vector<uint64_t> out(3 * triangle_count());

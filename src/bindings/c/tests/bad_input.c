@@ -115,6 +115,9 @@ static void keys_and_values_are_refused(void) {
   OPTION("domain: expected 6 numbers: ", "domain", "0,-,0,1,1,1");
   OPTION("memory: expected a number of bytes, or a size such as 512MiB", "memory", "much");
   OPTION("step: expected a whole number from 1, got \"0\"", "step", "0");
+  OPTION("start: expected a whole number, got \"1.5\"", "start", "1.5");
+  OPTION("end: expected a whole number, got \"last\"", "end", "last");
+  OPTION("together: expected true or false, got \"a,b\"", "together", "a,b");
   OPTION("frames: expected two numbers in order, as 100..199, got \"5..3\"", "frames", "5..3");
   OPTION("device is not UTF-8", "device", "\xff");
   OPTION("where is not UTF-8", "where", "\xff");
@@ -179,7 +182,8 @@ static void particles_are_refused(void) {
   PARTICLES(REQUEST, "particles.positions: ", .count = UINT64_MAX);
   PARTICLES(REQUEST, "particles.positions: ", .stride = PTRDIFF_MAX);
   PARTICLES(REQUEST, "particles.positions: ", .component_stride = PTRDIFF_MIN);
-  PARTICLES(REQUEST, "particles.number is 2, which is no MeniscusType", .number = 2);
+  PARTICLES(REQUEST, "particles.number is 4, which is no MeniscusType", .number = 4);
+  PARTICLES(REQUEST, "particles.number is 2: coordinates are MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64", .number = MENISCUS_TYPE_I32);
   PARTICLES(REQUEST, "particles.reserved is 1, and must be 0", .reserved = 1);
   PARTICLES(REQUEST, "particles: its size is 7;", .size = 7);
   PARTICLES(REQUEST, "particles.attributes is NULL, and 2 are said to be there", .attribute_count = 2);
@@ -303,6 +307,7 @@ static void conversions_are_refused(const char *folder) {
   CONVERT(REQUEST, "output is NULL", inputs, 1, NULL, "start", "0");
   CONVERT(REQUEST, "one file for all frames", inputs, 1, "one.ply", "start", "0");
   CONVERT(REQUEST, "there are no frames from 4 to 0", inputs, 1, output, "start", "4", "end", "0");
+  CONVERT(REQUEST, "there are no frames from -1 to -3", inputs, 1, output, "start", "-1", "end", "-3");
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "-1");
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "nan");
   CONVERT(REQUEST, "watch must be a number of seconds", inputs, 1, output, "watch", "nan");

@@ -71,6 +71,49 @@ static void copies_are_what_is_lent(void) {
   meniscus_mesh_free(mesh);
 }
 
+/// Whole numbers come to the vertices as they are, also such as float does not hold.
+static void whole_numbers_are_those_of_particles(void) {
+  static int32_t below[COUNT];
+  static uint32_t above[COUNT][2];
+  for (int i = 0; i < COUNT; i++) {
+    below[i] = -16777217 - 2 * i, above[i][0] = UINT32_MAX - (uint32_t)i, above[i][1] = (uint32_t)i;
+  }
+  const MeniscusAttribute attributes[] = {
+      {.size = sizeof *attributes, .name = "below", .values = below, .components = 1, .number = MENISCUS_TYPE_I32},
+      {.size = sizeof *attributes, .name = "above", .values = above, .components = 2, .number = MENISCUS_TYPE_U32},
+      {.size = sizeof *attributes, .name = "heat", .values = positions, .components = 1},
+  };
+  MeniscusParticles particles = particles_of(positions);
+  particles.attributes = attributes, particles.attribute_count = 3;
+  MeniscusOptions *options = OPTIONS("spacing", "0.05", "attributes", "below,above,heat");
+  MeniscusMesh *mesh;
+  OK(meniscus_reconstruct(&particles, options, &mesh));
+  meniscus_options_free(options);
+  const uint64_t vertices = meniscus_mesh_vertex_count(mesh);
+  int64_t *whole = malloc(2 * vertices * sizeof *whole), *pairs = malloc(2 * vertices * sizeof *pairs);
+  float *rounded = malloc(vertices * sizeof *rounded);
+  CHECK(meniscus_mesh_attribute_is_whole(mesh, 0) == 1 && meniscus_mesh_attribute_is_whole(mesh, 1) == 1);
+  CHECK(meniscus_mesh_attribute_is_whole(mesh, 2) == 0 && meniscus_mesh_attribute_is_whole(mesh, 3) == 0);
+  OK(meniscus_mesh_attribute_whole(mesh, 0, whole, vertices));
+  OK(meniscus_mesh_attribute_whole(mesh, 1, pairs, 2 * vertices));
+  OK(meniscus_mesh_attribute(mesh, 0, rounded, vertices));
+  MeniscusArrays arrays = {.size = sizeof arrays};
+  OK(meniscus_mesh_arrays(mesh, &arrays));
+  for (uint64_t i = 0; i < vertices; i++) {
+    // All of one particle.
+    const int64_t particle = pairs[2 * i + 1];
+    CHECK(particle >= 0 && particle < COUNT);
+    CHECK(whole[i] == -16777217 - 2 * particle && pairs[2 * i] == (int64_t)UINT32_MAX - particle);
+    CHECK(rounded[i] == (float)whole[i] && arrays.attributes[0].values[i] == rounded[i]);
+  }
+  CHECK(meniscus_mesh_attribute_whole(mesh, 2, whole, vertices) == MENISCUS_STATUS_REQUEST);
+  CHECK(strstr(meniscus_last_error(), "heat: "));
+  CHECK(meniscus_mesh_attribute_whole(mesh, 3, whole, vertices) == MENISCUS_STATUS_REQUEST);
+  CHECK(meniscus_mesh_attribute_whole(mesh, 0, whole, vertices - 1) == MENISCUS_STATUS_REQUEST);
+  free(whole), free(pairs), free(rounded);
+  meniscus_mesh_free(mesh);
+}
+
 /// Positions anywhere in memory are the same water.
 static void positions_may_lie_anywhere(void) {
   static double axes[3][COUNT];
@@ -291,6 +334,44 @@ static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *fold
   meniscus_options_free(options);
 }
 
+static int64_t first_done = INT64_MAX, last_done = INT64_MIN;
+
+static int32_t note_frame(void *user, const MeniscusEvent *event) {
+  (void)user;
+  if (event->kind == MENISCUS_EVENT_KIND_DONE) {
+    first_done = event->frame < first_done ? event->frame : first_done;
+    last_done = event->frame > last_done ? event->frame : last_done;
+  }
+  return 0;
+}
+
+/// Frames have negative numbers before the first, and those of one number of several inputs are one.
+static void frames_before_the_first_are_joined(const char *folder) {
+  char path[512], output[512], inputs[2][512];
+  const char *names[] = {inputs[0], inputs[1]};
+  for (int part = 0; part < 2; part++) {
+    snprintf(inputs[part], sizeof inputs[part], "%s/part%c_{}.xyz", folder, 'a' + part);
+    for (int frame = -2; frame <= 1; frame++) {
+      snprintf(path, sizeof path, "%s/part%c_%d.xyz", folder, 'a' + part, frame);
+      FILE *file = fopen(path, "wb");
+      const size_t half = COUNT / 2, count = part ? COUNT - half : half;
+      CHECK(file && fwrite(positions[part ? half : 0], sizeof positions[0], count, file) == count);
+      CHECK(fclose(file) == 0);
+    }
+  }
+  snprintf(output, sizeof output, "%s/joined/mesh_{}.ply", folder);
+  MeniscusOptions *options = OPTIONS("overwrite", "true", "together", "true", "end", "0", "frames", "-1..5");
+  OK(meniscus_options_set_number(options, "start", -2));
+  OK(meniscus_options_on_event(options, note_frame, NULL));
+  MeniscusSummary summary = {.size = sizeof summary};
+  OK(meniscus_convert(names, 2, output, options, &summary));
+  meniscus_options_free(options);
+  CHECK(summary.made == 2 && summary.failed == 0 && summary.missing == 0 && summary.particles == 2 * COUNT);
+  CHECK(first_done == -1 && last_done == 0);
+  snprintf(path, sizeof path, "%s/joined/mesh_-1.ply", folder);
+  CHECK(access(path, R_OK) == 0);
+}
+
 static void *work(void *threads) {
   MeniscusParticles particles = particles_of(positions);
   const unsigned count = *(unsigned *)threads;
@@ -376,12 +457,14 @@ static int test(int count, char **arguments) {
   keys_are_listed();
   text_and_numbers_are_the_same_options();
   copies_are_what_is_lent();
+  whole_numbers_are_those_of_particles();
   positions_may_lie_anywhere();
   progress_is_told_and_can_end_the_work(arguments[1]);
   a_handle_ends_all_that_is_begun_with_it();
   a_frame_is_sampled_once_and_surfaced_often(arguments[1]);
   a_simulation_settles_and_its_frames_are_alike();
   a_conversion_tells_of_frames_and_of_those_that_fail(arguments[1]);
+  frames_before_the_first_are_joined(arguments[1]);
   two_threads_do_not_disturb_each_other();
   puts("as the header says");
   return 0;

@@ -123,7 +123,8 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
       one->name = words[rarely(6) ? pick(8) : (uint32_t)i];
       one->values = rarely(15) ? NULL : particles->positions;
       one->components = rarely(12) ? pick(5) * 65535u : 1 + pick(3);
-      one->number = type;
+      // Numbers of as many bytes.
+      one->number = type == MENISCUS_TYPE_F32 && rarely(3) ? MENISCUS_TYPE_I32 + (int32_t)pick(2) : type;
       one->stride = particles->stride, one->component_stride = particles->component_stride;
       if (one->components > 3 && one->components <= 65536) {
         one->stride = one->component_stride = 0, one->values = NULL;
@@ -302,7 +303,11 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
     case 5: {
       uint64_t components = meniscus_mesh_attribute_components(mesh, index);
       bool fits = components <= 3;
-      note(meniscus_mesh_attribute(mesh, index, fits ? out : NULL, room));
+      if (meniscus_mesh_attribute_is_whole(mesh, index) && rarely(2)) {
+        note(meniscus_mesh_attribute_whole(mesh, index, fits ? out : NULL, room));
+      } else {
+        note(meniscus_mesh_attribute(mesh, index, fits ? out : NULL, room));
+      }
       break;
     }
     case 6:
@@ -355,7 +360,8 @@ static void convert(const char *folder, const char *frames) {
   if (some) {
     char range[24];
     snprintf(range, sizeof range, "%u..%u", pick(9), pick(9));
-    if (rarely(3)) set_number(some, "start", pick(9));
+    if (rarely(3)) set_number(some, "start", pick(9) - 2.0);
+    if (rarely(9)) set_number(some, "together", 1);
     if (rarely(3)) set_number(some, "end", pick(9));
     if (rarely(3)) set(some, "frames", range);
     if (rarely(2)) set_number(some, "step", pick(3));

@@ -46,6 +46,14 @@ static void test(const std::string &folder) {
   CHECK(mesh.copy_positions<double>()[5] == mesh.positions()[5]);
   CHECK(mesh.copy_triangles()[7] == mesh.triangles()[7]);
   for (float speed : mesh.attribute("speed")) CHECK(std::abs(speed - 2) < 1e-6f);
+  // Whole numbers that float does not hold.
+  std::vector<int32_t> ids;
+  for (int i = 0; i < 512; i++) ids.push_back(16777217 + 2 * i);
+  const auto numbered = meniscus::Particles(water).attribute("id", ids.data(), 1);
+  const auto by_id = meniscus::Options().set("spacing", 0.1).set("attributes", "id");
+  const auto whole = meniscus::reconstruct(numbered, by_id).copy_whole("id");
+  CHECK(whole.size() == mesh.vertex_count());
+  for (int64_t id : whole) CHECK(id >= ids.front() && id <= ids.back() && id % 2 == 1);
   bool missing = false;
   try {
     mesh.attribute("heat");
