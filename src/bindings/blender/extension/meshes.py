@@ -11,6 +11,8 @@ from .surfaces.arrays import Arrays
 MOST_CORNERS = 2**31 - 1
 #: The types of attributes by how many numbers a vertex has.
 _TYPES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
+#: Whole numbers, such as identifiers, where a vertex has one of them.
+_WHOLE = ("INT", "value")
 #: What Cycles takes motion blur from.
 VELOCITY = "velocity"
 
@@ -40,6 +42,11 @@ def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
         # Blender's own names are of what is there already.
         if kind is None or name in mesh.attributes:
             continue
+        if values.dtype == np.int32:
+            if values.ndim == 1:
+                kind = _WHOLE
+            else:
+                values = values.astype(np.float32)
         if name == VELOCITY and velocity_scale != 1.0:
             values = values * np.float32(velocity_scale)
         mesh.attributes.new(name, kind[0], "POINT").data.foreach_set(kind[1], values.reshape(-1))

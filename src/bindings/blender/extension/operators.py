@@ -16,7 +16,7 @@ from bpy_extras.io_utils import ImportHelper
 from . import live
 from .conversion import Conversion, Order
 from .surfaces.playing import reading
-from .surfaces.sequence import number_of, sequence_of
+from .surfaces.sequence import EXTENSIONS, number_of, sequence_of
 
 Done = Set[str]
 
@@ -101,8 +101,9 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     bl_label = "Fluid Surface of Files"
     bl_options = {"REGISTER", "UNDO"}
 
+    # Blender cuts it off after 255 letters.
     filter_glob: StringProperty(
-        default="*.bgeo;*.bgeo.gz;*.vtk;*.vtu;*.vtp;*.pvtu;*.pvtp;*.vtkhdf;*.ply;*.npy;*.npz;*.csv;*.txt;*.dat;*.xyz;*.dump;*.lammpstrj;*.json;*.bi4;*.h5;*.hdf5;*.h5part;*.mnf",
+        default=";".join(f"*{extension}" for extension in EXTENSIONS),
         options={"HIDDEN"},
     )
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import meniscus
 import numpy as np
 import pytest
-from surfaces.sequence import Listings, Timing, number_of, sequence_of, shown_at, stamp_of
+from surfaces.sequence import EXTENSIONS, Listings, Timing, number_of, sequence_of, shown_at, stamp_of
 
 FRAMES = [(2, Path("f_2.bgeo")), (3, Path("f_3.bgeo")), (6, Path("f_6.bgeo"))]
 
@@ -19,7 +20,12 @@ FRAMES = [(2, Path("f_2.bgeo")), (3, Path("f_3.bgeo")), (6, Path("f_6.bgeo"))]
         ("Part_0005.bi4", "Part_{}.bi4", 5),
         ("ParticleData_Fluid_20.bgeo", "ParticleData_Fluid_{}.bgeo", 20),
         ("run_2_frame_007.bgeo.gz", "run_2_frame_{}.bgeo.gz", 7),
+        ("run_2_frame_007.bgeo.zst", "run_2_frame_{}.bgeo.zst", 7),
         ("12.mnf", "{}.mnf", 12),
+        ("-12.mnf", "{}.mnf", -12),
+        ("pool_-003.vtp", "pool_{}.vtp", -3),
+        ("pool-3.h5", "pool-{}.h5", 3),
+        ("2024-01-07.npy.xz", "2024-01-{}.npy.xz", 7),
         ("pool.vtp", "pool.vtp", None),
         ("sim.h5part#12", "sim.h5part#12", None),
         ("frame_{:04}.ply", "frame_{:04}.ply", None),
@@ -29,6 +35,15 @@ def test_the_number_of_a_frame_is_the_last_before_its_extension(name: str, expec
     assert sequence_of(os.path.join("a1", name)) == os.path.join("a1", expected)
     if number is not None:
         assert number_of(os.path.join("a1", name)) == number
+
+
+def test_every_file_that_the_library_reads_can_be_chosen() -> None:
+    with pytest.raises(meniscus.InputError) as refused:
+        meniscus.read_particles("water.abc")
+    known = set(re.findall(r"\.\w+", str(refused.value).split("abc", 1)[1]))
+    # Packed frames, and lists of frames.
+    assert set(EXTENSIONS) == known | {".mnf", ".pvd", ".series"}
+    assert len(";".join(f"*{extension}" for extension in EXTENSIONS)) <= 255
 
 
 def test_a_file_gives_its_sequence_as_the_library_lists_it(sequence: Path) -> None:

@@ -19,7 +19,7 @@ class Arrays:
 
     vertices: npt.NDArray[np.float32]
     triangles: npt.NDArray[np.int32]
-    attributes: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
+    attributes: dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     spacing: float | None = None
 
@@ -37,7 +37,10 @@ class Arrays:
             vertices=vertices,
             # The same bits, for there are never 2^31 vertices in one of Blender's meshes.
             triangles=mesh.triangles.view(np.int32),
-            attributes=dict(mesh.attributes),
+            # Whole numbers have a sign there: beyond 2^31 they are the same bits.
+            attributes={
+                name: values.view(np.int32) if values.dtype == np.uint32 else values for name, values in mesh.attributes.items()
+            },
             warnings=tuple(mesh.report.warnings),
             spacing=mesh.report.spacing,
         )

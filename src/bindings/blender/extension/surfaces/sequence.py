@@ -14,8 +14,15 @@ from pathlib import Path
 
 import meniscus
 
-#: The last digits before the extensions that are no number themselves.
-_NUMBER = re.compile(r"^(.*?)(\d+)(\D*|\.\w+|\.\w+\.gz)$")
+#: Extensions of all files that hold particles or list such, of packed frames, and of compressed files.
+EXTENSIONS = (
+    ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".h5", ".h5part", ".hdf", ".hdf5", ".json",
+    ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".series", ".txt", ".vtk",
+    ".vtkhdf", ".vtm", ".vtp", ".vtpc", ".vtpd", ".vtu", ".xyz",
+    ".gz", ".xz", ".zst",
+)
+#: The last digits before the extensions that are no number themselves, with a sign where the dash is not of the name.
+_NUMBER = re.compile(r"^(.*?)((?:(?<![^_. \-=(\[])-)?\d+)(\D*|\.\w+|\.\w+\.(?:gz|xz|zst))$")
 
 Stamp = tuple[int, int]
 
