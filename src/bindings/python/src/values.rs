@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use bytesize::ByteSize;
 use meniscus::{Faces, Source, Where};
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 
@@ -33,10 +33,13 @@ impl<'py> Given<'_, 'py> {
 
     /// Takes a frame's number, which is below 0 before the first frame.
     pub fn frame(&self) -> PyResult<i64> {
-        let number: i128 = self.value.extract().map_err(|_| self.wants("a whole number"))?;
-        let out_of_range =
-            |_| InputError::new_err(format!("{}: {number} is out of range", self.name));
-        number.try_into().map_err(out_of_range)
+        self.value.extract().map_err(|fault: PyErr| {
+            if fault.is_instance_of::<PyOverflowError>(self.value.py()) {
+                InputError::new_err(format!("{}: {} is out of range", self.name, self.value))
+            } else {
+                self.wants("a whole number")
+            }
+        })
     }
 
     /// Takes a text, or a whole number as its digits.

@@ -187,7 +187,10 @@ def test_what_is_no_array_of_positions_is_refused_by_name(positions: Any, error:
         ({"attributes": {"t": np.zeros(6)}}, meniscus.InputError, r'attributes\["t"\]: 6 rows for 5'),
         ({"attributes": {"t": np.zeros((5, 2, 2))}}, meniscus.InputError, r'attributes\["t"\]: .*\(5, 2, 2\)'),
         ({"attributes": {"t": np.zeros((5, 0))}}, meniscus.InputError, r'attributes\["t"\]'),
-        ({"attributes": {"t": np.zeros(5, int)}}, TypeError, r'attributes\["t"\]: .*int64'),
+        ({"attributes": {"t": np.zeros(5, complex)}}, TypeError, r'attributes\["t"\]: .*or integers are needed, not complex128'),
+        ({"attributes": {"t": np.zeros(5, bool)}}, TypeError, r'attributes\["t"\]: .*not bool'),
+        ({"attributes": {"t": np.zeros(5, ">i4")}}, TypeError, r'byte-swapped \(>i4\); \.astype\("int32"\)'),
+        ({"velocity": np.zeros((5, 3), int)}, TypeError, "velocity: .*not int64"),
         ({"attributes": {3: np.zeros(5)}}, TypeError, "attributes: 3 is no name"),
         ({"attributes": ["t"]}, TypeError, "attributes: a mapping"),
         ({"attributes": {"velocity": np.zeros(5)}, "velocity": np.zeros((5, 3))}, TypeError, "velocity: "),
@@ -196,3 +199,59 @@ def test_what_is_no_array_of_positions_is_refused_by_name(positions: Any, error:
 def test_other_arrays_are_refused_by_their_names(keywords: dict[str, Any], error: type[Exception], what: str) -> None:
     with pytest.raises(error, match=what):
         meniscus.reconstruct(np.zeros((5, 3)), **keywords)
+
+
+IDENTIFIERS = {
+    "int8": (np.int32, -100),
+    "uint8": (np.int32, 100),
+    "int16": (np.int32, -30_000),
+    "uint16": (np.int32, 60_000),
+    "int32": (np.int32, -(2**31)),
+    "uint32": (np.uint32, 2**31),
+    # By their values.
+    "int64": (np.int32, -(2**25) - 1),
+    "uint64": (np.uint32, 2**32 - 3000),
+}
+
+
+@pytest.mark.parametrize("dtype", IDENTIFIERS)
+def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> None:
+    kind, first = IDENTIFIERS[dtype]
+    narrow = np.dtype(dtype).itemsize == 1
+    ids = (first + np.arange(len(ball)) % (28 if narrow else 2500)).astype(dtype)
+    pair = np.stack([ids, ids[::-1]], axis=1)
+    mesh = meniscus.reconstruct(ball, spacing=1.0, attributes={"id": ids, "pair": pair, "height": ball[:, 1]})
+    found = mesh.attributes["id"]
+    assert found.dtype == kind and found.shape == (len(mesh.vertices),) and set(found.tolist()) <= set(ids.tolist())
+    assert mesh.attributes["pair"].dtype == kind and np.array_equal(mesh.attributes["pair"][:, 0], found)
+    if not narrow:
+        # Each names one particle.
+        near = ball[found.astype(np.int64) - first]
+        assert np.linalg.norm(mesh.vertices - near, axis=1).max() < 2.0
+    assert mesh.attributes["height"].dtype == np.float32
+    strided = np.zeros(2 * len(ball), dtype)[::2]
+    strided[:] = ids
+    other = meniscus.reconstruct(ball, spacing=1.0, attributes={"id": strided})
+    assert np.array_equal(other.attributes["id"], found)
+
+
+def test_whole_numbers_that_a_mesh_does_not_hold_are_refused(ball: Any) -> None:
+    ids = np.arange(len(ball)) + 2**40
+    with pytest.raises(meniscus.InputError, match="id has the value .* 32 bits"):
+        meniscus.reconstruct(ball, spacing=1.0, attributes={"id": ids})
+
+
+def test_particles_are_selected_by_their_attributes(ball: Any) -> None:
+    both = np.concatenate([ball, ball + 100.0])
+    kind = np.repeat(np.array([1, 2**24 + 1], np.int32), len(ball))
+    alone = meniscus.reconstruct(ball, spacing=1.0)
+    asked = {"attributes": {"kind": kind, "height": both[:, 1]}, "spacing": 1.0}
+    assert same(meniscus.reconstruct(both, where="kind=1", **asked), alone)
+    assert same(meniscus.reconstruct(both, where="kind!=16777217 and height<50", **asked), alone)
+    assert same(meniscus.reconstruct(both, where=["kind<2", "x<50"], **asked), alone)
+    assert same(meniscus.Frame(both, where="kind=1", **asked).surface(), alone)
+    # Exactly: as float32 it would be 2^24.
+    with pytest.raises(meniscus.Error):
+        meniscus.reconstruct(both, where="kind=16777216", **asked)
+    with pytest.raises(meniscus.Error, match="heat"):
+        meniscus.reconstruct(both, where="heat<3", **asked)

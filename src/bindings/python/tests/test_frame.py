@@ -71,3 +71,19 @@ def test_a_packed_frame_is_sampled_already(tmp_path: Path, ball: Any) -> None:
     meniscus.Frame(ball, spacing=1.0).save(tmp_path / "ball.mnf")
     with pytest.raises(meniscus.InputError, match="ball.mnf"):
         meniscus.Frame.load(tmp_path / "ball.mnf", spacing=2.0)
+
+
+def test_particles_of_several_files_make_one_surface(tmp_path: Path, program: Any, ball: Any) -> None:
+    parts = [tmp_path / f"{name}.npy" for name in "ab"]
+    for part, points in zip(parts, (ball[:1000], ball[1000:])):
+        np.save(part, points)
+    mesh = meniscus.Frame.load(parts, spacing=1.0).surface()
+    assert same(mesh, meniscus.Frame.load([str(part) for part in parts], spacing=1.0).surface())
+    assert mesh.report.particles == len(ball) and mesh.check().components == 1
+    program("reconstruct", *parts, "-o", tmp_path / "theirs.ply", "-q", "--together", "--spacing", 1)
+    mesh.write(tmp_path / "ours.ply")
+    assert (tmp_path / "ours.ply").read_bytes() == (tmp_path / "theirs.ply").read_bytes()
+    with pytest.raises(TypeError, match="^path: a path or a list of paths is needed"):
+        meniscus.Frame.load(7)  # type: ignore[arg-type]
+    with pytest.raises(meniscus.InputError, match="no file"):
+        meniscus.Frame.load([])

@@ -26,6 +26,7 @@ OF_FILES = {
     "resume": "Simulation has it",
     "watch": "Simulation has it",
     "fps": "Simulation has it",
+    "together": "Simulation has it; Frame.load() takes a list of files",
 }
 OF_THE_PROGRAM = {
     "plan": "Simulation.plan() is it",
@@ -191,7 +192,7 @@ def test_every_keyword_is_read_and_refuses_nonsense_by_its_name(name: str, ball:
             call(object())
 
 
-@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "attributes", "format", "resume", "preview"])
+@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "together", "attributes", "format", "resume", "preview"])
 def test_every_keyword_of_simulations_is_read(name: str, tmp_path: Any) -> None:
     with pytest.raises(TypeError, match=f"^{name}: "):
         meniscus.Simulation("in_{}.bgeo", tmp_path / "out_{}.ply", **{name: object()})

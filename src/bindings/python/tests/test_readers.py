@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ FILES: dict[str, dict[str, Any]] = {
     "h5/steps.h5part#10": {"spacing": 0.1},
 }
 # Written here, of numbers of 32 and of 64 bits.
-WRITTEN = ["csv", "npy", "npz", "ply", "txt", "vtk", "vtp", "vtu"]
+WRITTEN = ["csv", "dat", "dump", "json", "npy", "npz", "ply", "txt", "vtk", "vtp", "vtu"]
 
 
 def put(path: Path, positions: Any, velocity: Any) -> None:
@@ -44,7 +45,14 @@ def put(path: Path, positions: Any, velocity: Any) -> None:
         np.save(path, positions)
     elif kind == "npz":
         np.savez(path, positions=positions, velocity=velocity)
-    elif kind in ("csv", "txt"):
+    elif kind == "json":
+        path.write_text(json.dumps(positions.tolist()))
+    elif kind == "dump":
+        names = "x y z vx vy vz"
+        box = "".join(f"{lowest:.17g} {highest:.17g}\n" for lowest, highest in zip(positions.min(axis=0) - 1, positions.max(axis=0) + 1))
+        head = f"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n{count}\nITEM: BOX BOUNDS ff ff ff\n{box}ITEM: ATOMS {names}"
+        np.savetxt(path, np.hstack([positions, velocity]), fmt="%.17g", header=head, comments="")
+    elif kind in ("csv", "dat", "txt"):
         apart = "," if kind == "csv" else " "
         head = apart.join(["x", "y", "z", "vx", "vy", "vz"])
         np.savetxt(path, np.hstack([positions, velocity]), fmt="%.17g", delimiter=apart, header=head, comments="")
@@ -113,7 +121,7 @@ def test_every_width_of_numbers_gives_the_programs_bytes(tmp_path: Path, program
     put(path, positions, velocity)
     particles = compare(tmp_path, program, path, {"spacing": 1.0})
     assert np.array_equal(particles.positions, positions)
-    if extension != "npy":
+    if extension not in ("json", "npy"):
         assert particles.velocity is not None and np.array_equal(particles.velocity, velocity)
     # Gzipped it is the same.
     packed = path.with_suffix(path.suffix + ".gz")
@@ -131,9 +139,41 @@ def test_numbers_without_a_head_give_the_programs_bytes(tmp_path: Path, program:
 def test_no_format_of_the_programs_is_left_out() -> None:
     with pytest.raises(meniscus.InputError) as raised:
         meniscus.read_particles("water.abc")
-    known = set(re.findall(r"\.(\w+)", str(raised.value).split("abc", 1)[1])) - {"gz"}
+    known = set(re.findall(r"\.(\w+)", str(raised.value).split("abc", 1)[1])) - {"gz", "xz", "zst"}
     assert len(known) > 15
     tried = {Path(file.split("#")[0]).suffix[1:] for file in FILES} | set(WRITTEN) | {"xyz"}
-    # Names of the same formats.
-    alike = {"bhclassic": "bgeo", "hdf": "hdf5"}
+    # Names of the same formats, or of lists of the same pieces.
+    alike = {"bhclassic": "bgeo", "hdf": "hdf5", "lammpstrj": "dump", "vtm": "pvtp", "vtpc": "pvtp", "vtpd": "pvtp"}
     assert {alike.get(name, name) for name in known} == tried
+
+
+def test_particles_of_a_file_are_selected_by_their_attributes(tmp_path: Path, program: Any) -> None:
+    positions = lattice(6.0)
+    path = tmp_path / "water.npz"
+    np.savez(path, positions=np.concatenate([positions, positions + 50.0]), kind=np.repeat(np.array([1, 2], np.int32), len(positions)))
+    read = meniscus.read_particles(path, where="kind=1")
+    assert np.array_equal(read.positions, positions) and set(read.attributes["kind"].tolist()) == {1}
+    assert len(meniscus.read_particles(path, where=["kind=2", "x<51"])) < len(positions)
+    program("reconstruct", path, "-o", tmp_path / "theirs.ply", "-q", "--spacing", 1, "--where", "kind=1")
+    mesh = meniscus.Frame.load(path, spacing=1.0, where="kind=1").surface()
+    mesh.write(tmp_path / "ours.ply")
+    assert (tmp_path / "ours.ply").read_bytes() == (tmp_path / "theirs.ply").read_bytes()
+    with pytest.raises(meniscus.Error, match="heat"):
+        meniscus.read_particles(path, where="heat=1")
+
+
+def test_whole_numbers_of_files_are_integers(tmp_path: Path) -> None:
+    positions = lattice(6.0)
+    numbers = np.arange(len(positions)) + 2**24
+    dtypes = {"int16": "int32", "int32": "int32", "uint32": "uint32", "int64": "int64", "float64": "float32"}
+    path = tmp_path / "water.npz"
+    np.savez(path, positions=positions, **{name: (numbers % 1000 if name == "int16" else numbers).astype(name) for name in dtypes})
+    read = meniscus.read_particles(path)
+    assert {name: str(values.dtype) for name, values in read.attributes.items()} == dtypes
+    assert np.array_equal(read.attributes["uint32"], numbers) and np.array_equal(read.attributes["int64"], numbers)
+    mesh = meniscus.Frame.load(path, spacing=1.0, attributes=["uint32", "int64"]).surface()
+    arrays = meniscus.reconstruct(positions, spacing=1.0, attributes={name: read.attributes[name] for name in ("uint32", "int64")})
+    for name in "uint32", "int64":
+        assert mesh.attributes[name].dtype == {"uint32": np.uint32, "int64": np.int32}[name]
+        assert np.array_equal(mesh.attributes[name], arrays.attributes[name])
+    assert set(mesh.attributes["int64"].tolist()) <= set(numbers.tolist())

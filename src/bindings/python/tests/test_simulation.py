@@ -152,3 +152,39 @@ def test_frames_are_listed_by_their_numbers(dambreak: Path, tmp_path: Path) -> N
         meniscus.list_frames(tmp_path)
     with pytest.raises(TypeError, match="a path or a list of paths is needed"):
         meniscus.list_frames(7)  # type: ignore[arg-type]
+
+
+def test_frames_before_the_first_have_negative_numbers(tmp_path: Path) -> None:
+    points = lattice(6.0).astype("<f4")
+    for number in -3, -2, 1:
+        (tmp_path / f"in_{number}.xyz").write_bytes(points.tobytes())
+    (tmp_path / "in_-1.xyz").write_bytes(b"12345")
+    inputs = tmp_path / "in_{}.xyz"
+    assert [number for number, _ in meniscus.list_frames(inputs)] == [-3, -2, -1, 1]
+    assert meniscus.Simulation(inputs, tmp_path / "plan" / "{}.ply", end=-2).plan() == [-3, -2]
+    events: list[meniscus.Event] = []
+    (summary,) = meniscus.Simulation(inputs, tmp_path / "out" / "{}.ply", start=-3, end=np.int64(-1)).run(progress=events.append)
+    assert (summary.made, summary.failed) == (2, 1) and list(summary.failures) == [-1]
+    assert {event.frame for event in events if event.kind == "done"} == {-3, -2}
+    assert [event.frame for event in events if event.kind == "failed"] == [-1]
+    assert (tmp_path / "out" / "-3.ply").exists()
+    (summary,) = meniscus.Simulation(inputs, tmp_path / "one" / "{}.ply", frames=(-2, -2)).run()
+    assert summary.made == 1
+    with pytest.raises(meniscus.InputError, match="start: .* is out of range"):
+        meniscus.Simulation(inputs, tmp_path / "{}.ply", start=-(2**63) - 1)
+
+
+def test_frames_of_several_inputs_are_joined(tmp_path: Path, program: Any) -> None:
+    points = lattice(6.0)
+    for number in 1, 2:
+        for name, part in ("oil", points[:400]), ("water", points[400:]):
+            np.save(tmp_path / f"{name}_{number}.npy", part)
+    inputs = [tmp_path / f"{name}_{{}}.npy" for name in ("oil", "water")]
+    (summary,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{}.ply", together=True, spacing=1.0).run()
+    assert summary.made == 2 and summary.complete
+    program("reconstruct", *inputs, "-o", tmp_path / "theirs" / "{}.ply", "-q", "--together", "--spacing", 1)
+    for number in 1, 2:
+        ours, theirs = (tmp_path / by / f"{number}.ply" for by in ("ours", "theirs"))
+        assert ours.read_bytes() == theirs.read_bytes()
+    with pytest.raises(meniscus.InputError, match="together: it is for inputs and an output"):
+        meniscus.Simulation(together=True)

@@ -28,6 +28,7 @@ class _DLPack(Protocol):
     def __dlpack_device__(self) -> tuple[Any, Any]: ...
 
 _Array: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64] | _DLPack | Buffer
+_Column: TypeAlias = _Array | npt.NDArray[np.integer[Any]]
 _Path: TypeAlias = str | os.PathLike[str]
 _Point: TypeAlias = Sequence[float] | npt.NDArray[Any]
 _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | npt.NDArray[Any]
@@ -97,13 +98,14 @@ class _OfFrames(_OfFiles, total=False):
     overwrite: bool | None
     watch: float | None
     fps: float | None
+    together: bool | None
     preview: bool | None
 
 def reconstruct(
     positions: _Array,
     *,
     velocity: _Array | None = None,
-    attributes: Mapping[str, _Array] | None = None,
+    attributes: Mapping[str, _Column] | None = None,
     progress: _Progress | None = None,
     **options: Unpack[_OfArrays],
 ) -> Mesh: ...
@@ -121,7 +123,7 @@ class Mesh:
     @property
     def normals(self) -> npt.NDArray[np.float32] | None: ...
     @property
-    def attributes(self) -> dict[str, npt.NDArray[np.float32]]: ...
+    def attributes(self) -> dict[str, npt.NDArray[Any]]: ...
     @property
     def volume(self) -> float: ...
     @property
@@ -142,13 +144,13 @@ class Frame:
         positions: _Array,
         *,
         velocity: _Array | None = None,
-        attributes: Mapping[str, _Array] | None = None,
+        attributes: Mapping[str, _Column] | None = None,
         progress: _Progress | None = None,
         **options: Unpack[_OfArrays],
     ) -> Frame: ...
     @staticmethod
     def load(
-        path: _Path, *, progress: _Progress | None = None, **options: Unpack[_OfFiles]
+        path: _Path | Sequence[_Path], *, progress: _Progress | None = None, **options: Unpack[_OfFiles]
     ) -> Frame: ...
     @property
     def particles_up(self) -> Literal["y", "z"]: ...
@@ -172,7 +174,7 @@ class Simulation:
         positions: _Array,
         *,
         velocity: _Array | None = None,
-        attributes: Mapping[str, _Array] | None = None,
+        attributes: Mapping[str, _Column] | None = None,
         progress: _Progress | None = None,
     ) -> Mesh: ...
     def run(self, *, progress: Callable[[Event], object] | None = None) -> list[Summary]: ...
@@ -185,7 +187,7 @@ class Particles:
     @property
     def velocity(self) -> npt.NDArray[np.float32] | None: ...
     @property
-    def attributes(self) -> dict[str, npt.NDArray[np.float32]]: ...
+    def attributes(self) -> dict[str, npt.NDArray[Any]]: ...
     @property
     def spacing(self) -> float | None: ...
     @property
