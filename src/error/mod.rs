@@ -264,6 +264,11 @@ impl Error {
             }
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
+            // Another frame may have some.
+            Self::Read(ReadError {
+                fault: ReadFault::Selection(SelectionFault::None { .. }),
+                ..
+            }) => Cause::Input,
             Self::Read(ReadError {
                 fault: ReadFault::UnknownExtension { .. } | ReadFault::Selection(_),
                 ..

@@ -3,6 +3,8 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
 
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -34,7 +36,26 @@ pub fn is_list(path: &Path) -> bool {
 ///
 /// # Errors
 /// [`ReadError`] for a list that cannot be read, that names nothing, or that names another list.
-pub fn listed(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
+pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
+    // A simulation asks for each of its frames: the last list is kept as long as it is the same.
+    static LAST: Mutex<Option<(PathBuf, Version, Arc<[ListedFrame]>)>> = Mutex::new(None);
+    let version = path.metadata().ok().and_then(|of| Some((of.modified().ok()?, of.len())));
+    let Some(version) = version else { return read_list(path).map(Into::into) };
+    let last = || LAST.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((of, known, frames)) = &*last()
+        && (of.as_path(), *known) == (path, version)
+    {
+        return Ok(Arc::clone(frames));
+    }
+    let frames: Arc<[ListedFrame]> = read_list(path)?.into();
+    *last() = Some((path.to_owned(), version, Arc::clone(&frames)));
+    Ok(frames)
+}
+
+/// When a list was written, and its bytes.
+type Version = (SystemTime, u64);
+
+fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let bytes = open_whole(path)?;
     let is_xml = bytes.trim_ascii_start().starts_with(b"<");
     let named = if is_xml { collection(&bytes) } else { series(&bytes) };
@@ -65,7 +86,7 @@ pub fn open_particles(
     wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    let mut frames = listed(list)?;
+    let frames = listed(list)?;
     let count = frames.len();
     let number =
         number.or((count == 1).then_some(0)).and_then(|number| usize::try_from(number).ok());
@@ -77,10 +98,10 @@ pub fn open_particles(
         );
         return Err(ReadError::new(path, ReadFault::Unsupported(what)));
     };
-    let ListedFrame { time, files } = frames.swap_remove(number);
+    let ListedFrame { time, files } = &frames[number];
     let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
     let opened = open_joined(&files, wanted, unpacking)?;
-    Ok(ParticleFile { time: time.or(opened.time), ..opened })
+    Ok(ParticleFile { time: (*time).or(opened.time), ..opened })
 }
 
 /// Names of files, by the time that they are of.
@@ -158,7 +179,7 @@ mod tests {
             std::fs::create_dir_all(folder.path().join(file).parent().unwrap()).unwrap();
             std::fs::write(folder.path().join(file), "").unwrap();
         }
-        let mut frames = listed(&path)?;
+        let mut frames = listed(&path)?.to_vec();
         for file in frames.iter_mut().flat_map(|frame| &mut frame.files) {
             *file = file.strip_prefix(folder.path()).unwrap().to_owned();
         }

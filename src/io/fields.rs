@@ -77,7 +77,9 @@ pub struct Arrangement {
 impl Arrangement {
     /// The numbers of the frames; none where there is one.
     pub fn steps(&self) -> Vec<u64> {
-        (0..self.frames.unwrap_or(0)).filter(|_| self.frames > Some(1)).collect()
+        // Frames without particles take no bytes, however many are announced.
+        let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
+        (0..frames.unwrap_or(0)).collect()
     }
 
     /// The frame that is number `step`, or the only one.

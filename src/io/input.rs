@@ -11,7 +11,7 @@ use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::pieces::keep_shared_attributes;
-use super::wanted::Wanted;
+use super::wanted::{Wanted, WantedPieces};
 use super::{
     LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz,
     ply, text_format, vtk, vtp,
@@ -88,9 +88,14 @@ pub fn open_joined(
         return open_wanted(path, wanted, unpacking);
     }
     let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
-    let open = |path: &&Path| open_wanted(path, wanted, share);
+    // The files are the pieces.
+    let whole = Wanted { pieces: WantedPieces::All, ..wanted };
+    let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
+        true => open_wanted(path, whole, share),
+        false => Ok(ParticleFile::new(Pieces::default(), "no file")),
+    };
     // All are waited for, so that the error is the first file's.
-    let files: Vec<_> = paths.par_iter().map(open).collect();
+    let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let mut files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
     let Some(first) = files.first() else {

@@ -5,7 +5,7 @@
 //! particles in it. These ghosts are flagged; a run of rows without them is a span, and the spans
 //! of all pieces in order are the particles.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ pub struct Pieces {
     spans: Vec<Span>,
     len: usize,
     infos: Vec<AttributeInfo>,
-    /// Those of the only piece.
+    /// Labels of the only piece.
     labels: Vec<Label>,
     /// For every piece the numbers of its own attributes, in the order of `infos`.
     numbers: Vec<Vec<usize>>,
@@ -223,18 +223,18 @@ pub(super) fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<Attribut
             partial.push(info);
         }
     }
-    let has = |file: &ParticleFile, info: &AttributeInfo| {
-        file.particles.attributes().iter().any(|own| same(own, info))
-    };
+    let key = |info: &AttributeInfo| (info.name.clone(), info.components);
+    let mut having = HashMap::new();
     for info in filled().flat_map(|file| file.particles.attributes()) {
-        if !filled().all(|file| has(file, info)) {
-            partial.push(info.clone());
-        }
+        *having.entry(key(info)).or_insert(0) += 1;
     }
+    let all = filled().count();
+    let lacks = |info: &&AttributeInfo| having[&key(info)] < all;
+    partial.extend(filled().flat_map(|f| f.particles.attributes()).filter(lacks).cloned());
     let mut seen = HashSet::new();
-    partial.retain(|info| seen.insert((info.name.clone(), info.components)));
+    partial.retain(|info| seen.insert(key(info)));
     for file in files {
-        file.particles.retain_attributes(|info| !partial.iter().any(|other| same(other, info)));
+        file.particles.retain_attributes(|info| !seen.contains(&key(info)));
     }
     partial
 }

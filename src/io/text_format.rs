@@ -31,6 +31,10 @@ enum TextFormat {
 impl TextFormat {
     fn of(bytes: View, named: Option<InputFormat>) -> Result<Self, ReadFault> {
         let head = bytes.read(0..bytes.len().min(SNIFFED))?;
+        if is_text(&head) && head.contains(&b'\r') && !head.contains(&b'\n') {
+            let what = "its lines end in CR alone, as on old Macs; convert their ends to LF";
+            return Err(ReadFault::Unsupported(what.to_owned()));
+        }
         Ok(if named == Some(InputFormat::Xyz) && !is_text(&head) {
             Self::Raw
         } else if named == Some(InputFormat::Lammps) || lammps::is_dump(&head) {

@@ -80,28 +80,36 @@ impl WantedAttributes<'_> {
     pub fn hold_label(&self, name: &str) -> bool {
         let Self::Only { conditions, .. } = self else { return true };
         let mut conditions = conditions.iter().flat_map(Where::conditions);
-        is_kind(name) || conditions.any(|condition| condition.name == name)
+        is_kind(name) || conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
     /// Tells for each of an input's attributes whether it is to be read. All are, where one that is
     /// wanted is not there: whoever wants it will say what is.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
-        let Self::Only { names, conditions } = self else { return vec![true; infos.len()] };
-        let conditions = conditions.iter().flat_map(Where::conditions);
-        let selecting: Vec<usize> = conditions.filter_map(|c| c.attribute(infos)).collect();
-        let number = |name: &String| attribute_called(name, infos);
-        let wanted: Option<Vec<usize>> = match names {
-            None => Some(velocity_attribute(infos).into_iter().collect()),
-            Some(names) => names.iter().map(number).collect(),
-        };
+        let Self::Only { .. } = self else { return vec![true; infos.len()] };
+        let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_kind(name);
+        let asked = self.asked_among(infos);
         let reads = |(number, info): (usize, &AttributeInfo)| {
-            let is_flag =
-                GHOSTS.contains(&info.name.as_str()) || info.name == TAG || is_kind(&info.name);
-            is_flag
-                || selecting.contains(&number)
-                || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
+            is_flag(&info.name) || asked.as_ref().is_none_or(|asked| asked[number])
         };
         infos.iter().enumerate().map(reads).collect()
+    }
+
+    /// Tells for each of an input's attributes whether it is asked for by its name, by a condition,
+    /// or as the velocity; `None` where one that is asked for is not there, or all are read.
+    pub fn asked_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
+        let Self::Only { names, conditions } = self else { return None };
+        let conditions = conditions.iter().flat_map(Where::conditions);
+        let selecting = conditions.filter_map(|condition| condition.attribute(infos));
+        let carried: Vec<usize> = match names {
+            None => velocity_attribute(infos).into_iter().collect(),
+            Some(names) => {
+                names.iter().map(|name| attribute_called(name, infos)).collect::<Option<_>>()?
+            }
+        };
+        let mut asked = vec![false; infos.len()];
+        carried.into_iter().chain(selecting).for_each(|number| asked[number] = true);
+        Some(asked)
     }
 }
 
@@ -131,6 +139,10 @@ impl ParticleFile {
         let sieve = sieve.map_err(|fault| match fault {
             SelectionFault::Cancelled => unpacking.go_on().expect_err("was cancelled"),
             SelectionFault::Unread(fault) => fault.into(),
+            SelectionFault::NoAttribute { name, mut known } => {
+                known.extend(self.unread.iter().map(|info| info.name.clone()));
+                ReadFault::Selection(SelectionFault::NoAttribute { name, known })
+            }
             fault => ReadFault::Selection(fault),
         })?;
         self.unselected = self.particles.len() - sieve.count();

@@ -171,7 +171,12 @@ impl FromStr for Condition {
             .into_iter()
             .map(|value| unquoted(value).to_owned())
             .collect();
-        if name.is_empty() || values.iter().any(String::is_empty) {
+        let is_missing = |value: &str| value.trim().is_empty();
+        if name.is_empty()
+            || split(sides[1], |text| text.starts_with(',').then_some(1))
+                .into_iter()
+                .any(is_missing)
+        {
             return Err(expected());
         }
         if comparison.is_of_order() {
@@ -210,7 +215,11 @@ impl From<Where> for String {
 fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "_.-+[]:/".contains(c);
     let quote = if text.contains('"') { '\'' } else { '"' };
-    if text.chars().all(plain) { text.to_owned() } else { format!("{quote}{text}{quote}") }
+    if !text.is_empty() && text.chars().all(plain) {
+        text.to_owned()
+    } else {
+        format!("{quote}{text}{quote}")
+    }
 }
 
 impl Display for Condition {

@@ -43,6 +43,9 @@ pub struct TooWide {
     pub value: i64,
 }
 
+/// Shares of light that are brighter are numbers up to 255.
+const BRIGHT: f32 = 16.0;
+
 /// Names of colours, in lower case.
 const COLOURS: [&str; 8] = ["cd", "color", "colors", "colour", "colours", "diffuse", "rgb", "rgba"];
 
@@ -151,7 +154,8 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 }
 
 /// The carried attributes with the kinds that their values settle: whole numbers of 64 bits that fit
-/// 32, and colours of floating-point numbers that are all whole bytes, of which some exceed 1.
+/// 32, and colours of floating-point numbers that are from 0 to 255, of which some are far beyond
+/// what is bright for shares.
 ///
 /// # Errors
 /// [`TooWide`] for whole numbers that do not fit.
@@ -184,21 +188,20 @@ pub fn settled(
                 };
             }
             AttributeKind::Colour => {
-                let [whole, beyond] = folded(
+                let [within, beyond] = folded(
                     particles,
                     [true, false],
                     |first, count, seen| {
                         let mut values = vec![0.0; count * components];
                         particles.attribute(index, first, &mut values);
                         let finite = values.iter().filter(|x| x.is_finite());
-                        finite.fold(seen, |[whole, beyond], &x| {
-                            let is_byte = (0.0..=255.0).contains(&x) && x.fract() == 0.0;
-                            [whole && is_byte, beyond || x > 1.0]
+                        finite.fold(seen, |[within, beyond], &x| {
+                            [within && (0.0..=255.0).contains(&x), beyond || x > BRIGHT]
                         })
                     },
                     |[a, b], [c, d]| [a && c, b || d],
                 );
-                if whole && beyond {
+                if within && beyond {
                     info.kind = AttributeKind::ByteColour;
                 }
             }

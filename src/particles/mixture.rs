@@ -61,9 +61,9 @@ pub fn is_kind(name: &str) -> bool {
 pub struct Mixture {
     /// The attribute that tells them apart.
     pub attribute: String,
-    /// Its value on the boundary, and the number of particles there.
+    /// The attribute's value on the boundary, and the number of particles there.
     pub boundary: (Value, usize),
-    /// Its value within, and the number of particles there.
+    /// The attribute's value within, and the number of particles there.
     pub fluid: (Value, usize),
 }
 
@@ -84,7 +84,8 @@ impl Extent {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
             lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
-        beyond >= 5
+        let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
+        beyond >= 5 && is_body
     }
 }
 

@@ -112,6 +112,8 @@ enum Number {
 enum Test {
     /// A comparison of a number with some.
     Number(Number, Comparison, Vec<f64>),
+    /// A comparison of whole numbers, of an attribute and a component, for equality.
+    Whole((usize, usize), Comparison, Vec<i64>),
     /// A label, and for each of its texts whether it passes.
     Label(usize, Vec<bool>),
 }
@@ -151,11 +153,12 @@ impl Condition {
         }
     }
 
-    fn number(&self, infos: &[AttributeInfo]) -> Result<Number, SelectionFault> {
+    fn number(&self, infos: &[AttributeInfo], labels: &[Label]) -> Result<Number, SelectionFault> {
         let name = self.name.clone();
         let Some(index) = self.attribute(infos) else {
             let axis = AXES.iter().position(|axis| name.eq_ignore_ascii_case(axis));
-            let known = || infos.iter().map(|info| info.name.clone()).collect();
+            let names = infos.iter().map(|info| &info.name);
+            let known = || names.chain(labels.iter().map(|label| &label.name)).cloned().collect();
             let missing = || SelectionFault::NoAttribute { name, known: known() };
             return axis.map(Number::Position).ok_or_else(missing);
         };
@@ -171,19 +174,31 @@ impl Condition {
 
     fn test(&self, infos: &[AttributeInfo], labels: &[Label]) -> Result<Test, SelectionFault> {
         let name = &self.name;
-        if let Some(index) = labels.iter().position(|label| label.name == *name) {
+        let is_called = |label: &Label| label.name == *name;
+        let is_alike = |label: &Label| label.name.eq_ignore_ascii_case(name);
+        let exact = labels.iter().position(is_called);
+        let alike = exact.or_else(|| labels.iter().position(is_alike));
+        if let Some(index) = alike.filter(|_| exact.is_some() || self.attribute(infos).is_none()) {
             let order = || SelectionFault::Order { name: name.clone() };
             let passes = |text: &String| self.of_text(text).ok_or_else(order);
             let texts = labels[index].texts.iter().map(passes).collect::<Result<_, _>>()?;
             return Ok(Test::Label(index, texts));
         }
-        let number = self.number(infos)?;
+        let number = self.number(infos, labels)?;
         let value = |text: &String| {
             let fault = || SelectionFault::Text { name: name.clone(), value: text.clone() };
             text.parse().map_err(|_| fault())
         };
         let values = self.values.iter().map(value).collect::<Result<_, _>>()?;
-        Ok(Test::Number(number, self.comparison, values))
+        let whole: Option<Vec<i64>> = self.values.iter().map(|text| text.parse().ok()).collect();
+        Ok(match (number, whole) {
+            (Number::Component(index, component), Some(whole))
+                if infos[index].kind.is_whole() && !self.comparison.is_of_order() =>
+            {
+                Test::Whole((index, component), self.comparison, whole)
+            }
+            _ => Test::Number(number, self.comparison, values),
+        })
     }
 }
 
@@ -206,6 +221,15 @@ impl Test {
                     }
                 }
                 keep(words, &numbers, |&number| comparison.holds(number, values));
+            }
+            Self::Whole((index, component), comparison, values) => {
+                let components = particles.attributes()[*index].components;
+                let mut all = vec![0; count * components];
+                particles.integers(*index, first, &mut all);
+                let numbers: Vec<i64> =
+                    all.into_iter().skip(*component).step_by(components).collect();
+                let is_equal = *comparison == Comparison::Equal;
+                keep(words, &numbers, |number| values.contains(number) == is_equal);
             }
             Self::Label(index, passes) => {
                 let mut texts = vec![0; count];
@@ -259,7 +283,7 @@ impl SelectionFault {
         let names = conditions.iter().flat_map(Where::conditions).map(|c| c.name.as_str());
         let names: Vec<&str> = names.collect();
         let mut values = occurring(particles);
-        values.retain(|of| names.contains(&of.name.as_str()));
+        values.retain(|of| names.iter().any(|name| of.name.eq_ignore_ascii_case(name)));
         let conditions = conditions.as_ref().map(ToString::to_string).unwrap_or_default();
         Self::None { of: particles.len(), conditions, values }
     }
@@ -329,6 +353,12 @@ impl<P: Particles + ?Sized> Particles for Selected<'_, P> {
     fn label(&self, index: usize, first: usize, out: &mut [u32]) {
         self.each_run(first, out.len(), |run, at| {
             self.particles.label(index, run.start, &mut out[at..at + run.len()]);
+        });
+    }
+
+    fn component(&self, of: (usize, usize), first: usize, out: &mut [f64]) {
+        self.each_run(first, out.len(), |run, at| {
+            self.particles.component(of, run.start, &mut out[at..at + run.len()]);
         });
     }
 

@@ -37,6 +37,11 @@ impl Started {
         let path = *paths.first().ok_or_else(|| Error::Request("no file to open".into()))?;
         let checked = &self.checked;
         let mut timings = Timings::default();
+        if let Some(packed) = paths.iter().filter(|_| paths.len() > 1).find(|path| is_packed(path))
+        {
+            let what = "packed frames cannot be joined with others; pack the particles together";
+            return Err(Error::Request(format!("{}: {what}", packed.display())));
+        }
         let open = || {
             if let [path] = paths
                 && is_packed(path)

@@ -7,7 +7,7 @@ use crate::error::{Error, FPS, SimulationError};
 use crate::io::input::is_known;
 use crate::reconstruction::Reconstruction;
 
-use super::inputs::{Inputs, Selection};
+use super::inputs::{Inputs, Selection, Sequence};
 use super::naming::Naming;
 
 /// A request for the mesh of each frame of a simulation.
@@ -97,10 +97,16 @@ impl Simulation {
             return Ok(Some(Self::of_files(inputs, output).together()));
         }
         for input in inputs {
-            if let Some(several @ (Inputs::Pattern(_) | Inputs::Steps(_))) =
-                Inputs::of(std::slice::from_ref(input))?
-            {
-                return Err(one_output(output, &several));
+            let Some(several) = Inputs::of(std::slice::from_ref(input))? else { continue };
+            let is_one = || {
+                let found = several.simulations(None)?;
+                let frames = found.iter().map(Sequence::list).collect::<Result<Vec<_>, _>>()?;
+                Ok::<_, SimulationError>(frames.iter().all(|frames| frames.len() < 2))
+            };
+            match several {
+                Inputs::Folder(_) | Inputs::Glob(_) if is_one()? => {}
+                Inputs::Files(_) => {}
+                _ => return Err(one_output(output, &several)),
             }
         }
         Ok(None)

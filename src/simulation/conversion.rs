@@ -353,6 +353,8 @@ pub(super) struct Conversion<'a> {
     pub(super) store: Store,
     /// `None` where it cannot be known.
     pub(super) settled: OnceLock<Option<Settled>>,
+    /// Records of frames that were made before this run replaced any mesh.
+    pub(super) before: OnceLock<Records>,
     pub(super) division: Division,
     pub(super) gate: Gate,
     pub(super) stop: AtomicBool,
@@ -377,7 +379,8 @@ impl<'a> Conversion<'a> {
         let division = setup.division(frames);
         let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes, setup.checked.threads));
         let [stop, unchecked] = [(); 2].map(|()| AtomicBool::new(false));
-        Self { setup, format, store, settled, division, gate, stop, unchecked }
+        let before = OnceLock::new();
+        Self { setup, format, store, settled, before, division, gate, stop, unchecked }
     }
 
     /// The caller's handle to end the work early.

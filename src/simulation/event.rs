@@ -155,6 +155,8 @@ pub struct LeftOut {
     pub lost: u64,
     /// Drops that were too small.
     pub drops: u64,
+    /// Particles that fail the conditions by which they are selected.
+    pub unselected: u64,
 }
 
 impl LeftOut {
@@ -165,6 +167,7 @@ impl LeftOut {
         self.census.outside += other.census.outside;
         self.lost += other.lost;
         self.drops += other.drops;
+        self.unselected += other.unselected;
     }
 }
 

@@ -6,6 +6,7 @@ use super::state::{State, Store};
 use crate::error::{Cause, Error};
 use crate::frame::{FrameError, Resources};
 use crate::io::ParticleFile;
+use crate::io::ReadError;
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::reconstruction::{self, Doubt, Slab};
@@ -160,6 +161,7 @@ impl Setup<'_> {
                 control: Some(&resources.control),
             },
         )?;
+        let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;

@@ -495,7 +495,7 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
                 files.filter(|file| wanted(file)).collect()
             }
             _ if argument.is_file() && is_list(argument) => {
-                listed(argument)?.into_iter().flat_map(|frame| frame.files).collect()
+                listed(argument)?.iter().flat_map(|frame| frame.files.clone()).collect()
             }
             Some(inputs @ Inputs::Pattern(_)) => inputs
                 .only()
@@ -664,6 +664,14 @@ fn joined(
                 "{} has frame {number} and {} has none; frames are joined where all inputs have the same numbers",
                 has.describe(),
                 lacks.describe()
+            )));
+        }
+        let times = |(a, b): (&FrameFile, &FrameFile)| a.time != b.time;
+        if let Some((one, other)) = frames.iter().zip(&list).find(|(a, b)| times((a, b))) {
+            return Err(SimulationError::Names(format!(
+                "{} and {} are at different times; joined inputs need frames of the same times",
+                one.path.display(),
+                other.path.display()
             )));
         }
         for (frame, other) in frames.iter_mut().zip(list) {

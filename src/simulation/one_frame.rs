@@ -234,8 +234,8 @@ impl Conversion<'_> {
     /// bytes that it is made with again.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
-            let records = Records::read(self.store.folder());
-            records.names(made.mesh.frame, target) || made.is_whole(target)
+            let before = self.before.get_or_init(|| Records::read(self.store.folder()));
+            before.names(made.mesh.frame, target) || made.is_whole(target)
         };
         target.symlink_metadata().is_ok() && !is_own()
     }
@@ -318,7 +318,8 @@ impl Conversion<'_> {
                 (Some(permit.run(sample)?), census)
             }
         };
-        Ok(Ready { frame, left_out: census.into(), infos, time: file.time, permit })
+        let left_out = LeftOut { unselected: file.unselected as u64, ..census.into() };
+        Ok(Ready { frame, left_out, infos, time: file.time, permit })
     }
 
     /// The part of a lane's memory that is left for the frame, where as much as its surface takes

@@ -392,6 +392,11 @@ fn times(files: &[&Candidate]) -> Option<Pattern> {
         all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
     let fractions: BTreeSet<&str> =
         all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
+    // Decimals end in 0 where all are of one length, and not beside shorter ones: 0.9, 0.10.
+    let lengths: BTreeSet<usize> = fractions.iter().map(|fraction| fraction.len()).collect();
+    if lengths.len() > 1 && fractions.iter().any(|f| f.len() > 1 && f.ends_with('0')) {
+        return None;
+    }
     if wholes.len() == 1 {
         let before = first.name[..numbers[0][number].start].chars().next_back();
         let is_apart = !before.is_some_and(char::is_alphanumeric);
@@ -462,8 +467,9 @@ fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
 }
 
 /// Words before the number of a process, whose file is a piece of each frame.
-const PROCESSES: [&str; 9] =
-    ["rank", "proc", "procs", "process", "processor", "processors", "mpi", "pe", "cpu"];
+const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "processors"];
+/// Words right before the number of a frame.
+const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
 /// Words before the number of a piece, which also stand before other numbers.
 const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 
@@ -475,6 +481,11 @@ enum Pieces {
     Unclear,
     /// Nothing says so.
     Unlikely,
+}
+
+/// Whether a number is spelled with zeros before it, as frames' numbers are.
+fn is_padded(digits: &str) -> bool {
+    digits.len() > 1 && digits.starts_with('0')
 }
 
 /// Finds files that are pieces of frames, by a word before their number: `rank`, or one that is used
@@ -503,6 +514,16 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
                     first.pattern(*piece),
                 )));
             };
+            let before = &first.name[..first.runs[frame].start];
+            let word = before.trim_end_matches(char::is_alphabetic).len();
+            let word = before[word..].to_ascii_lowercase();
+            if !word.is_empty() && !FRAMES.contains(&word.as_str()) {
+                // As in `case1_rank0`: frames that are numbered so, of one case.
+                return Ok(Pieces::Unclear);
+            }
+            if files.iter().any(|file| is_padded(file.digits(*piece))) {
+                return Ok(Pieces::Unclear);
+            }
             (*piece, frame)
         }
         &[one, other] => match [one, other].map(|run| is_process(&run)) {
@@ -539,7 +560,6 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
             first.pattern(varying.iter().copied().find(|run| *run != piece).unwrap_or(piece)),
         )));
     }
-    let is_padded = |text: &str| text.len() > 1 && text.starts_with('0');
     Ok(if files.iter().any(|file| is_padded(file.digits(piece))) {
         Pieces::Unlikely
     } else if is_same && pieces > 1 && pieces <= frames.len() {
@@ -572,10 +592,10 @@ fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
         let simulation = others.iter().map(|&run| file.digits(run)).collect();
         simulations.entry(simulation).or_default().insert(file.digits(last));
     }
-    let is_padded = |file: &&Candidate| {
+    let is_padded_longest = |file: &&Candidate| {
         let text = file.digits(last);
         let longest = others.iter().map(|&run| file.digits(run).len()).max().unwrap_or(0);
-        text.len() > 1 && text.starts_with('0') && text.len() >= longest
+        is_padded(text) && text.len() >= longest
     };
     let count = |numbers: &BTreeSet<&str>| {
         let counted: BTreeSet<Option<usize>> = (0..numbers.len()).map(Some).collect();
@@ -583,7 +603,7 @@ fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     };
     let mut all = simulations.values();
     let is_alike = all.next().is_some_and(|first| count(first) && all.all(|own| own == first));
-    if is_alike && !files.iter().any(is_padded) {
+    if is_alike && !files.iter().any(is_padded_longest) {
         return false;
     }
     let longest = simulations.values().max_by_key(|numbers| numbers.len());
@@ -601,6 +621,30 @@ mod tests {
     fn patterns(names: &[impl AsRef<Path>]) -> Result<Vec<String>, SimulationError> {
         let files: Vec<_> = names.iter().map(|name| name.as_ref().to_owned().into()).collect();
         infer(&files).map(|patterns| patterns.iter().map(Pattern::to_string).collect())
+    }
+
+    #[test]
+    fn numbers_of_cases_and_counted_fractions_are_not_pieces_and_times() {
+        let names = |prefix: &str, numbers: &[&str]| -> Vec<String> {
+            numbers.iter().map(|number| format!("{prefix}{number}.csv")).collect()
+        };
+        for (prefix, numbers) in [
+            ("case1_cpu_", &["0000", "0001", "0002"][..]),
+            ("dam3d_mpi_", &["0", "1", "2"]),
+            ("f2_pe", &["0", "1", "2"]),
+        ] {
+            let found = patterns(&names(prefix, numbers)).unwrap();
+            assert_eq!(found, [format!("{prefix}{{}}.csv")]);
+        }
+        for (prefix, numbers) in
+            [("case1_rank", &["0", "1", "2"][..]), ("out_0001_rank", &["0000", "0001"])]
+        {
+            assert!(patterns(&names(prefix, numbers)).is_err(), "{prefix}");
+        }
+        let counted = patterns(&names("sim_0.", &["8", "9", "10", "11"]));
+        assert!(counted.is_ok_and(|found| found == ["sim_0.{}.csv"]));
+        let times = patterns(&names("sim_0.", &["80", "90", "95"]));
+        assert!(times.is_ok_and(|found| found == ["sim_{time}.csv"]));
     }
 
     #[test]

@@ -21,6 +21,7 @@ use crate::system::cancel::Cancel;
 use super::builder::Simulation;
 use super::inputs::{FrameFile, Inputs, Sequence, files_in};
 use super::naming::{self, Naming, without_number};
+use super::pattern::{Numbers, Pattern};
 use super::small_meshes::SmallMeshes;
 use super::state::Store;
 
@@ -531,7 +532,18 @@ impl Simulation {
         let usual = || first().map_or(UpAxis::Y, |frame| settings.usual_up(&frame.path));
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
-        let pictures = Pictures::new(picture, [&self.output], &path);
+        let meshes = match (&naming, simulations().and_then(|all| all.into_iter().next())) {
+            // Meshes of frames that are at times are called by these.
+            (Naming::Pattern(outputs), Some(sequence))
+                if sequence.pattern().is_some_and(|p| p.numbers == Numbers::Times)
+                    && outputs.width.is_none() =>
+            {
+                let timed = Pattern { numbers: Numbers::Times, ..outputs.clone() };
+                PathBuf::from(timed.to_string())
+            }
+            _ => self.output.clone(),
+        };
+        let pictures = Pictures::new(picture, [&meshes], &path);
         let pictures = pictures.cancel(self.request.control.cancel.clone());
         // Meshes in a folder are .ply.
         let small = match &naming {

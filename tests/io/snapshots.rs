@@ -124,8 +124,6 @@ fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
         ),
         ("pysph_40.hdf5", "gas", "there are: fluid, wall"),
         ("openpmd.h5#100", "ions", "there are: water"),
-        ("grid.vtkhdf", "ions", "none is called ions"),
-        ("points.csv", "ions", "none is called ions"),
     ] {
         let error = open_type(&data(name), kind).unwrap_err();
         assert!(

@@ -362,7 +362,7 @@ fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_th
     let mut first = [[0.0; 3]];
     file.particles.positions(0, &mut first);
     assert!(first[0].iter().all(|x| x.is_finite()));
-    let error = meniscus::files::open_particles(folder.join("scene.json"), &Settings::default())
+    let error = meniscus::files::open_particles(folder.join("frame.unknown"), &Settings::default())
         .unwrap_err();
     assert_eq!(error.cause(), Cause::Request, "{error}");
 }

@@ -444,17 +444,18 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
 }
 
 #[test]
-fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
+fn a_frame_that_no_machine_can_hold_is_refused_before_it_is_begun() {
     let mut particles = moving(splashes(31));
-    // Attributes of pebibytes; nobody gets to read them.
+    // Attributes of exbibytes; nobody gets to read them.
     particles.attributes[0].components = 1 << 36;
     let scratch = TempDir::new().unwrap();
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());
     let sampling = Sampling { resources, carried: vec![0], ..sampling() };
     let fault =
         Engine::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
-    let FrameError::NoRoom { folder, needed, free } = &fault else { panic!("{fault}") };
-    assert!(folder == scratch.path() && needed > free);
-    let error = Error::Frame { path: Some("frame".into()), fault };
-    assert_eq!(error.cause(), Cause::Output);
+    let FrameError::WideAttributes { components, needed, budget } = fault else {
+        panic!("{fault}")
+    };
+    assert!(components == 1 << 36 && needed > budget);
+    assert_eq!(Error::Frame { path: None, fault }.cause(), Cause::Request);
 }

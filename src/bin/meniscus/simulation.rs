@@ -179,6 +179,9 @@ impl Teller<'_> {
         {
             notes.say(too_small(left_out.drops, particles));
         }
+        if left_out.unselected > 0 {
+            notes.say(format!("{} particles left out by --where", left_out.unselected));
+        }
         report_census(&left_out.census, notes);
         warn_all(summary.lost().as_slice(), None, notes);
         if !summary.is_complete() {

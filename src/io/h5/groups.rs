@@ -215,6 +215,14 @@ impl Search {
             if is_unique && !short.is_empty() { short } else { path.clone() }
         });
         let names: Vec<String> = names.collect();
+        if let [only] = &names[..] {
+            // It may have an attribute of that name.
+            let called = named.filter(|named| named == only || **named == paths[0]);
+            return Ok((
+                self.candidates.swap_remove(0),
+                called.map(str::to_owned).into_iter().collect(),
+            ));
+        }
         let by_path = named.and_then(|named| paths.iter().position(|path| path == named));
         let index = match by_path {
             Some(index) => index,
@@ -223,9 +231,8 @@ impl Search {
                 names.iter().position(|name| *name == chosen).expect("one of them")
             }
         };
-        let (chosen, is_only) = (names[index].clone(), names.len() == 1);
-        let names = if is_only { Vec::new() } else { types(names, &chosen) };
-        Ok((self.candidates.swap_remove(index), names))
+        let chosen = names[index].clone();
+        Ok((self.candidates.swap_remove(index), types(names, &chosen)))
     }
 }
 

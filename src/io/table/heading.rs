@@ -236,7 +236,8 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault
                  of an element; name the columns by Properties=";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
-        (true, true) => 1,
+        // Else it is x, which rows may be sorted by.
+        (true, true) if are_elements(rows, found) || counts(rows, found) => 1,
         _ => found.first,
     };
     let syntax = with_decimals(found.syntax, rows, &Named::unnamed(first, found.fields));
@@ -377,6 +378,14 @@ fn has_whole_first(rows: &[u8], row: Unnamed) -> bool {
     rows_of(rows, row.syntax, row.fields)
         .take(SAMPLED_ROWS)
         .all(|mut fields| fields.next().is_some_and(is_whole))
+}
+
+/// Whether the first column of the first rows may hold atomic numbers.
+fn are_elements(rows: &[u8], row: Unnamed) -> bool {
+    let number = |field: &[u8]| std::str::from_utf8(field).ok()?.parse::<u64>().ok();
+    rows_of(rows, row.syntax, row.fields)
+        .take(SAMPLED_ROWS)
+        .all(|mut fields| fields.next().and_then(number).is_some_and(|n| (1..=118).contains(&n)))
 }
 
 /// Whether each of the three columns behind the first has numbers with fractions.

@@ -127,12 +127,16 @@ impl Table {
         let info = |q: &Quantity| AttributeInfo::new(&q.name, q.columns.len());
         let infos: Vec<_> = attributes.iter().map(info).collect();
         let is_read = wanted.among(&infos);
-        let otherwise = match wanted {
-            WantedAttributes::All => Otherwise::Drop,
-            _ => Otherwise::Refuse,
-        };
+        let asked = wanted.asked_among(&infos).unwrap_or_else(|| vec![false; infos.len()]);
         let read = || attributes.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(a));
-        let attribute_columns = read().flat_map(|a| &a.columns).map(|column| (column, otherwise));
+        let otherwise = asked
+            .iter()
+            .zip(&is_read)
+            .filter(|(_, read)| **read)
+            .map(|(asked, _)| if *asked { Otherwise::Refuse } else { Otherwise::Drop });
+        let attribute_columns = read()
+            .zip(otherwise)
+            .flat_map(|(a, otherwise)| a.columns.iter().map(move |column| (column, otherwise)));
         let label_columns = texts.iter().enumerate();
         let label_columns = label_columns.map(|(n, t)| (&t.columns[0], Otherwise::Label(n)));
         let attribute_columns = attribute_columns.chain(label_columns);

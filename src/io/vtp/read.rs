@@ -315,7 +315,7 @@ fn not_ghosts(
     Ok((!all_left).then_some(left))
 }
 
-/// As [`not_ghosts`], of one piece.
+/// Ranges of points that are not ghosts, as [`not_ghosts`] finds them, in one piece.
 fn points_left(
     data_set: DataSet,
     piece: &Piece,
