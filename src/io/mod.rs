@@ -103,7 +103,7 @@ pub enum LeftOut {
     Block {
         /// The block's name or file.
         name: String,
-        /// What it holds instead.
+        /// Contents of the block.
         holds: String,
     },
 }

@@ -203,7 +203,7 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
 
 /// Attributes of the points.
 struct Attributes<'a> {
-    /// Those that all pieces have, as arrays of one of them.
+    /// Arrays that all pieces have, as one of them has them.
     shared: Vec<&'a Array>,
     left_out: Vec<LeftOut>,
 }
