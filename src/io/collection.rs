@@ -38,7 +38,7 @@ pub fn is_list(path: &Path) -> bool {
 /// [`ReadError`] for a list that cannot be read, that names nothing, or that names another list.
 pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
     // A simulation asks for each of its frames: the last list is kept as long as it is the same.
-    static LAST: Mutex<Option<(PathBuf, Version, Arc<[ListedFrame]>)>> = Mutex::new(None);
+    static LAST: Mutex<Option<Known>> = Mutex::new(None);
     let version = path.metadata().ok().and_then(|of| Some((of.modified().ok()?, of.len())));
     let Some(version) = version else { return read_list(path).map(Into::into) };
     let last = || LAST.lock().unwrap_or_else(PoisonError::into_inner);
@@ -54,6 +54,8 @@ pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
 
 /// When a list was written, and its bytes.
 type Version = (SystemTime, u64);
+/// A list that was read.
+type Known = (PathBuf, Version, Arc<[ListedFrame]>);
 
 fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let bytes = open_whole(path)?;

@@ -94,8 +94,8 @@ impl Where {
         let is_it = |condition: &&Condition| {
             condition.is_of_type() && condition.comparison == Comparison::Equal
         };
-        let conditions = several.iter().flat_map(Self::conditions);
-        match &conditions.filter(is_it).next()?.values[..] {
+        let mut conditions = several.iter().flat_map(Self::conditions);
+        match &conditions.find(is_it)?.values[..] {
             [only] => Some(only),
             _ => None,
         }
@@ -110,7 +110,7 @@ impl Where {
 }
 
 /// The pieces of a text between separators that stand outside of quotes.
-fn split<'a>(text: &'a str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&'a str> {
+fn split(text: &str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&str> {
     let (mut pieces, mut start, mut quote) = (Vec::new(), 0, None);
     let mut at = 0;
     while let Some(character) = text[at..].chars().next() {

@@ -240,7 +240,7 @@ mod tests {
     fn a_shell_around_a_fluid_is_its_boundary() {
         let tank = lattice(12, |p| {
             let is_wall = p.abs().max_element() > 10;
-            (is_wall && p.z < 12 || !is_wall && p.z < 3).then(|| if is_wall { 7.0 } else { 2.0 })
+            (is_wall && p.z < 12 || !is_wall && p.z < 3).then_some(if is_wall { 7.0 } else { 2.0 })
         });
         let Mixture { attribute, boundary, fluid } = found("Mk", &tank).unwrap();
         assert_eq!(

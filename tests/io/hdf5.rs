@@ -80,8 +80,10 @@ fn points(by: f64) -> Vec<[f64; 3]> {
 fn a_table_has_a_column_for_each_member_that_is_a_number() {
     let table = open("table.h5").unwrap();
     assert_eq!(names(&table), [("id", 1), ("velocity", 3)]);
-    let expected: Vec<_> =
-        points(0.0).iter().map(|&[x, y, z]| [x as f32 as f64, y, z as f32 as f64]).collect();
+    let expected: Vec<_> = points(0.0)
+        .iter()
+        .map(|&[x, y, z]| [f64::from(x as f32), y, f64::from(z as f32)])
+        .collect();
     assert_eq!(positions(&table), expected);
     let doubled: Vec<f32> = points(0.0).as_flattened().iter().map(|x| (2.0 * x) as f32).collect();
     assert_eq!((attribute(&table, "velocity"), attribute(&table, "id")[59]), (doubled, 59.0));

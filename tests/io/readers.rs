@@ -19,8 +19,11 @@ use crate::common::files::data;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
 
+/// Packs the bytes of a file.
+type Packer = fn(&[u8]) -> Vec<u8>;
+
 /// Compressions of whole files, by their extensions.
-const PACKERS: [(&str, fn(&[u8]) -> Vec<u8>); 3] = [
+const PACKERS: [(&str, Packer); 3] = [
     ("gz", gzip),
     ("xz", xz),
     ("zst", |bytes| zstd::encode_all(bytes, 3).expect("memory takes all")),
