@@ -19,15 +19,15 @@ const EXPECTED: f64 = 0.5;
 pub struct Shortfall {
     /// Volume of the surface over that of its particles.
     pub share: f64,
-    /// The number of particles, but for those in the same place as another.
+    /// The number of particles, counting coincident ones once.
     pub particles: usize,
     /// The spacing of the particles: each fills a cube of this edge.
     pub spacing: f64,
 }
 
 impl Shortfall {
-    /// Compares a surface, as far as it is around some cells, with so many particles, so far apart
-    /// but for some in the same place as others; `None` where it holds what one expects.
+    /// Compares the volume of a surface, within the cells of `around`, with that of `particles` at
+    /// `spacing`, counting coincident ones once; `None` where it is as large as expected.
     ///
     /// # Errors
     /// Where the surface is in a scratch file that cannot be read.

@@ -6,14 +6,12 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
-use quick_xml::Reader;
-use quick_xml::events::Event;
 use serde::Deserialize;
 
 use super::bytes::{Unpacking, open_whole};
 use super::input::open_joined;
 use super::listed::resolved;
-use super::vtp::Tag;
+use super::vtp::each_tag;
 use super::wanted::Wanted;
 use super::{ParticleFile, ReadError, ReadFault, malformed};
 
@@ -111,31 +109,19 @@ type Named = Vec<(Option<f64>, Vec<String>)>;
 
 /// The data sets of a .pvd.
 fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
-    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-        return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
-    }
-    let mut xml = Reader::from_reader(bytes);
     let mut sets: Vec<(Option<f64>, i64, String)> = Vec::new();
-    loop {
-        let at = xml.buffer_position() as usize;
-        let event = xml
-            .read_event()
-            .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
-        let tag = match &event {
-            Event::Start(tag) | Event::Empty(tag) => Tag { tag, at },
-            Event::Eof => break,
-            _ => continue,
-        };
+    each_tag(bytes, |tag| {
         if tag.tag.name().as_ref() == "DataSet" {
             let file = tag.value("file")?.filter(|file| !file.is_empty());
-            let file = file.ok_or_else(|| malformed(at, "a DataSet without a file"))?;
+            let file = file.ok_or_else(|| malformed(tag.at, "a DataSet without a file"))?;
             let time: Option<f64> = tag.number("timestep")?;
             if time.is_some_and(|time| !time.is_finite()) {
-                return Err(malformed(at, "a timestep that is not finite"));
+                return Err(malformed(tag.at, "a timestep that is not finite"));
             }
             sets.push((time, tag.number("part")?.unwrap_or(0), file));
         }
-    }
+        Ok(())
+    })?;
     let mut places = HashMap::new();
     let mut frames = Named::new();
     let mut parts: Vec<(usize, i64, String)> = Vec::new();

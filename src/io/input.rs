@@ -64,11 +64,11 @@ pub fn open_wanted(
     wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    let (list, step) = file_and_step(path);
-    if is_list(list) {
-        return collection::open_particles(path, list, step, wanted, unpacking);
+    let (file, step) = file_and_step(path);
+    if is_list(file) {
+        return collection::open_particles(path, file, step, wanted, unpacking);
     }
-    let file = read(path, wanted, unpacking)?.without_ghosts();
+    let file = read(path, (file, step), wanted, unpacking)?.without_ghosts();
     match wanted.conditions {
         [] => Ok(file),
         conditions => file.selected(conditions, unpacking).map_err(|f| ReadError::new(path, f)),
@@ -149,9 +149,13 @@ pub fn open_joined(
     })
 }
 
-fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+fn read(
+    path: &Path,
+    (file, step): (&Path, Option<u64>),
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let (file, step) = file_and_step(path);
     let format = wanted.format.or_else(|| InputFormat::of(file));
     let reader = reader(format.ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?);
     let bytes = open_bytes_within(file, unpacking)?;

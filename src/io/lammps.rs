@@ -5,7 +5,7 @@
 //! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
 
 use super::bytes::{Bytes, Unpacking, View};
-use super::error::several_steps;
+use super::error::{no_step, several_steps};
 use super::table::{Cell, Named, Separator, Syntax, Table, excerpt, names_of};
 use super::text::TextLines;
 use super::wanted::WantedAttributes;
@@ -62,7 +62,7 @@ pub(super) fn read(
             match Step::next(&mut lines)? {
                 Some(step) if step.number == number => break step,
                 Some(_) => {}
-                None => return Err(ReadFault::Unsupported(format!("there is no step {number}"))),
+                None => return Err(no_step(number)),
             }
         },
         None => {

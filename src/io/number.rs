@@ -9,7 +9,7 @@ const LONGEST: usize = 64;
 pub enum Decimal {
     /// A point, as in 0.5.
     Point,
-    /// A point, as in 0.5.
+    /// A comma, as in 0,5.
     Comma,
 }
 

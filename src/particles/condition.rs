@@ -167,18 +167,12 @@ impl FromStr for Condition {
         let written = &text[name.len()..text.len() - values.len()];
         let comparison = WRITTEN.iter().find(|(known, _)| *known == written);
         let (name, (_, comparison)) = (unquoted(name), comparison.ok_or_else(expected)?);
-        let values: Vec<String> = split(values, |text| text.starts_with(',').then_some(1))
-            .into_iter()
-            .map(|value| unquoted(value).to_owned())
-            .collect();
-        let is_missing = |value: &str| value.trim().is_empty();
-        if name.is_empty()
-            || split(sides[1], |text| text.starts_with(',').then_some(1))
-                .into_iter()
-                .any(is_missing)
-        {
+        let values = split(values, |text| text.starts_with(',').then_some(1));
+        // An empty value has to be quoted.
+        if name.is_empty() || values.iter().any(|value| value.trim().is_empty()) {
             return Err(expected());
         }
+        let values: Vec<String> = values.into_iter().map(|v| unquoted(v).to_owned()).collect();
         if comparison.is_of_order() {
             let number = |value: &String| value.parse::<f64>().is_ok_and(|value| !value.is_nan());
             if values.len() > 1 || !values.iter().all(number) {

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use crate::particles::Label;
 
-/// Texts of a column; one that has more tells particles apart one by one.
+/// Most different texts of a column; one with more is no label.
 const MOST: usize = 4096;
 
 /// The texts of a column, as far as rows were decoded.

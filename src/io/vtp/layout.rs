@@ -414,6 +414,31 @@ fn text(xml: &[u8], at: usize) -> Range<usize> {
     at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
 }
 
+/// Calls `take` with each element of a list of files, which has to be whole.
+///
+/// # Errors
+/// [`ReadFault::Malformed`] for what is no XML or ends too early, and those of `take`.
+pub(in crate::io) fn each_tag(
+    bytes: &[u8],
+    mut take: impl FnMut(&Tag<'_>) -> Result<(), ReadFault>,
+) -> Result<(), ReadFault> {
+    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+        return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
+    }
+    let mut xml = Reader::from_reader(bytes);
+    loop {
+        let at = xml.buffer_position() as usize;
+        let event = xml
+            .read_event()
+            .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
+        match &event {
+            Event::Start(tag) | Event::Empty(tag) => take(&Tag { tag, at })?,
+            Event::Eof => return Ok(()),
+            _ => {}
+        }
+    }
+}
+
 /// An element and where it starts.
 pub(in crate::io) struct Tag<'a> {
     pub tag: &'a BytesStart<'a>,

@@ -13,7 +13,7 @@ pub mod parallel;
 mod read;
 mod write;
 
-pub(super) use layout::Tag;
+pub(super) use layout::each_tag;
 pub(super) use read::unless_text;
 pub use read::{has_faces, is_text, read_mesh, read_particles};
 pub(super) use write::escaped;

@@ -4,8 +4,6 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use quick_xml::Reader;
-use quick_xml::events::Event;
 use rayon::prelude::*;
 
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
@@ -17,7 +15,7 @@ use crate::io::wanted::Wanted;
 use crate::io::{LeftOut, ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::surface::mesh::Mesh;
 
-use super::layout::Tag;
+use super::layout::{Tag, each_tag};
 use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particles, unless_text};
 
 /// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
@@ -263,26 +261,13 @@ struct File {
 
 impl List {
     fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
-        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-            return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
-        }
-        let mut xml = Reader::from_reader(bytes);
         let (mut files, mut format) = (Vec::new(), None);
-        loop {
-            let at = xml.buffer_position() as usize;
-            let event = xml
-                .read_event()
-                .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
-            let tag = match &event {
-                Event::Start(tag) | Event::Empty(tag) => Tag { tag, at },
-                Event::Eof => break,
-                _ => continue,
-            };
+        each_tag(bytes, |tag| {
             match (tag.tag.name().as_ref(), format) {
-                ("VTKFile", _) => format = Some(Format::of(&tag)?),
+                ("VTKFile", _) => format = Some(Format::of(tag)?),
                 ("Piece", Some(Format { blocks: false, .. })) => {
                     let name = tag.value("Source")?.filter(|source| !source.is_empty());
-                    let name = name.ok_or_else(|| malformed(at, "a piece without a Source"))?;
+                    let name = name.ok_or_else(|| malformed(tag.at, "a piece without a Source"))?;
                     files.push(File { name, block: None });
                 }
                 // An empty block has no file.
@@ -294,7 +279,8 @@ impl List {
                 }
                 _ => {}
             }
-        }
+            Ok(())
+        })?;
         let Format { name, .. } = format.ok_or_else(|| malformed(0, "no <VTKFile>"))?;
         if files.is_empty() {
             return Err(malformed(0, "it names no pieces"));
