@@ -245,7 +245,7 @@ pub mod devices {
     pub use crate::brick::vulkan::{Coordinate, DevicePositions};
     pub use crate::frame::resident::{DeviceRequest, Exchange, Pipeline, ResidentSurface};
     pub use crate::frame::{Detail, Normals, Surfacing};
-    pub use crate::grid::units::{Sigma, Smooth};
+    pub use crate::grid::units::{SheetStretch, Sigma, Smooth};
     pub use crate::vulkan::{
         Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Foreign,
         Instance, Moment, Timing, View,

@@ -214,6 +214,11 @@ settings! {
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
+    /// Neighbours in a sheet or a thread are joined up to this distance, however thin it is; 0 turns
+    /// this off [default: 2.15]. For the indicator cloud.
+    #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
+    sheets: Option<f64>,
+
     /// How the field is made: by discrete indicator functions, or by a kernel method to compare
     /// them with [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
@@ -425,6 +430,7 @@ mod tests {
             mu0: Some(3.0),
             skip_invalid: true,
             smooth: Some(2.0),
+            sheets: Some(1.8),
             method: Some(MethodName::YuTurk),
             sigma: Some(1.0),
             iso: Some(Iso::Value(0.4)),

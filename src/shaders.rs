@@ -9,7 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::vulkan::Shader;
 
 /// Every shader, by name.
-pub const SHADERS: [&Shader; 28] = [
+pub const SHADERS: [&Shader; 29] = [
     &BASES,
     &BLUR,
     &CLOUDS,
@@ -31,6 +31,7 @@ pub const SHADERS: [&Shader; 28] = [
     &QUOTIENT,
     &REFINE,
     &SETTLE,
+    &SHEETS,
     &SIGNS,
     &SORT,
     &SPREAD,
@@ -205,6 +206,14 @@ pub const SETTLE: Shader = Shader {
     code: include_bytes!("../spirv/settle.spv"),
     buffers: &["keys", "slots"],
     push_bytes: size_of::<SettlePush>() as u32,
+    group: 256,
+};
+
+pub const SHEETS: Shader = Shader {
+    name: "sheets",
+    code: include_bytes!("../spirv/sheets.spv"),
+    buffers: &["blocks", "density", "shares"],
+    push_bytes: size_of::<SheetsPush>() as u32,
     group: 256,
 };
 
@@ -480,3 +489,7 @@ pub struct VerticesPush {
     pub first_word: u32,
     pub threshold: u32,
 }
+
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct SheetsPush { pub walls_lo: [i32; 3], pub step: i32, pub walls_hi: [i32; 3], pub slope: i32, pub bend: i32, pub plateau: i32, pub most_more: i32, pub sheet_size: i32, pub thread_size: i32, pub drop_size: i32, pub least_size: i32, pub sheet_stretch: i32, pub thread_stretch: i32, pub share: i32, pub by_directions: i32, pub by_size: i32, pub by_distance: i32, pub torn_begin: u32, pub torn_range: u32, pub impure_begin: u32, pub impure_range: u32, pub thin_begin: u32, pub thin_range: u32, pub round_begin: u32, pub round_range: u32 }

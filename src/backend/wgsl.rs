@@ -8,6 +8,7 @@ use crate::field::indicator::vulkan::{CLOUD_SAMPLES, OCTANT};
 use crate::field::indicator::{
     DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
 };
+use crate::field::sheets::{BITS, EXP2, LOG2, LOG2_OF_E};
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::surface::dual_mc::vulkan::{SIGN_TILES, TILE_WORDS};
@@ -26,6 +27,15 @@ pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
         ("FULL", "u32", FULL.into()),
         ("DISTANCE_ZERO", "i32", ZERO.into()),
         ("MOST_APART", "i32", MOST_APART.into()),
+        ("SHEET_BITS", "u32", BITS.into()),
+        ("LOG2_A", "i32", LOG2[0].into()),
+        ("LOG2_B", "i32", LOG2[1].into()),
+        ("LOG2_C", "i32", LOG2[2].into()),
+        ("LOG2_D", "i32", LOG2[3].into()),
+        ("EXP2_A", "i32", EXP2[0].into()),
+        ("EXP2_B", "i32", EXP2[1].into()),
+        ("EXP2_C", "i32", EXP2[2].into()),
+        ("LOG2_E", "i32", LOG2_OF_E.into()),
         ("INSIDE_BITS", "u32", BRICK.ilog2().into()),
         ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
         ("AXIS_BITS", "u32", AXIS_BITS.into()),

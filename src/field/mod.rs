@@ -13,4 +13,5 @@ pub mod detail;
 pub mod distance;
 pub mod indicator;
 pub mod recipe;
+pub mod sheets;
 pub mod spacing;

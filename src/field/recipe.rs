@@ -7,6 +7,7 @@ use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
 use crate::field::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width};
 use crate::field::indicator::IndicatorKind;
+use crate::field::sheets::Sheets;
 use crate::grid::units::{Isovalue, Sigma};
 use crate::grid::{BLOCK, CellBox};
 
@@ -210,7 +211,7 @@ pub fn joined<F: Fields>(
     fields: &mut F,
     wide: WideFields<F::Field>,
 ) -> Result<F::Field, F::Error> {
-    let Distances { level, gate, drops_level, drops, .. } = distances;
+    let Distances { level, gate, drops_level, drops, sheets, .. } = distances;
     fields.look(&wide, *level, gate)?;
     let bulk = fields.refined(wide.bulk, *level)?;
     if !fields.narrowed(&wide.outlying, *level, gate) {
@@ -221,9 +222,14 @@ pub fn joined<F: Fields>(
         return Ok(bulk);
     }
     let clouds = fields.samples(*drops_level, distances.drops_halo())?;
+    let sheets = sheets.as_ref().filter(|sheets| fields.may_hold(sheets, &clouds));
+    let density = sheets.map(|sheets| fields.blur(clouds.clone(), &sheets.around)).transpose()?;
     let around = fields.blur(clouds.clone(), &drops.around)?;
     let shares = fields.quotient(clouds, around, drops.bits)?;
-    let shares = fields.blur(shares, &drops.spread)?;
+    let mut shares = fields.blur(shares, &drops.spread)?;
+    if let (Some(sheets), Some(density)) = (sheets, density) {
+        shares = fields.sheets(sheets, density, shares)?;
+    }
     let shares = fields.refined(shares, *drops_level)?;
     fields.joined(bulk, near, shares, (drops, gate))
 }
@@ -309,6 +315,17 @@ pub trait Fields {
         clouds: Self::Field,
         around: Self::Field,
         bits: u32,
+    ) -> Result<Self::Field, Self::Error>;
+
+    /// Whether clouds can hold a sheet, as far as can be told before they are smoothed.
+    fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
+
+    /// Shares in which drops have given way to sheets, by the smoothed density.
+    fn sheets(
+        &mut self,
+        sheets: &Sheets,
+        density: Self::Field,
+        shares: Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
     /// The field, of the bulk's surface and of drops.

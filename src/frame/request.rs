@@ -11,7 +11,7 @@ use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
-use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth};
+use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::system::cancel::Cancel;
@@ -81,6 +81,8 @@ const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 pub struct Surfacing {
     /// How calm the water is; of clouds alone.
     pub smooth: Smooth,
+    /// How far sheets are stretched until they tear; of clouds alone.
+    pub sheets: SheetStretch,
     /// The Gaussian's width; that of the frame's spacing where it is `None`. Of the paper's
     /// indicators, as the next two.
     pub sigma: Option<Sigma>,
@@ -98,6 +100,7 @@ impl Surfacing {
     /// A surface as smooth as the frame's spacing says, and nothing else.
     pub const PLAIN: Self = Self {
         smooth: Smooth::DEFAULT,
+        sheets: SheetStretch::DEFAULT,
         sigma: None,
         iso: None,
         detail: Detail::Smoothed,
@@ -135,7 +138,7 @@ impl Surfacing {
         match kind {
             IndicatorKind::Cloud => {
                 let cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
-                Filters::Distances(Box::new(Distances::new(self.smooth, cells)))
+                Filters::Distances(Box::new(Distances::new(self.smooth, self.sheets, cells)))
             }
             IndicatorKind::Symmetry | IndicatorKind::Counting => {
                 let sigma = self.width(spacing, grid.cell_size());

@@ -23,6 +23,9 @@ pub enum UnitError {
     /// The width of what makes water calm.
     #[error("smooth must be from {least} to {most} spacings, not {0}", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
+    /// How far sheets are stretched until they tear.
+    #[error("sheets must be 0, or from {least} to {most} spacings, not {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
+    SheetStretch(f64),
     /// How far a simplified surface may lie from the one that it replaces.
     #[error("simplify must be more than 0 and at most {max} cells, not {0}", max = Tolerance::MAX)]
     Tolerance(f64),
@@ -55,6 +58,7 @@ impl UnitError {
             Self::Sigma(_) => "sigma",
             Self::MeanCount(_) => "mu0",
             Self::Smooth(_) => "smooth",
+            Self::SheetStretch(_) => "sheets",
             Self::Tolerance(_) => "simplify",
             Self::Volume(_) => "smallest-component",
             Self::NotFinite { name, .. } | Self::Length { name, .. } => name,
@@ -206,6 +210,40 @@ impl Smooth {
     /// The width in spacings.
     #[must_use]
     pub fn spacings(self) -> f64 {
+        self.0
+    }
+}
+
+/// How far apart neighbouring particles of a sheet or a thread may lie before it tears, in
+/// spacings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SheetStretch(Option<f64>);
+
+impl SheetStretch {
+    /// The least distance: at less, drops around single particles touch.
+    pub const LEAST: f64 = 1.0;
+    /// The greatest distance: at more, particles of spray are taken for a sheet's.
+    pub const MOST: f64 = 3.0;
+
+    /// The default: sheets hold that are stretched to twice the spacing.
+    pub const DEFAULT: Self = Self(Some(2.15));
+
+    /// The distance in spacings; of 0 there are no sheets.
+    ///
+    /// # Errors
+    /// [`UnitError::SheetStretch`] unless it is 0, or from [`Self::LEAST`] to [`Self::MOST`].
+    pub fn new(spacings: f64) -> Result<Self, UnitError> {
+        let fits = (Self::LEAST..=Self::MOST).contains(&spacings);
+        match spacings {
+            0.0 => Ok(Self(None)),
+            _ if fits => Ok(Self(Some(spacings))),
+            _ => Err(UnitError::SheetStretch(spacings)),
+        }
+    }
+
+    /// The distance in spacings; `None` where there are no sheets.
+    #[must_use]
+    pub fn spacings(self) -> Option<f64> {
         self.0
     }
 }

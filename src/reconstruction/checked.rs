@@ -17,7 +17,7 @@ use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::frame::{Method, Resources, Surfacing};
 use crate::grid::PeriodicError;
 use crate::grid::units::{
-    Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length,
+    Isovalue, MeanCount, SheetStretch, Sigma, Smooth, Tolerance, UnitError, positive_length,
 };
 use crate::io::bytes::Unpacking;
 use crate::io::output::MeshFormat;
@@ -177,7 +177,7 @@ fn method(settings: &Settings) -> Result<Method, Error> {
         return Ok(Method::Indicator { kind, mean });
     };
     let conflict = || Conflict::Method(kernels);
-    refuse_named(settings, &["indicator", "mu0", "smooth", "sigma", "detail"], conflict)?;
+    refuse_named(settings, &["indicator", "mu0", "smooth", "sheets", "sigma", "detail"], conflict)?;
     if kernels == KernelMethod::ZhuBridson && settings.isovalue().is_some() {
         refuse_named(settings, &["iso"], conflict)?;
     }
@@ -193,6 +193,7 @@ fn method(settings: &Settings) -> Result<Method, Error> {
 fn surfacing(settings: &Settings) -> Result<Surfacing, Error> {
     Ok(Surfacing {
         smooth: settings.smooth.map_or(Ok(Smooth::DEFAULT), Smooth::new)?,
+        sheets: settings.sheets.map_or(Ok(SheetStretch::DEFAULT), SheetStretch::new)?,
         sigma: settings.sigma.map(Sigma::new).transpose()?,
         iso: settings.isovalue().map(Isovalue::new).transpose()?,
         detail: if settings.detail { Detail::Recovered } else { Detail::Smoothed },
@@ -221,7 +222,7 @@ impl Settings {
         let meaningless: &[&'static str] = match kind {
             IndicatorKind::Cloud if self.isovalue().is_some() => &["sigma", "iso", "detail"],
             IndicatorKind::Cloud => &["sigma", "detail"],
-            IndicatorKind::Counting | IndicatorKind::Symmetry => &["smooth"],
+            IndicatorKind::Counting | IndicatorKind::Symmetry => &["smooth", "sheets"],
         };
         refuse_named(self, meaningless, || Conflict::Indicator(kind))
     }

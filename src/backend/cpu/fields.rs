@@ -13,6 +13,7 @@ use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
     Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at,
 };
+use crate::field::sheets::{Sheets, holds_any, sheets};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 
@@ -327,6 +328,14 @@ impl Fields for Blocks<'_> {
             block: Rc::new(quotient(&clouds.block, &around.block, bits)),
             level: clouds.level,
         })
+    }
+
+    fn may_hold(&mut self, sheets: &Sheets, clouds: &Field) -> bool {
+        holds_any(sheets, &clouds.block)
+    }
+
+    fn sheets(&mut self, by: &Sheets, density: Field, shares: Field) -> Result<Field, Stopped> {
+        Ok(self.field(sheets(&by.numbers, &density.block, &shares.block), shares.level))
     }
 
     fn joined(

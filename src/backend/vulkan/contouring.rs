@@ -35,8 +35,9 @@ const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 /// Fields of wide cells that are there at once: clouds, two surfaces and what they are apart by,
 /// and another with one more on its way.
 pub(super) const WIDE_FIELDS: usize = 6;
-/// Fields of drops: clouds, and what is around them with one more on its way.
-pub(super) const DROPS_FIELDS: usize = 3;
+/// Fields of drops: clouds, their smoothed density, and what is around them with one more on its
+/// way.
+pub(super) const DROPS_FIELDS: usize = 4;
 /// Fields of the parts in which particles stand out: by how much, and shares.
 pub(super) const PART_FIELDS: usize = 2;
 /// Regions on their way through a lane.

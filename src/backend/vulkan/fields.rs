@@ -10,6 +10,8 @@ use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
 use crate::field::distance::{Bulk, Depths, Drops, Gate, Inside};
 use crate::field::recipe::{Fields, WideFields, walls_at};
+use crate::field::sheets::Sheets;
+use crate::field::sheets::vulkan::sheets as make_sheets;
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
@@ -251,6 +253,28 @@ impl Fields for PaddedFields<'_> {
         let samples = clouds.samples.clone();
         self.give(around);
         Ok(Rc::new(Padded { samples, margin, of }))
+    }
+
+    fn may_hold(&mut self, _: &Sheets, _: &Rc<Padded>) -> bool {
+        true
+    }
+
+    fn sheets(
+        &mut self,
+        sheets: &Sheets,
+        density: Rc<Padded>,
+        shares: Rc<Padded>,
+    ) -> Result<Rc<Padded>, VulkanError> {
+        let of = shares.of;
+        self.stage("sheets", 3, of);
+        let numbers = &sheets.numbers;
+        let walls = self.walls(of);
+        let views = [&density.samples, &shares.samples];
+        let blocks = &self.grids[of].blocks;
+        make_sheets(self.commands, &self.pipelines.sheets, blocks, numbers, walls, views)?;
+        let margin = shares.margin.max(density.margin + numbers.step);
+        self.give(density);
+        Ok(Rc::new(Padded { samples: shares.samples.clone(), margin, of }))
     }
 
     fn joined(

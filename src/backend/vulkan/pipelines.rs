@@ -8,7 +8,7 @@ use crate::field::distance::vulkan::Pipelines as Distance;
 use crate::field::indicator::vulkan::Pipelines as Indicators;
 use crate::shaders::{
     BASES, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE,
-    INDICATE, JOIN, LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SIGNS, SPREAD, TILES,
+    INDICATE, JOIN, LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SHEETS, SIGNS, SPREAD, TILES,
 };
 use crate::surface::dual_mc::vulkan::Pipelines as DualMc;
 use crate::vulkan::{ComputePipeline, Device, VulkanError};
@@ -24,6 +24,7 @@ pub(super) struct Pipelines {
     pub(super) lost: Arc<ComputePipeline>,
     pub(super) greater: Arc<ComputePipeline>,
     pub(super) distance: Distance,
+    pub(super) sheets: Arc<ComputePipeline>,
     pub(super) dual_mc: DualMc,
 }
 
@@ -33,11 +34,11 @@ impl Pipelines {
         #[rustfmt::skip]
         let [
             indicate, clouds, full_cells, halve, full_bricks, gather, blur, lost, greater,
-            depths, mix, outlying, spread, look, refine, quotient, join,
+            depths, mix, outlying, spread, look, refine, quotient, sheets, join,
             signs, tiles, bases, emit,
         ] = device.pipelines([
             &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
-            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
+            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &SHEETS, &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         Ok(Self {
@@ -59,6 +60,7 @@ impl Pipelines {
                 join,
                 full_bricks,
             },
+            sheets,
             dual_mc: DualMc { signs, tiles, bases, emit },
         })
     }

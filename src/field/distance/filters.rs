@@ -7,7 +7,8 @@ use glam::IVec3;
 use crate::brick::halved_from_box;
 use crate::field::blur::Weights;
 use crate::field::indicator::{Amount, GHOST_LAYER, WideCells};
-use crate::grid::units::Smooth;
+use crate::field::sheets::{DropShape, Sheets};
+use crate::grid::units::{SheetStretch, Smooth};
 use crate::grid::{BLOCK, CellBox};
 
 use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, wide_cells};
@@ -75,6 +76,8 @@ pub struct Distances {
     pub drops_level: u32,
     /// Drops.
     pub drops: Drops,
+    /// Sheets and threads in place of drops, in the same cells.
+    pub sheets: Option<Sheets>,
     /// How far beyond a brick of wide cells others decide whether it is inside.
     pub inside_reach: i32,
     /// The deep inside, where nothing is made.
@@ -104,7 +107,7 @@ fn gate([begin, end]: [f64; 2], zero: i32) -> Gate {
 impl Distances {
     /// For particles `spacing` cells apart.
     #[must_use]
-    pub fn new(smooth: Smooth, spacing: f64) -> Self {
+    pub fn new(smooth: Smooth, sheets: SheetStretch, spacing: f64) -> Self {
         let wide = WideCells::of_spacing(spacing);
         let widths = [0, 1, 2].map(|i: usize| {
             let cells = WIDTHS[i] * smooth.spacings() / wide.edge;
@@ -136,14 +139,19 @@ impl Distances {
             apart: gate(APART, 0),
             deep: gate(DEEP, ZERO),
         };
+        let drops_level = wide.level.saturating_sub(1);
+        let (drops, shape) = Drops::new(spacing, drops_level);
+        let in_drops = spacing / f64::from(1 << drops_level);
+        let amount_in_drops = Amount::of_spacing(in_drops).steps();
         Self {
             level: wide.level,
             bulk,
             near: (NEAR / wide.edge).round().max(1.0) as i32,
             least: ((amount / 9.0) as u16).max(1),
             gate: gate(STANDS_OUT, ZERO),
-            drops_level: wide.level.saturating_sub(1),
-            drops: Drops::new(spacing, wide.level.saturating_sub(1)),
+            drops_level,
+            drops,
+            sheets: Sheets::new(sheets, 1.0 / in_drops, 1.0 / spacing, amount_in_drops, shape),
             inside_reach: Inside::reach(wide.edge),
             inside: Arc::default(),
         }
@@ -197,7 +205,8 @@ impl Distances {
     /// How far beyond the cells that they are made in those decide the drops.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
-        self.drops.around.reach() + self.drops.spread.reach()
+        let of_drops = self.drops.around.reach() + self.drops.spread.reach();
+        self.sheets.as_ref().map_or(0, Sheets::halo).max(of_drops)
     }
 
     /// How far from a cell particles decide its field, in cells: by clouds, in wide cells that are
@@ -234,7 +243,8 @@ impl Distances {
     /// Every filter.
     pub fn weights(&self) -> impl Iterator<Item = &Weights> {
         let widths = self.bulk.widths.iter().map(|width| &width.weights);
-        widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread])
+        let sheets = self.sheets.iter().map(|sheets| &sheets.around);
+        widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 
     /// Bytes that the surface of the bulk takes on some wide cells while it is made.
@@ -251,7 +261,7 @@ impl Distances {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
         let halo = self.drops_halo();
         let drops = wide_cells(self.drops_level, cells(BLOCK)).grown(halo, halo);
-        let drops = 4 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
+        let drops = 7 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
         let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
         self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
     }
@@ -274,7 +284,7 @@ fn scale(plateau: f64) -> u32 {
 
 impl Drops {
     /// For particles `spacing` cells apart, in cells 2^`level` times as wide.
-    fn new(spacing: f64, level: u32) -> Self {
+    fn new(spacing: f64, level: u32) -> (Self, DropShape) {
         let spacing = spacing / f64::from(1 << level);
         let cells = DROP_WIDTH * spacing;
         let (weights, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
@@ -292,13 +302,15 @@ impl Drops {
         // Of its cloud no more than 27/64 lie in one cell.
         let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
         let bits = bits_between(share, 49152.0);
-        Self {
+        let shape = DropShape { radius, width: (width / spacing).min(WIDEST_DROP), spline };
+        let drops = Self {
             around: weights.gaining(gain),
             // 1 becomes 32768.
             spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,
             radius: (radius * UNITS).round() as i32,
-            width: ((width / spacing).min(WIDEST_DROP) * UNITS).round() as i32,
-        }
+            width: (shape.width * UNITS).round() as i32,
+        };
+        (drops, shape)
     }
 }

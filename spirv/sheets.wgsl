@@ -1,0 +1,175 @@
+//! with block gate
+// Shares in which drops have given way to sheets and threads, by the smoothed density. Cells beyond a wall are the outermost before it.
+// The formulas stand in src/field/sheets/mod.rs; numbers have SHEET_BITS fraction bits, and logarithms are to base 2.
+
+struct SheetsPush {
+    // The lowest cell within the walls.
+    walls_lo: vec3<i32>,
+    // How many cells apart samples are whose differences are taken.
+    step: i32,
+    // The highest cell within the walls.
+    walls_hi: vec3<i32>,
+    slope: i32,
+    bend: i32,
+    plateau: i32,
+    most_more: i32,
+    sheet_size: i32,
+    thread_size: i32,
+    drop_size: i32,
+    least_size: i32,
+    sheet_stretch: i32,
+    thread_stretch: i32,
+    share: i32,
+    by_directions: i32,
+    by_size: i32,
+    by_distance: i32,
+    torn_begin: u32,
+    torn_range: u32,
+    impure_begin: u32,
+    impure_range: u32,
+    thin_begin: u32,
+    thin_range: u32,
+    round_begin: u32,
+    round_range: u32,
+}
+
+var<immediate> push: SheetsPush;
+@group(0) @binding(0) var<storage, read> blocks: array<Block>;
+@group(0) @binding(1) var<storage, read> density: array<u32>;
+// Of drops, to become the shares.
+@group(0) @binding(2) var<storage, read_write> shares: array<u32>;
+
+const ONE: i32 = 1 << SHEET_BITS;
+const MOST_BEND: i32 = 2 * ONE;
+const MOST_SLOPE: i32 = 4 * ONE;
+
+fn gate_of(begin: u32, range: u32) -> Gate {
+    return Gate(begin, range, ((1u << 28u) + range - 1u) / range);
+}
+
+fn log_two(sample: u32) -> i32 {
+    let power = firstLeadingBit(max(sample, 1u));
+    let x = i32((max(sample, 1u) << (15u - power)) & 32767u);
+    var sum = LOG2_D;
+    sum = LOG2_C + ((sum * x) >> 15u);
+    sum = LOG2_B + ((sum * x) >> 15u);
+    sum = LOG2_A + ((sum * x) >> 15u);
+    let between = (((x * (32768 - x)) >> 15u) * sum) >> 15u;
+    return (i32(power) << SHEET_BITS) + ((x + between) >> (15u - SHEET_BITS));
+}
+
+fn two_to(power: i32) -> i32 {
+    let whole = power >> SHEET_BITS;
+    let x = (power & (ONE - 1)) << (15u - SHEET_BITS);
+    var sum = EXP2_C;
+    sum = EXP2_B + ((sum * x) >> 15u);
+    sum = EXP2_A + ((sum * x) >> 15u);
+    let mantissa = 32768 + x - ((((x * (32768 - x)) >> 15u) * sum) >> 15u);
+    if whole >= 0 {
+        return mantissa << u32(whole);
+    }
+    return mantissa >> u32(-whole);
+}
+
+fn product(a: vec3<i32>, b: vec3<i32>) -> i32 {
+    return (a.x * b.x + a.y * b.y + a.z * b.z) >> SHEET_BITS;
+}
+
+fn held(v: vec3<i32>, most: i32) -> vec3<i32> {
+    return clamp(v, vec3(-most), vec3(most));
+}
+
+fn times(m: mat3x3i, v: vec3<i32>) -> vec3<i32> {
+    return held(vec3(product(m.x, v), product(m.y, v), product(m.z, v)), MOST_SLOPE);
+}
+
+// A symmetric matrix, by rows.
+struct mat3x3i {
+    x: vec3<i32>,
+    y: vec3<i32>,
+    z: vec3<i32>,
+}
+
+// The logarithm of the density at a cell of a block, given relative to its lowest.
+fn at(block: Block, cell: vec3<i32>) -> i32 {
+    let inside = clamp(cell, push.walls_lo - block.lo, push.walls_hi - block.lo);
+    let known = vec3<u32>(clamp(inside, vec3(0), vec3<i32>(block.size) - 1));
+    return log_two(half_of(density[word_of(block, known)], known.x));
+}
+
+fn impurity(row: vec3<i32>, m: mat3x3i) -> i32 {
+    let apart = held(row - vec3(product(row, m.x), product(row, m.y), product(row, m.z)), MOST_BEND);
+    return apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
+}
+
+fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
+    let x = vec3(push.step, 0, 0);
+    let y = vec3(0, push.step, 0);
+    let z = vec3(0, 0, push.step);
+    let centre = at(block, cell);
+    let below = vec3(at(block, cell - x), at(block, cell - y), at(block, cell - z));
+    let above = vec3(at(block, cell + x), at(block, cell + y), at(block, cell + z));
+    // In the planes xy, xz and yz.
+    let same = vec3(
+        at(block, cell + x + y) + at(block, cell - x - y),
+        at(block, cell + x + z) + at(block, cell - x - z),
+        at(block, cell + y + z) + at(block, cell - y - z),
+    );
+    let opposite = vec3(
+        at(block, cell + x - y) + at(block, cell - x + y),
+        at(block, cell + x - z) + at(block, cell - x + z),
+        at(block, cell + y - z) + at(block, cell - y + z),
+    );
+    let g = held((held(above - below, 4 * ONE) * push.slope) >> vec3(SHEET_BITS), MOST_SLOPE);
+    let bends = held((held(2 * centre - above - below, 8 * ONE) * push.bend) >> vec3(SHEET_BITS), MOST_BEND);
+    let twists = held((held(opposite - same, 8 * ONE) * push.bend) >> vec3(SHEET_BITS + 2u), MOST_BEND);
+    let b = mat3x3i(
+        vec3(bends.x, twists.x, twists.y),
+        vec3(twists.x, bends.y, twists.z),
+        vec3(twists.y, twists.z, bends.z),
+    );
+    let impure = min(u32(impurity(b.x, b) + impurity(b.y, b) + impurity(b.z, b)) >> SHEET_BITS, 65535u);
+    let directions = clamp(bends.x + bends.y + bends.z, 0, 3 * ONE);
+    let threaded = clamp(directions - ONE, 0, ONE);
+    let rounded = max(directions - 2 * ONE, 0);
+
+    let along = times(b, g);
+    let middle = held(2 * along - times(b, along), MOST_BEND);
+    let away = product(middle, middle);
+    let more = clamp((4 * product(g, g) - 3 * product(g, along)) >> 1u, 0, push.most_more);
+    let thick = centre + ((more * LOG2_E) >> SHEET_BITS) - push.plateau;
+
+    let sheet_stretch = push.sheet_stretch + (((push.thread_stretch - push.sheet_stretch) * threaded) >> SHEET_BITS);
+    let stretch = u32(clamp(sheet_stretch - ((thick * (ONE / 2 + threaded / 2)) >> SHEET_BITS), 0, 65535));
+    let whole = 4096u - passed(stretch, gate_of(push.torn_begin, push.torn_range));
+    let pure_share = 4096u - passed(impure, gate_of(push.impure_begin, push.impure_range));
+    let thin = passed(u32(directions), gate_of(push.thin_begin, push.thin_range));
+    let stretched = 4096u - passed(u32(directions), gate_of(push.round_begin, push.round_range));
+    let certain = (((whole * pure_share) >> 12u) * ((thin * stretched) >> 12u)) >> 12u;
+    if certain == 0u {
+        return drop;
+    }
+    let of_size = push.sheet_size
+        + (((push.thread_size - push.sheet_size) * threaded + (push.drop_size - push.thread_size) * rounded) >> SHEET_BITS);
+    let size = ((thick * (2 * ONE - threaded - rounded / 3)) >> SHEET_BITS) + of_size;
+    let square = two_to(clamp(size, push.least_size, ONE)) >> 3u;
+    let share = push.share
+        + ((push.by_directions * max(directions, ONE) + push.by_size * square - push.by_distance * away) >> SHEET_BITS);
+    let sheet = two_to(clamp(share, -15 * ONE, 0));
+    let of_drop = i32(min(drop, 32768u));
+    return u32(of_drop + (((sheet - of_drop) * i32(certain)) >> SHEET_BITS));
+}
+
+@compute @workgroup_size(256)
+fn sheets(@builtin(global_invocation_id) id: vec3<u32>) {
+    let block = blocks[id.y];
+    let cell = cell_of(block, id.x);
+    if cell.z >= block.size.z {
+        return;
+    }
+    let word = word_of(block, cell);
+    let drops = shares[word];
+    let first = sheeted(block, vec3<i32>(cell), drops & 0xffffu);
+    let second = sheeted(block, vec3<i32>(cell) + vec3(1, 0, 0), drops >> 16u);
+    shares[word] = first | second << 16u;
+}

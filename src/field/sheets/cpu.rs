@@ -1,0 +1,164 @@
+//! See `mod.rs` of this folder for the formulas.
+
+use glam::IVec3;
+
+use crate::brick::Block;
+use crate::grid::CellBox;
+
+use super::logarithm::{exp2, log2};
+use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheets};
+
+/// The greatest g, B and distance from the middle.
+pub const MOST_SLOPE: i32 = 4 * ONE;
+pub const MOST_BEND: i32 = 2 * ONE;
+
+/// Whether some samples can hold a sheet: a particle alone does not.
+pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
+    let mut sum = 0;
+    for samples in clouds.samples().chunks(1 << 10) {
+        sum += samples.iter().map(|&sample| u32::from(sample)).sum::<u32>();
+        if sum > sheets.least {
+            return true;
+        }
+    }
+    false
+}
+
+/// Shares in which drops have given way to sheets, by the smoothed density.
+pub fn sheets(numbers: &Numbers, density: &Block, drops: &Block) -> Block {
+    let step = numbers.step;
+    let cells = drops.cells().intersection(&density.cells().grown(-step, -step));
+    let mut shares = drops.part(cells);
+    let logarithms: Vec<i32> = density.samples().iter().map(|&sample| log2(sample)).collect();
+    let strides = density.strides().map(|stride| stride as isize * step as isize);
+    let [x, y, z] = strides;
+    let width = cells.size().x as usize;
+    for row in shares.cells().rows_along_x() {
+        let first = density.index(row);
+        let centres = &logarithms[first..first + width];
+        if centres.iter().all(|&centre| centre < numbers.least) {
+            continue;
+        }
+        let to = shares.index(row);
+        for i in 0..width {
+            if centres[i] < numbers.least {
+                continue;
+            }
+            let at = |offset: isize| logarithms[(first + i).wrapping_add_signed(offset)];
+            let taps = Taps {
+                centre: at(0),
+                below: [at(-x), at(-y), at(-z)],
+                above: [at(x), at(y), at(z)],
+                same: [at(x + y) + at(-x - y), at(x + z) + at(-x - z), at(y + z) + at(-y - z)],
+                opposite: [at(x - y) + at(y - x), at(x - z) + at(z - x), at(y - z) + at(z - y)],
+            };
+            let share = &mut shares.samples_mut()[to + i];
+            *share = numbers.share(&taps, *share);
+        }
+    }
+    shares
+}
+
+/// Logarithms of the density around a cell.
+struct Taps {
+    centre: i32,
+    /// One step down along x, y and z.
+    below: [i32; 3],
+    above: [i32; 3],
+    /// Sums of the two along each diagonal of the planes xy, xz and yz: both steps up or both down,
+    /// and one up and the other down.
+    same: [i32; 3],
+    opposite: [i32; 3],
+}
+
+#[inline(always)]
+fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
+    (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) >> BITS
+}
+
+impl Numbers {
+    /// The share of a cell, of its drops' share.
+    #[inline(always)]
+    fn share(&self, taps: &Taps, drop: u16) -> u16 {
+        let slope = |axis: usize| {
+            let difference = (taps.above[axis] - taps.below[axis]).clamp(-4 * ONE, 4 * ONE);
+            ((difference * self.slope) >> BITS).clamp(-MOST_SLOPE, MOST_SLOPE)
+        };
+        let bend = |axis: usize| {
+            let second = 2 * taps.centre - taps.above[axis] - taps.below[axis];
+            ((second.clamp(-8 * ONE, 8 * ONE) * self.bend) >> BITS).clamp(-MOST_BEND, MOST_BEND)
+        };
+        let twist = |plane: usize| {
+            let second = taps.opposite[plane] - taps.same[plane];
+            ((second.clamp(-8 * ONE, 8 * ONE) * self.bend) >> (BITS + 2))
+                .clamp(-MOST_BEND, MOST_BEND)
+        };
+        let g = [slope(0), slope(1), slope(2)];
+        let [xx, yy, zz] = [bend(0), bend(1), bend(2)];
+        let [xy, xz, yz] = [twist(0), twist(1), twist(2)];
+        let b = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+        let times = |v: [i32; 3]| {
+            [dot(b[0], v), dot(b[1], v), dot(b[2], v)].map(|x| x.clamp(-MOST_SLOPE, MOST_SLOPE))
+        };
+
+        // How far B is from a projection.
+        let mut impure = 0;
+        for i in 0..3 {
+            for j in 0..3 {
+                let apart = (b[i][j] - dot(b[i], b[j])).clamp(-MOST_BEND, MOST_BEND);
+                impure += apart * apart;
+            }
+        }
+        let impure = (impure >> BITS).min(u16::MAX.into()) as u16;
+        let directions = (xx + yy + zz).clamp(0, 3 * ONE);
+        let (threaded, rounded) = ((directions - ONE).clamp(0, ONE), (directions - 2 * ONE).max(0));
+
+        let along = times(g);
+        let twice = times(along);
+        let middle =
+            [0, 1, 2].map(|i: usize| (2 * along[i] - twice[i]).clamp(-MOST_BEND, MOST_BEND));
+        let away = dot(middle, middle);
+        let more = ((4 * dot(g, g) - 3 * dot(g, along)) >> 1).clamp(0, self.most_more);
+        let density = taps.centre + ((more * LOG2_OF_E) >> BITS) - self.plateau;
+
+        let [sheet, thread] = self.stretches;
+        let power = ONE / 2 + threaded / 2;
+        let stretch =
+            sheet + (((thread - sheet) * threaded) >> BITS) - ((density * power) >> BITS);
+        let stretch = stretch.clamp(0, u16::MAX.into()) as u16;
+        let passed = |share: u32, gate: u32| (share * gate) >> BITS;
+        let certain = passed(
+            passed(4096 - self.torn.of(stretch), 4096 - self.impure.of(impure)),
+            passed(self.thin.of(directions as u16), 4096 - self.round.of(directions as u16)),
+        );
+        if certain == 0 {
+            return drop;
+        }
+
+        let [sheet, thread, round] = self.sizes;
+        let power = 2 * ONE - threaded - rounded / 3;
+        let size = ((density * power) >> BITS)
+            + sheet
+            + (((thread - sheet) * threaded + (round - thread) * rounded) >> BITS);
+        let size = exp2(size.clamp(self.least_size, ONE)) >> 3;
+        let share = self.share
+            + ((self.by_directions * directions.clamp(ONE, 3 * ONE) + self.by_size * size
+                - self.by_distance * away)
+                >> BITS);
+        let share = exp2(share.clamp(-15 * ONE, 0));
+        let drop = i32::from(drop).min(1 << 15);
+        (drop + (((share - drop) * certain as i32) >> BITS)) as u16
+    }
+}
+
+/// The lowest cell of each row along x.
+trait RowsAlongX {
+    fn rows_along_x(self) -> impl Iterator<Item = IVec3>;
+}
+
+impl RowsAlongX for CellBox {
+    fn rows_along_x(self) -> impl Iterator<Item = IVec3> {
+        (self.lo.z..self.hi.z)
+            .flat_map(move |z| (self.lo.y..self.hi.y).map(move |y| IVec3::new(self.lo.x, y, z)))
+    }
+}

@@ -1,0 +1,55 @@
+//! See `mod.rs` of this folder for the formulas.
+
+use std::sync::Arc;
+
+use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
+use crate::grid::CellBox;
+use crate::shaders::SheetsPush;
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
+
+use super::Numbers;
+
+/// Has drops give way to sheets, in place of their shares, by the smoothed density.
+///
+/// # Errors
+/// Those of the device.
+pub fn sheets(
+    batch: &mut Batch,
+    pipeline: &Arc<ComputePipeline>,
+    blocks: &DeviceBlocks,
+    numbers: &Numbers,
+    walls: Option<CellBox>,
+    [density, shares]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let Numbers { torn, impure, thin, round, .. } = numbers;
+    let push = SheetsPush {
+        walls_lo,
+        step: numbers.step,
+        walls_hi,
+        slope: numbers.slope,
+        bend: numbers.bend,
+        plateau: numbers.plateau,
+        most_more: numbers.most_more,
+        sheet_size: numbers.sizes[0],
+        thread_size: numbers.sizes[1],
+        drop_size: numbers.sizes[2],
+        least_size: numbers.least_size,
+        sheet_stretch: numbers.stretches[0],
+        thread_stretch: numbers.stretches[1],
+        share: numbers.share,
+        by_directions: numbers.by_directions,
+        by_size: numbers.by_size,
+        by_distance: numbers.by_distance,
+        torn_begin: torn.begin.into(),
+        torn_range: torn.range.into(),
+        impure_begin: impure.begin.into(),
+        impure_range: impure.range.into(),
+        thin_begin: thin.begin.into(),
+        thin_range: thin.range.into(),
+        round_begin: round.begin.into(),
+        round_range: round.range.into(),
+    };
+    let views = [&blocks.blocks, density, shares].map(Clone::clone);
+    batch.dispatch(pipeline, &views, &push, blocks.groups(pipeline))
+}
