@@ -23,6 +23,7 @@ pub mod input;
 mod input_format;
 pub mod json;
 pub mod lammps;
+pub mod joined;
 mod listed;
 pub mod mnf;
 pub mod names;
@@ -60,7 +61,7 @@ use crate::particles::selection::SelectionFault;
 
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
-pub use error::{ReadError, ReadFault, WriteError, WriteFault};
+pub use error::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use pieces::{PieceChunk, Pieces};
 
 /// A particle file, its header understood and its counts checked against its size.

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::condition::{Comparison, Condition, Where};
 use super::occurring::{Occurring, occurring};
 use super::sieve::{GROUP, Sieve};
-use super::{AttributeInfo, Label, Particles, Unread};
+use super::{AttributeInfo, Label, Particles, Unread, attribute_called};
 
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -127,20 +127,11 @@ fn component(name: &str) -> Option<(&str, usize)> {
     Some((attribute, index.parse().ok()?))
 }
 
-/// The number of the attribute of a name: spelled so, else the only one that differs in case alone.
-fn attribute(infos: &[AttributeInfo], name: &str) -> Option<usize> {
-    let exact = infos.iter().position(|info| info.name == name);
-    exact.or_else(|| {
-        let mut alike = infos.iter().enumerate().filter(|(_, i)| i.name.eq_ignore_ascii_case(name));
-        alike.next().filter(|_| alike.next().is_none()).map(|(index, _)| index)
-    })
-}
-
 impl Condition {
     /// The number of the attribute that it is on; `None` where that is the position, or missing.
     pub(crate) fn attribute(&self, infos: &[AttributeInfo]) -> Option<usize> {
-        let of_component = || component(&self.name).and_then(|(name, _)| attribute(infos, name));
-        attribute(infos, &self.name).or_else(of_component)
+        let of_component = || component(&self.name).and_then(|(name, _)| attribute_called(name, infos));
+        attribute_called(&self.name, infos).or_else(of_component)
     }
 
     /// Whether it holds for a text; `None` if it asks for an order.
@@ -163,7 +154,7 @@ impl Condition {
             return axis.map(Number::Position).ok_or_else(missing);
         };
         let info = &infos[index];
-        let named = attribute(infos, &name).is_none().then(|| component(&name)).flatten();
+        let named = attribute_called(&name, infos).is_none().then(|| component(&name)).flatten();
         let component = named.map_or(0, |(_, component)| component);
         if named.is_none() && info.components != 1 || component >= info.components {
             let (attribute, components) = (info.name.clone(), info.components);

@@ -9,6 +9,8 @@ use crate::io::ParticleFile;
 use crate::io::ReadError;
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
+use crate::particles::Particles;
+use crate::particles::kind::settled_for_all;
 use crate::reconstruction::{self, Doubt, Slab};
 
 use super::event::Event;
@@ -179,6 +181,10 @@ impl Setup<'_> {
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let mut frozen = frozen(frame.number, input, cells.spacing(), source, cells.slab, measured);
+        // A frame without one of these attributes fails by itself.
+        let (settings, format) = (&self.checked.settings, self.format(frame).ok());
+        let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
+        frozen.kinds = settled_for_all(&file.particles, &carried);
         if let Some(first) = lattice {
             (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
@@ -195,5 +201,15 @@ fn frozen(
     Measured { grid, calibration, .. }: Measured,
 ) -> Frozen {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
-    Frozen { frame, input, spacing, spacing_source, cell_size, origin, slab, calibration }
+    Frozen {
+        frame,
+        input,
+        spacing,
+        spacing_source,
+        cell_size,
+        origin,
+        slab,
+        calibration,
+        kinds: Vec::new(),
+    }
 }

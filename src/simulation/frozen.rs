@@ -10,6 +10,7 @@ use crate::grid::Grid;
 use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
+use crate::particles::kind::SettledKind;
 use crate::reconstruction::{Cells, Checked, Slab, as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
 
@@ -34,6 +35,9 @@ pub struct Frozen {
     /// Makes the frames alike; `None` for kernels, which have nothing to measure.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,
+    /// The kinds of the attributes that go to the vertices.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub kinds: Vec<SettledKind>,
 }
 
 /// Whether the grid may be moved to suit the particles.

@@ -567,7 +567,7 @@ impl FrameFile {
 
     /// The stamp of its files as they are now.
     pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
-        Stamp::of_all(self.paths()).map_err(|fault| ReadError::new(&self.path, fault.into()))
+        Stamp::of_all(self.paths())
     }
 
     /// Opens its particles.

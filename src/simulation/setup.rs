@@ -9,6 +9,7 @@ use crate::error::{Error, SimulationError};
 use crate::frame::{Method, Resources, Sampling};
 use crate::io::frame_files::files_of;
 use crate::io::input::file_and_step;
+use crate::io::joined::refuse_twice;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
 use crate::io::series::Series;
@@ -79,13 +80,14 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let method = request.method.calibrated(frozen.calibration.as_ref());
         let slab = frozen.slab.filter(|slab| slab.holds(particles));
-        request.in_slab(slab).sampling_on(
+        let sampling = request.in_slab(slab).sampling_on(
             frozen.grid()?,
             method,
             frozen.spacing,
             carried,
             resources,
-        )
+        )?;
+        Ok(Sampling { kinds: frozen.kinds.clone(), ..sampling })
     }
 
     /// The division of the machine among so many frames.
@@ -112,7 +114,8 @@ impl Setup<'_> {
         Ok(format)
     }
 
-    /// Refuses outputs that are inputs, by whatever name, or would be taken for some.
+    /// Refuses outputs that are inputs, by whatever name, or would be taken for some, and inputs that
+    /// a frame has twice.
     pub(super) fn refuse_own_inputs(
         &self,
         frames: &[FrameFile],
@@ -134,6 +137,9 @@ impl Setup<'_> {
             })
             .collect();
         for frame in frames {
+            if !frame.others.is_empty() {
+                refuse_twice(frame.paths())?;
+            }
             let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
                 return Err(two_purposes(&output, input));
