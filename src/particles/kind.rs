@@ -68,6 +68,8 @@ pub struct SettledKind {
     pub stored: AttributeInfo,
     /// The kind that its values settle.
     pub kind: AttributeKind,
+    /// Whether the values leave no doubt of it.
+    pub is_evident: bool,
 }
 
 /// Shares of light that are brighter are numbers up to 255.
@@ -214,7 +216,9 @@ pub fn settled_for_all(
     let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
     let settled = infos.filter_map(|(stored, &index)| {
         let kind = of_values(particles, index, stored.clone(), &[]).ok()?.kind;
-        Some(SettledKind { stored, kind })
+        let is_float = stored.kind == AttributeKind::Colour;
+        let is_evident = !is_float || evident_scale(particles, index).is_some();
+        Some(SettledKind { stored, kind, is_evident })
     });
     settled.collect()
 }

@@ -661,9 +661,9 @@ fn joined(
             let (has, lacks) =
                 if own.contains(number) { (first, sequence) } else { (sequence, first) };
             return Err(SimulationError::Names(format!(
-                "{} has frame {number} and {} has none; frames are joined where all inputs have the same numbers",
-                has.describe(),
-                lacks.describe()
+                "{} has frame {number}, {} does not; joined inputs need frames of the same numbers",
+                has.source.describe(),
+                lacks.source.describe()
             )));
         }
         let times = |(a, b): (&FrameFile, &FrameFile)| a.time != b.time;

@@ -237,6 +237,7 @@ mod tests {
             kinds: vec![SettledKind {
                 stored: AttributeInfo::new("Cd", 3),
                 kind: AttributeKind::ByteColour,
+                is_evident: true,
             }],
         }
     }
