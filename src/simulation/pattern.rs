@@ -70,8 +70,8 @@ impl Pattern {
         }
         let (pieces, mut found): (Vec<_>, Vec<_>) =
             all(name).into_iter().partition(|(_, placeholder)| *placeholder == Placeholder::Piece);
-        let is_foreign = |(at, _): &(Range<usize>, Placeholder)| !name[at.start..].starts_with('{');
-        if found.iter().any(is_foreign) && path.is_file() {
+        let is_ours = |(at, _): &(Range<usize>, Placeholder)| name[at.start..].starts_with('{');
+        if !found.iter().all(is_ours) && path.is_file() {
             return Ok(None);
         }
         if found.len() > 1 || pieces.len() > 1 {
@@ -172,6 +172,14 @@ impl Pattern {
             None => format!("{prefix}{digits}{suffix}"),
         })
     }
+}
+
+/// Whether a name has places of a number in the notations of other programs alone.
+pub(super) fn is_foreign(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let places = all(name);
+    let is_foreign = |(at, _): &(Range<usize>, Placeholder)| !name[at.start..].starts_with('{');
+    !places.is_empty() && places.iter().all(is_foreign)
 }
 
 pub(super) fn all_digits(text: &str) -> bool {
