@@ -14,6 +14,8 @@ use crate::particles::kind::SettledKind;
 use crate::reconstruction::{Cells, Checked, Slab, as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
 
+use super::inputs::FrameFile;
+
 /// Measured on one frame, the same for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Frozen {
@@ -147,6 +149,16 @@ pub fn measure_sampled(
 }
 
 impl Frozen {
+    /// The frame that was measured, if its file is there and has changed since. A frame at a time may
+    /// have another number by now.
+    pub(super) fn changed_in<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
+        let is_same = |frame: &FrameFile| frame.stamp().is_ok_and(|stamp| stamp == self.input);
+        let measured = frames.iter().find(|frame| frame.number == self.frame)?;
+        let changed = measured.stamp().is_ok() && !is_same(measured);
+        let moved = || measured.time.is_some() && frames.iter().any(is_same);
+        (changed && !moved()).then_some(measured)
+    }
+
     /// The grid of all frames.
     ///
     /// # Errors

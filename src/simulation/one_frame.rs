@@ -238,7 +238,7 @@ impl Conversion<'_> {
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));
-            before.names(made.mesh.frame, target) || made.is_whole(target)
+            before.names(target) || made.is_whole(target)
         };
         target.symlink_metadata().is_ok() && !is_own()
     }

@@ -177,9 +177,7 @@ impl Setup<'_> {
         };
         let mut differing = state.differing(&self.checked.settings.kept());
         let of_others = !differing.is_empty();
-        let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
-        if measured_on.and_then(|frame| frame.stamp().ok()).is_some_and(|s| s != state.frozen.input)
-        {
+        if state.frozen.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);
         }
