@@ -110,7 +110,16 @@ impl Engine {
         let (estimate, census) = (counted.estimate(), counted.census());
         let Counted { mut particles, sampling, plan: bin_plan, .. } = counted;
         let Sampling {
-            grid, domain, periodic, method, side, carried, kinds, spacing, resources, ..
+            grid,
+            domain,
+            periodic,
+            method,
+            side,
+            carried,
+            kinds,
+            spacing,
+            resources,
+            ..
         } = sampling;
         let resources = Resources { budget, ..resources.clone() };
         let control = &sampling.resources.control;

@@ -7,11 +7,11 @@ use crate::particles::kind::evident_scale;
 use crate::particles::{AttributeInfo, AttributeKind, Particles, attribute_called};
 
 use super::collection::is_list;
+use super::error::ColourScale;
 use super::frame_files::files_of;
 use super::input::file_and_step;
 use super::stamp::Identity;
 use super::wanted::WantedAttributes;
-use super::error::ColourScale;
 use super::{ParticleFile, Pieces, ReadError, ReadFault};
 
 /// Refuses a file, or a frame of one, that is among the paths twice, by whatever names.

@@ -7,8 +7,8 @@ use crc32fast::Hasher;
 use file_id::{FileId, get_file_id};
 use serde::{Deserialize, Serialize};
 
-use super::frame_files::files_of;
 use super::ReadError;
+use super::frame_files::files_of;
 use super::input::file_and_step;
 
 /// Sizes, times and names of an input's files, and its frame's number: they tell it from others,

@@ -283,10 +283,7 @@ impl AttributeKind {
 
 /// The scale that the values of a colour leave no doubt of: bytes, or shares some of which are
 /// above 0 and none above 1. `None` where they may be either.
-pub fn evident_scale(
-    particles: &(impl Particles + ?Sized),
-    index: usize,
-) -> Option<AttributeKind> {
+pub fn evident_scale(particles: &(impl Particles + ?Sized), index: usize) -> Option<AttributeKind> {
     let extremes = extremes(particles, index);
     let kind = AttributeKind::of_shares(extremes);
     let is_evident = kind == AttributeKind::ByteColour || extremes[1] > 0.0 && extremes[1] <= 1.0;

@@ -6,8 +6,8 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Particles, chunks};
 use super::occurring::{Source, Value, values_of};
+use super::{Particles, chunks};
 
 /// Names of attributes that tell what a particle is made of, in lower case and without `_`.
 const KINDS: [&str; 26] = [

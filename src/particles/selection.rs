@@ -130,7 +130,8 @@ fn component(name: &str) -> Option<(&str, usize)> {
 impl Condition {
     /// The number of the attribute that it is on; `None` where that is the position, or missing.
     pub(crate) fn attribute(&self, infos: &[AttributeInfo]) -> Option<usize> {
-        let of_component = || component(&self.name).and_then(|(name, _)| attribute_called(name, infos));
+        let of_component =
+            || component(&self.name).and_then(|(name, _)| attribute_called(name, infos));
         attribute_called(&self.name, infos).or_else(of_component)
     }
 

@@ -133,7 +133,8 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(&Known { grid, method, spacing, slab, calibration, ref kinds, .. }) = known.as_ref()
+        let Some(&Known { grid, method, spacing, slab, calibration, ref kinds, .. }) =
+            known.as_ref()
         else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });

@@ -325,8 +325,13 @@ impl Conversion<'_> {
         };
         let left_out = LeftOut { unselected: file.unselected as u64, ..census.into() };
         let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
-        let warnings =
-            file.none_selected.clone().map(Warning::NoneSelected).into_iter().chain(parts).collect();
+        let warnings = file
+            .none_selected
+            .clone()
+            .map(Warning::NoneSelected)
+            .into_iter()
+            .chain(parts)
+            .collect();
         Ok(Ready { frame, left_out, warnings, infos, time: file.time, permit })
     }
 

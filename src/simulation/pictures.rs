@@ -469,7 +469,6 @@ fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
     (step.unwrap_or(0) as i64..).zip(frames).map(frame).collect()
 }
 
-
 /// A mesh whose name need not have a number.
 fn alone(path: &Path) -> FrameFile {
     FrameFile::new(0, String::new(), path.to_owned())

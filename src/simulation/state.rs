@@ -220,8 +220,8 @@ mod tests {
     use super::*;
     use crate::field::calibration::Calibration;
     use crate::grid::units::{Isovalue, MeanCount};
-    use crate::particles::kind::{AttributeKind, SettledKind};
     use crate::particles::AttributeInfo;
+    use crate::particles::kind::{AttributeKind, SettledKind};
     use crate::simulation::frozen::Stamp;
 
     fn frozen(calibration: Calibration) -> Frozen {

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use clap::Args;
 use meniscus::devices::Device;
-use meniscus::{Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied, Warning};
+use meniscus::{
+    Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied, Warning,
+};
 
 use crate::advice::{doubted, told, warned};
 use crate::interrupt;
@@ -36,8 +38,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     simulation.check()?;
     options.prepare_stats()?;
     let notes = options.run.notes();
-    let mut teller =
-        Teller {
+    let mut teller = Teller {
         options,
         notes,
         bars: None,
