@@ -7,7 +7,9 @@ use crate::error::{Error, FPS, SimulationError};
 use crate::io::input::is_known;
 use crate::reconstruction::Reconstruction;
 
-use super::inputs::{Inputs, Selection, Sequence};
+use super::frame_file::Selection;
+
+use super::inputs::{Inputs, Sequence};
 use super::naming::Naming;
 use super::pattern::is_foreign;
 

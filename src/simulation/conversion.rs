@@ -20,8 +20,8 @@ use crate::system::cancel::Cancel;
 use crate::system::control::Progress;
 
 use super::event::{Event, Summary};
+use super::frame_file::FrameFile;
 use super::gate::Gate;
-use super::inputs::FrameFile;
 use super::lanes::Division;
 use super::one_frame::{Done, Filled};
 use super::records::{Record, Records};

@@ -1,7 +1,7 @@
 //! Measuring once for all frames, on the first that can tell.
 
+use super::frame_file::FrameFile;
 use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
-use super::inputs::FrameFile;
 use super::state::{State, Store};
 use crate::error::{Cause, Error};
 use crate::frame::{FrameError, Resources};

@@ -14,7 +14,7 @@ use crate::particles::kind::SettledKind;
 use crate::reconstruction::{Cells, Checked, Slab, as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
 
-use super::inputs::FrameFile;
+use super::frame_file::FrameFile;
 
 /// Measured on one frame, the same for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -7,9 +7,9 @@ use std::sync::atomic::Ordering;
 
 use super::conversion::{Conversion, Settled};
 use super::event::{Event, LeftOut};
+use super::frame_file::FrameFile;
 use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
-use super::inputs::FrameFile;
 use super::records::{Record, Records};
 use super::small_meshes::SmallMeshes;
 use crate::error::Error;

@@ -21,7 +21,8 @@ use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope, so
 use crate::system::cancel::Cancel;
 
 use super::builder::Simulation;
-use super::inputs::{FrameFile, Inputs, Sequence, files_in};
+use super::frame_file::FrameFile;
+use super::inputs::{Inputs, Sequence, files_in};
 use super::naming::{self, Naming, without_number};
 use super::pattern::{Numbers, Pattern};
 use super::small_meshes::SmallMeshes;

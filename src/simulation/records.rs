@@ -19,8 +19,8 @@ use crate::io::frame_files::pieces_named;
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
+use super::frame_file::FrameFile;
 use super::frozen::Stamp;
-use super::inputs::FrameFile;
 use crate::error::SimulationError;
 
 const MERGED: &str = "frames.jsonl";

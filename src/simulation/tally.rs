@@ -7,8 +7,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::frame_file::FrameFile;
 use super::gaps::{gaps, missing_path};
-use super::inputs::FrameFile;
 use super::records::Records;
 use crate::error::{Cause, Error};
 use crate::field::indicator::IndicatorKind;
