@@ -18,7 +18,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
     #[error(
-        "particles are selected by {name:?}, which is no attribute; there are: {}",
+        "cannot select particles by {name:?}: there is no such attribute; the attributes are: {}",
         listed(known)
     )]
     NoAttribute {
@@ -29,7 +29,7 @@ pub enum SelectionFault {
     },
     /// A vector where a number is needed, or a component that it does not have.
     #[error(
-        "particles are selected by {name:?}; the attribute has {components} components, {}",
+        "cannot select particles by {name:?}: the attribute has {components} components, {}",
         example(attribute, *components)
     )]
     Component {
@@ -41,7 +41,7 @@ pub enum SelectionFault {
         components: usize,
     },
     /// A text that is compared with numbers.
-    #[error("particles are selected by {name:?}, whose values are numbers, not {value:?}")]
+    #[error("cannot select particles by {name:?}: its values are numbers, got {value:?}")]
     Text {
         /// The name in the condition.
         name: String,
@@ -50,14 +50,14 @@ pub enum SelectionFault {
     },
     /// A text of which larger and smaller are asked.
     #[error(
-        "particles are selected by {name:?}, whose values are texts; only = and != compare them"
+        "cannot select particles by {name:?}: its values are texts, which only = and != compare"
     )]
     Order {
         /// The name in the condition.
         name: String,
     },
     /// Several types where particles of one are read at a time.
-    #[error("particles are selected of several types; name one of this file")]
+    #[error("cannot select several types of particles at once; name one type of this file")]
     Types,
     /// No particle satisfies all conditions.
     #[error("none of {of} particles satisfies {conditions}{}", occur(values))]

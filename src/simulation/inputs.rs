@@ -134,7 +134,7 @@ impl Inputs {
                 return match &found[..] {
                     [] => Ok(Vec::new()),
                     [only] if !only.is_joined() => Err(SimulationError::Names(format!(
-                        "{}: one simulation, and none to join it with",
+                        "{}: is the only simulation; name another one to join it with",
                         only.describe()
                     ))),
                     _ => Ok(vec![sequence(pattern)]),
@@ -150,7 +150,7 @@ impl Inputs {
                 return Ok(vec![sequence(None)]);
             }
             return Err(SimulationError::Names(format!(
-                "{}: its name has no number, those of other frames have",
+                "{}: its name has no number, unlike those of the other frames",
                 odd.path.display()
             )));
         }

@@ -40,13 +40,13 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--{error}")
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
-            format!("{inputs}: --watch follows files, and not the steps of one")
+            format!("{inputs}: --watch cannot follow the steps inside one file")
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
             format!("there are no frames from --start {first} to --end {last}")
         }
         Error::Simulation(SimulationError::NoneWanted(inputs)) => {
-            format!("{inputs}: --frames names none of them")
+            format!("{inputs}: no frame matches --frames")
         }
         _ => return None,
     })
