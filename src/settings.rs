@@ -173,11 +173,12 @@ settings! {
 
     /// Use only particles that satisfy conditions on their attributes.
     ///
-    /// Type=1, mk=0,2, phase!=boundary or age<2.5; `and` joins several. Conditions use =, !=, <,
-    /// <=, > and >=, and values of = after commas are alternatives. A component of a vector is
-    /// velocity.y or velocity[1]; x, y and z are the position. Where a file holds several types of
-    /// particles, type names one: type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, a
-    /// species of openPMD [default: gas, or fluid].
+    /// A condition is a name, one of =, !=, <, <=, > and >=, and a value: Type=1, age<2.5,
+    /// phase!=boundary. Several values after = are alternatives: mk=0,2. Conditions joined by `and`
+    /// must all hold. The name of a vector takes a component: velocity.y, velocity[1]. x, y and z
+    /// are the position. In a file with several types of particles, type selects the one that is
+    /// read, such as type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, a species of
+    /// openPMD [default: gas, else fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 

@@ -17,9 +17,9 @@ pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::units::{UnitError, shown, significant};
 pub use crate::grid::{DomainError, PeriodicError};
-pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
+pub use crate::io::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
-pub use crate::particles::kind::TooWide;
+pub use crate::particles::kind::KindFault;
 pub use crate::particles::selection::SelectionFault;
 pub use crate::settings::Setting;
 pub use crate::surface::mesh::compare::CompareError;
@@ -296,7 +296,7 @@ impl Error {
                     FrameError::NoParticles(_)
                     | FrameError::Bin(_)
                     | FrameError::Unread(_)
-                    | FrameError::TooWide(_)
+                    | FrameError::Kind(_)
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface

@@ -15,7 +15,7 @@ pub enum SimulationError {
     #[error("{0}: there are no frames")]
     NoFrames(String),
     /// A folder or a pattern of files that names none that can be read.
-    #[error("{0}: there are no such files")]
+    #[error("{0}: no such files")]
     NoFiles(String),
     /// A folder of inputs that does not exist.
     #[error("{}: there is no such folder", .0.display())]
@@ -30,10 +30,10 @@ pub enum SimulationError {
         fault: std::io::Error,
     },
     /// Frames that are asked for, of which none is there.
-    #[error("{0}: none of its frames is asked for")]
+    #[error("{0}: no frame matches the selection")]
     NoneWanted(String),
     /// A rate of frames whose times programs could not tell apart.
-    #[error("fps must be from {} to {} frames a second, not {rate:?}", range.start(), range.end())]
+    #[error("fps must be from {} to {} frames per second, got {rate:?}", range.start(), range.end())]
     Rate {
         /// The rate that was asked for.
         rate: f64,
@@ -41,14 +41,15 @@ pub enum SimulationError {
         range: RangeInclusive<f64>,
     },
     /// A time to wait that is none.
-    #[error("watch must be a number of seconds, not {0}")]
+    #[error("watch must be a number of seconds, got {0}")]
     Wait(f64),
     /// Steps of one file, which cannot be followed while they are written.
-    #[error("{0}: files can be followed, and not the steps of one")]
+    #[error("{0}: cannot watch the steps inside one file")]
     Steps(String),
     /// Frames in several files, of which nothing says when all are there.
     #[error(
-        "{0}: frames in several files cannot be followed, as nothing says when all are there; convert them once the simulation is over"
+        "{0}: cannot watch frames that are in several files, because no file tells when a frame \
+         is complete; convert them once the simulation is over"
     )]
     Joined(String),
     /// A first number after the last.
@@ -60,14 +61,15 @@ pub enum SimulationError {
         last: i64,
     },
     /// A step that leads nowhere.
-    #[error("a step of frames must be 1 at the least")]
+    #[error("the step between frames must be at least 1")]
     Step,
     /// The names do not say which frame is which.
     #[error("{0}")]
     Names(String),
     /// The files are of several simulations, and what is asked for goes with one.
     #[error(
-        "{from}: several simulations: {families}; name one of them, or a folder for the meshes of each"
+        "{from}: holds several simulations: {families}; name one of them, or write the meshes \
+         into a folder"
     )]
     Several {
         /// Where they were found.
@@ -93,10 +95,10 @@ pub enum SimulationError {
         what: String,
     },
     /// A folder that another conversion writes to, with other settings.
-    #[error("{}: another conversion is at work there with other settings", .0.display())]
+    #[error("{}: another conversion with other settings is writing there", .0.display())]
     Busy(PathBuf),
     /// The state is of a run with other settings.
-    #[error("{}: the frames there are made with other settings ({differing})", path.display())]
+    #[error("{}: the existing frames were made with other settings ({differing})", path.display())]
     Settings {
         /// The state file.
         path: PathBuf,

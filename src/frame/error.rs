@@ -14,7 +14,7 @@ use crate::field::recipe::{Filters, Recipe};
 use crate::frame::estimate::OverBudget;
 use crate::grid::units::{Isovalue, significant};
 use crate::particles::Unread;
-use crate::particles::kind::TooWide;
+use crate::particles::kind::KindFault;
 use crate::surface::simplify::TooSmall;
 use crate::system::cancel::Cancelled;
 use crate::vulkan::VulkanError;
@@ -31,9 +31,9 @@ pub enum FrameError {
     /// The particles could not be read as they were.
     #[error(transparent)]
     Unread(#[from] Unread),
-    /// A whole number that a mesh cannot carry.
+    /// An attribute whose values do not fit the kind of number that a mesh carries.
     #[error(transparent)]
-    TooWide(#[from] TooWide),
+    Kind(#[from] KindFault),
     /// The frame cannot be brought under its memory budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),

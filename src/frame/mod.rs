@@ -109,8 +109,18 @@ impl Engine {
     ) -> Result<Self, FrameError> {
         let (estimate, census) = (counted.estimate(), counted.census());
         let Counted { mut particles, sampling, plan: bin_plan, .. } = counted;
-        let Sampling { grid, domain, periodic, method, side, carried, spacing, resources, .. } =
-            sampling;
+        let Sampling {
+            grid,
+            domain,
+            periodic,
+            method,
+            side,
+            carried,
+            kinds,
+            spacing,
+            resources,
+            ..
+        } = sampling;
         let resources = Resources { budget, ..resources.clone() };
         let control = &sampling.resources.control;
         let in_scratch = resources.scratch_error();
@@ -170,7 +180,7 @@ impl Engine {
             })
         };
         let (field, occupied, bins) = control.during(Stage::Sampling, sample)?;
-        let infos = settled(&particles, carried)?;
+        let infos = settled(&particles, carried, kinds)?;
         drop(in_scratch);
         Ok(Self {
             field,

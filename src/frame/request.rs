@@ -13,6 +13,7 @@ use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
+use crate::particles::kind::SettledKind;
 use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::system::cancel::Cancel;
 
@@ -36,6 +37,8 @@ pub struct Sampling {
     pub side: BrickSide,
     /// The numbers of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
+    /// The kinds of attributes that another frame has settled for all.
+    pub kinds: Vec<SettledKind>,
     /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know
     /// it.
     pub spacing: Option<f64>,

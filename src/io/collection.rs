@@ -86,6 +86,17 @@ pub fn open_particles(
     wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
+    let ListedFrame { time, files } = frame_of(path, list, number)?;
+    let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
+    let opened = open_joined(&files, wanted, unpacking)?;
+    Ok(ParticleFile { time: time.or(opened.time), ..opened })
+}
+
+/// The frame of a number in a list that `path` names, or the only one.
+///
+/// # Errors
+/// As [`open_particles`], but for the files of the frame.
+pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedFrame, ReadError> {
     let frames = listed(list)?;
     let count = frames.len();
     let number =
@@ -98,10 +109,7 @@ pub fn open_particles(
         );
         return Err(ReadError::new(path, ReadFault::Unsupported(what)));
     };
-    let ListedFrame { time, files } = &frames[number];
-    let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
-    let opened = open_joined(&files, wanted, unpacking)?;
-    Ok(ParticleFile { time: (*time).or(opened.time), ..opened })
+    Ok(frames[number].clone())
 }
 
 /// Names of files, by the time that they are of.

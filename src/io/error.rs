@@ -1,5 +1,6 @@
 //! Errors of reading and writing files.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
@@ -76,6 +77,28 @@ pub enum ReadFault {
         /// The number of cells that have an area or a volume.
         faces: u64,
     },
+    /// A file that is among the joined ones twice.
+    #[error("is the same input as {}; name each input once", other.display())]
+    Twice {
+        /// The file as it was named before.
+        other: PathBuf,
+    },
+    /// A colour in another scale than in a file that is joined with this one.
+    #[error(
+        "colour {attribute} holds {scale}, and in {} {of_other}; store it alike in both, or leave \
+         the attribute out",
+        other.display()
+    )]
+    ColourScale {
+        /// The name of the attribute.
+        attribute: String,
+        /// The scale of its numbers in this file.
+        scale: ColourScale,
+        /// The other file.
+        other: PathBuf,
+        /// The scale of its numbers in the other file.
+        of_other: ColourScale,
+    },
     /// A condition that cannot be applied to these particles.
     #[error("{0}")]
     Selection(SelectionFault),
@@ -88,6 +111,30 @@ pub enum ReadFault {
         /// List of the known extensions.
         known: &'static str,
     },
+}
+
+/// The scale of a colour's numbers in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ColourScale {
+    /// Floating-point numbers from 0 to 1.
+    Shares,
+    /// Bytes from 0 to 255.
+    Bytes,
+    /// Floating-point numbers from 0 to 255.
+    LargeShares,
+    /// Whole numbers that are no bytes.
+    Whole,
+}
+
+impl fmt::Display for ColourScale {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Shares => "floating-point numbers from 0 to 1",
+            Self::Bytes => "bytes from 0 to 255",
+            Self::LargeShares => "floating-point numbers from 0 to 255",
+            Self::Whole => "whole numbers of no known scale",
+        })
+    }
 }
 
 impl From<Lost> for ReadFault {

@@ -10,6 +10,7 @@ use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
 use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
+use super::joined::{refuse_other_scales, refuse_twice};
 use super::pieces::keep_shared_attributes;
 use super::wanted::{Wanted, WantedPieces};
 use super::{
@@ -78,7 +79,9 @@ pub fn open_wanted(
 /// Opens several files as one set of particles, in their order, with the attributes that all have.
 ///
 /// # Errors
-/// As [`open_wanted`], and [`ReadFault::Unsupported`] for files in different units of length.
+/// As [`open_wanted`], [`ReadFault::Twice`] for a file that is named twice,
+/// [`ReadFault::ColourScale`] for colours of different scales, and [`ReadFault::Unsupported`] for
+/// files in different units of length.
 pub fn open_joined(
     paths: &[&Path],
     wanted: Wanted,
@@ -87,6 +90,7 @@ pub fn open_joined(
     if let [path] = paths {
         return open_wanted(path, wanted, unpacking);
     }
+    refuse_twice(paths.iter().copied())?;
     let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
     // The files are the pieces.
     let whole = Wanted { pieces: WantedPieces::All, ..wanted };
@@ -98,6 +102,8 @@ pub fn open_joined(
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let mut files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    let named: Vec<_> = paths.iter().copied().zip(&files).collect();
+    refuse_other_scales(&named, wanted.attributes)?;
     let Some(first) = files.first() else {
         return Ok(ParticleFile::new(Pieces::default(), "no file"));
     };

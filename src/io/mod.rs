@@ -21,6 +21,7 @@ pub mod glb;
 pub mod h5;
 pub mod input;
 mod input_format;
+pub mod joined;
 pub mod json;
 pub mod lammps;
 mod listed;
@@ -60,7 +61,7 @@ use crate::particles::selection::SelectionFault;
 
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
-pub use error::{ReadError, ReadFault, WriteError, WriteFault};
+pub use error::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use pieces::{PieceChunk, Pieces};
 
 /// A particle file, its header understood and its counts checked against its size.

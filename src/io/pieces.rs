@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
-use crate::particles::{AttributeInfo, Label, Particles, Unread};
+use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
 
 use super::columns::ColumnStore;
 use super::windows::Shelf;
@@ -67,7 +67,8 @@ impl From<ColumnStore> for Pieces {
 
 impl Pieces {
     /// Joins pieces, whose attributes must be the same but may be in any order and of any type; a
-    /// piece without particles may lack them. Labels are those of a single piece.
+    /// piece without particles may lack them. Bytes of a colour become shares from 0 to 1 where
+    /// another piece has floating-point numbers. Labels are those of a single piece.
     ///
     /// # Errors
     /// The number of the piece that has other attributes than those before, and
@@ -198,6 +199,13 @@ impl Pieces {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
+    /// Whether an attribute is a colour that is stored as bytes in this piece, and as shares from 0
+    /// to 1 in another.
+    fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
+        let stored = &self.stores[piece].attributes()[self.numbers[piece][index]];
+        (self.infos[index].kind, stored.kind) == (AttributeKind::Colour, AttributeKind::ByteColour)
+    }
+
     /// Calls `take` for the spans within `range`, each cut to that, with its number of particles
     /// and the number of its first one within `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
@@ -308,6 +316,9 @@ impl Particles for Pieces {
             let number = self.numbers[span.piece][index];
             let out = &mut out[at * components..(at + count) * components];
             self.stores[span.piece].attribute(number, span.row, out);
+            if self.is_byte_among_shares(span.piece, index) {
+                out.iter_mut().for_each(|value| *value /= 255.0);
+            }
         });
     }
 
@@ -326,6 +337,9 @@ impl Particles for Pieces {
             let number = self.numbers[span.piece][index];
             let out = &mut out[at..at + count];
             self.stores[span.piece].component((number, component), span.row, out);
+            if self.is_byte_among_shares(span.piece, index) {
+                out.iter_mut().for_each(|value| *value /= 255.0);
+            }
         });
     }
 

@@ -1,6 +1,5 @@
 //! Stamps that tell an input from what it was before.
 
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
@@ -8,6 +7,7 @@ use crc32fast::Hasher;
 use file_id::{FileId, get_file_id};
 use serde::{Deserialize, Serialize};
 
+use super::ReadError;
 use super::frame_files::files_of;
 use super::input::file_and_step;
 
@@ -29,21 +29,23 @@ impl Stamp {
     /// are there.
     ///
     /// # Errors
-    /// Where the system has none.
-    pub fn of(path: &Path) -> io::Result<Self> {
+    /// [`ReadError`] that names the file that is missing or cannot be looked at.
+    pub fn of(path: &Path) -> Result<Self, ReadError> {
         Self::of_all([path])
     }
 
     /// Stamps several files, whose particles are of one frame.
     ///
     /// # Errors
-    /// Where the system has none.
-    pub fn of_all<'a>(paths: impl IntoIterator<Item = &'a Path>) -> io::Result<Self> {
+    /// [`ReadError`] that names the file that is missing or cannot be looked at.
+    pub fn of_all<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<Self, ReadError> {
         let (mut bytes, mut newest, mut files) = (0, 0, Hasher::new());
         for path in paths {
             for file in files_of(path) {
-                let metadata = file.metadata()?;
-                let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+                let told = file.metadata().and_then(|of| Ok((of.modified()?, of)));
+                let (modified, metadata) =
+                    told.map_err(|fault| ReadError::new(&file, fault.into()))?;
+                let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
                 let (size, modified) = (metadata.len(), since.as_nanos() as u64);
                 // Folders are left out: they may have other names on other machines.
                 files.update(file.file_name().unwrap_or_default().as_encoded_bytes());

@@ -1,14 +1,13 @@
 //! Kinds of attributes: plain numbers, colours, which programs look for by other names and types,
 //! and whole numbers such as identifiers, of which there are no means.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{AttributeInfo, Particles, VELOCITY_NAMES, carried_infos};
-
-/// Particles whose values are looked at together.
-const CHUNK: usize = 1 << 14;
+use super::{AttributeInfo, Particles, VELOCITY_NAMES, carried_infos, chunks};
 
 /// The meaning of an attribute's numbers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -30,17 +29,47 @@ pub enum AttributeKind {
     Wide,
 }
 
-/// A whole number that a mesh cannot carry.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error(
-    "the attribute {name} has the value {value}, and a mesh carries whole numbers of 32 bits; store it as floating-point \
-     numbers, or leave it out"
-)]
-pub struct TooWide {
-    /// The name of the attribute.
-    pub name: String,
-    /// The value, or the greatest of 64 bits if it exceeds that.
-    pub value: i64,
+/// An attribute whose values do not fit the kind of number that a mesh carries.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum KindFault {
+    /// A whole number that a mesh cannot carry.
+    #[error(
+        "attribute {name} has the value {value}; the mesh carries it as whole numbers from {} to \
+         {}. Store the attribute as floating-point numbers, or leave it out",
+        limits[0],
+        limits[1]
+    )]
+    TooWide {
+        /// The name of the attribute.
+        name: String,
+        /// The value, or the greatest of 64 bits if it exceeds that.
+        value: i64,
+        /// The least and the greatest value that the mesh can carry.
+        limits: [i64; 2],
+    },
+    /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
+    #[error(
+        "colour {name} has the value {greatest} and looks like bytes from 0 to 255; the frame that \
+         all frames are measured on has colours from 0 to 1. Store colours alike in all frames, \
+         start the sequence at a frame with bright colours, or leave the attribute out"
+    )]
+    Scale {
+        /// The name of the attribute.
+        name: String,
+        /// The greatest value.
+        greatest: f32,
+    },
+}
+
+/// The kind that one frame's values settle for an attribute of all frames.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SettledKind {
+    /// The attribute as it is stored.
+    pub stored: AttributeInfo,
+    /// The kind that its values settle.
+    pub kind: AttributeKind,
+    /// Whether the values leave no doubt of it.
+    pub is_evident: bool,
 }
 
 /// Shares of light that are brighter are numbers up to 255.
@@ -88,6 +117,8 @@ impl AttributeKind {
     pub fn together(self, other: Self) -> Self {
         match (self, other) {
             _ if self == other => self,
+            // Pieces hand out bytes as shares beside others.
+            _ if self.is_colour() && other.is_colour() => Self::Colour,
             _ if self.is_whole() && other.is_whole() => Self::Wide,
             _ => Self::Number,
         }
@@ -118,6 +149,14 @@ impl AttributeKind {
     #[must_use]
     pub fn number(self, word: f32) -> f32 {
         if self.is_whole() { self.whole(word) as f32 } else { word }
+    }
+
+    /// The least and the greatest whole number that a mesh can carry.
+    fn limits(self) -> [i64; 2] {
+        match self {
+            Self::Unsigned => [0, u32::MAX.into()],
+            _ => [i32::MIN.into(), i32::MAX.into()],
+        }
     }
 
     /// Whether it is a colour.
@@ -155,77 +194,123 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 
 /// The carried attributes with the kinds that their values settle: whole numbers of 64 bits that fit
 /// 32, and colours of floating-point numbers that are from 0 to 255, of which some are far beyond
-/// what is bright for shares.
+/// what is bright for shares. An attribute that is stored as in `known` has the kind known of it.
 ///
 /// # Errors
-/// [`TooWide`] for whole numbers that do not fit.
+/// [`KindFault`] for values that do not fit their kind.
 pub fn settled(
     particles: &(impl Particles + ?Sized),
     carried: &[usize],
-) -> Result<Vec<AttributeInfo>, TooWide> {
-    let mut infos = carried_infos(particles.attributes(), carried);
-    for (info, &index) in infos.iter_mut().zip(carried) {
-        let components = info.components;
-        match info.kind {
-            AttributeKind::Wide => {
-                let [low, high] = folded(
-                    particles,
-                    [0_i64; 2],
-                    |first, count, [low, high]| {
-                        let mut values = vec![0; count * components];
-                        particles.integers(index, first, &mut values);
-                        values.iter().fold([low, high], |[low, high], &x| [low.min(x), high.max(x)])
-                    },
-                    |[a, b], [c, d]| [a.min(c), b.max(d)],
-                );
-                info.kind = if i32::try_from(low).is_ok() && i32::try_from(high).is_ok() {
-                    AttributeKind::Signed
-                } else if low >= 0 && u32::try_from(high).is_ok() {
-                    AttributeKind::Unsigned
-                } else {
-                    let value = if i32::try_from(low).is_ok() { high } else { low };
-                    return Err(TooWide { name: info.name.clone(), value });
-                };
-            }
-            AttributeKind::Colour => {
-                let [within, beyond] = folded(
-                    particles,
-                    [true, false],
-                    |first, count, seen| {
-                        let mut values = vec![0.0; count * components];
-                        particles.attribute(index, first, &mut values);
-                        let finite = values.iter().filter(|x| x.is_finite());
-                        finite.fold(seen, |[within, beyond], &x| {
-                            [within && (0.0..=255.0).contains(&x), beyond || x > BRIGHT]
-                        })
-                    },
-                    |[a, b], [c, d]| [a && c, b || d],
-                );
-                if within && beyond {
-                    info.kind = AttributeKind::ByteColour;
-                }
-            }
-            _ => {}
-        }
-    }
-    Ok(infos)
+    known: &[SettledKind],
+) -> Result<Vec<AttributeInfo>, KindFault> {
+    let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
+    infos.map(|(info, &index)| of_values(particles, index, info, known)).collect()
 }
 
-/// Looks at all particles, a chunk at a time, and joins the findings.
-fn folded<T: Copy + Send + Sync>(
+/// The kinds that the values of the carried attributes settle for all frames; without attributes
+/// whose values do not fit, which are an error of this frame alone.
+pub fn settled_for_all(
     particles: &(impl Particles + ?Sized),
-    nothing: T,
-    look: impl Fn(usize, usize, T) -> T + Sync,
-    join: impl Fn(T, T) -> T + Sync,
-) -> T {
-    let chunks = (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(|chunk| {
-        let first = chunk * CHUNK;
-        let count = CHUNK.min(particles.len() - first);
-        let found = look(first, count, nothing);
-        particles.release(first..first + count);
-        found
+    carried: &[usize],
+) -> Vec<SettledKind> {
+    let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
+    let settled = infos.filter_map(|(stored, &index)| {
+        let kind = of_values(particles, index, stored.clone(), &[]).ok()?.kind;
+        let is_float = stored.kind == AttributeKind::Colour;
+        let is_evident = !is_float || evident_scale(particles, index).is_some();
+        Some(SettledKind { stored, kind, is_evident })
     });
-    chunks.reduce(|| nothing, &join)
+    settled.collect()
+}
+
+/// Attributes with the kinds that are known of them, where no value tells.
+#[must_use]
+pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<AttributeInfo> {
+    for info in &mut infos {
+        if let Some(known) = known.iter().find(|known| known.stored == *info) {
+            info.kind = known.kind;
+        }
+    }
+    infos
+}
+
+/// An attribute with the kind that is known of it, if its values fit that, else with the kind that
+/// they settle.
+fn of_values(
+    particles: &(impl Particles + ?Sized),
+    index: usize,
+    mut info: AttributeInfo,
+    known: &[SettledKind],
+) -> Result<AttributeInfo, KindFault> {
+    let known = known.iter().find(|known| known.stored == info).map(|known| known.kind);
+    match info.kind {
+        AttributeKind::Wide => {
+            let [low, high] = whole_extremes(particles, index);
+            let fits = |kind: &AttributeKind| {
+                let [least, greatest] = kind.limits();
+                least <= low && high <= greatest
+            };
+            let kinds = match known {
+                Some(known) => vec![known],
+                None => vec![AttributeKind::Signed, AttributeKind::Unsigned],
+            };
+            info.kind = kinds.iter().copied().find(fits).ok_or_else(|| {
+                let limits = kinds[0].limits();
+                let value = if low < limits[0] { low } else { high };
+                KindFault::TooWide { name: info.name.clone(), value, limits }
+            })?;
+        }
+        AttributeKind::Colour => {
+            let extremes = extremes(particles, index);
+            let kind = AttributeKind::of_shares(extremes);
+            if (known, kind) == (Some(AttributeKind::Colour), AttributeKind::ByteColour) {
+                return Err(KindFault::Scale { name: info.name, greatest: extremes[1] });
+            }
+            info.kind = known.unwrap_or(kind);
+        }
+        _ => {}
+    }
+    Ok(info)
+}
+
+impl AttributeKind {
+    /// The kind of colours of floating-point numbers between these extremes.
+    fn of_shares([least, greatest]: [f32; 2]) -> Self {
+        let is_bytes = least >= 0.0 && greatest > BRIGHT && greatest <= 255.0;
+        if is_bytes { Self::ByteColour } else { Self::Colour }
+    }
+}
+
+/// The scale that the values of a colour leave no doubt of: bytes, or shares some of which are
+/// above 0 and none above 1. `None` where they may be either.
+pub fn evident_scale(particles: &(impl Particles + ?Sized), index: usize) -> Option<AttributeKind> {
+    let extremes = extremes(particles, index);
+    let kind = AttributeKind::of_shares(extremes);
+    let is_evident = kind == AttributeKind::ByteColour || extremes[1] > 0.0 && extremes[1] <= 1.0;
+    is_evident.then_some(kind)
+}
+
+/// The least and the greatest finite value of an attribute, and 0.
+fn extremes(particles: &(impl Particles + ?Sized), index: usize) -> [f32; 2] {
+    let components = particles.attributes()[index].components;
+    let of_chunk = |range: Range<usize>| {
+        let mut values = vec![0.0_f32; range.len() * components];
+        particles.attribute(index, range.start, &mut values);
+        let finite = values.iter().filter(|x| x.is_finite());
+        finite.fold([0.0_f32; 2], |[low, high], &x| [low.min(x), high.max(x)])
+    };
+    chunks(particles, of_chunk).reduce(|| [0.0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
+}
+
+/// The least and the greatest whole number of an attribute, and 0.
+fn whole_extremes(particles: &(impl Particles + ?Sized), index: usize) -> [i64; 2] {
+    let components = particles.attributes()[index].components;
+    let of_chunk = |range: Range<usize>| {
+        let mut values = vec![0_i64; range.len() * components];
+        particles.integers(index, range.start, &mut values);
+        values.iter().fold([0_i64; 2], |[low, high], &x| [low.min(x), high.max(x)])
+    };
+    chunks(particles, of_chunk).reduce(|| [0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
 /// Whether whole numbers under this name are a direction nevertheless.

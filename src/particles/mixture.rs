@@ -6,8 +6,8 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Particles;
 use super::occurring::{Source, Value, values_of};
+use super::{Particles, chunks};
 
 /// Names of attributes that tell what a particle is made of, in lower case and without `_`.
 const KINDS: [&str; 26] = [
@@ -47,8 +47,6 @@ const FINEST: f64 = 32.0;
 const IN_CELL: f64 = 8.0;
 /// Share of a boundary that may be within the fluid.
 const WITHIN: f64 = 0.02;
-/// Particles that are looked at together.
-const CHUNK: usize = 1 << 12;
 
 /// Whether an attribute's name says that it tells what a particle is made of.
 pub fn is_kind(name: &str) -> bool {
@@ -107,16 +105,12 @@ fn each<T: Send>(
     joined: impl Fn(T, T) -> T + Send + Sync,
     none: impl Fn() -> T + Sync,
 ) -> T {
-    let all = particles.len();
-    let chunks = (0..all.div_ceil(CHUNK)).into_par_iter().map(|chunk| {
-        let (first, count) = (chunk * CHUNK, CHUNK.min(all - chunk * CHUNK));
-        let mut positions = vec![[0.0; 3]; count];
-        particles.positions(first, &mut positions);
-        let keys = source.keys(particles, first, count);
-        particles.release(first..first + count);
-        take(&positions, &keys)
+    let found = chunks(particles, |range| {
+        let mut positions = vec![[0.0; 3]; range.len()];
+        particles.positions(range.start, &mut positions);
+        take(&positions, &source.keys(particles, range))
     });
-    chunks.reduce(&none, joined)
+    found.reduce(&none, joined)
 }
 
 fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Option<Mixture> {

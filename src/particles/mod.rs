@@ -271,13 +271,19 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 }
 
 /// The number of the attribute of this name. `velocity` is whatever the particles call so, and a
-/// name of a colour, or of a share such as `red`, finds the colour that they have.
+/// name of a colour, or of a share such as `red`, finds the colour that they have. Any other name
+/// also finds the only attribute that differs from it in case alone.
 #[must_use]
 pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usize> {
     let named = attributes.iter().position(|info| info.name == name);
+    let alike = || {
+        let is_alike = |info: &AttributeInfo| info.name.eq_ignore_ascii_case(name);
+        let mut alike = (0..attributes.len()).filter(|&index| is_alike(&attributes[index]));
+        alike.next().filter(|_| alike.next().is_none())
+    };
     let velocity = || velocity_attribute(attributes).filter(|_| name == "velocity");
     let colour = || colour_attribute(attributes).filter(|_| kind::asks_for_colour(name));
-    named.or_else(velocity).or_else(colour)
+    named.or_else(velocity).or_else(alike).or_else(colour)
 }
 
 /// The attributes on the mesh: velocity under the name that other programs read, others under their
@@ -334,16 +340,31 @@ pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
     (bounds.finite > 0).then_some(bounds)
 }
 
-/// All finite positions, some thousands at once; what a mapped file holds of them is given back.
+/// Particles that are looked at together.
+pub(crate) const CHUNK: usize = 1 << 12;
+
+/// Looks at all particles on all threads, some thousands at once, which `look` takes by their range;
+/// a mapped file gives its pages back after it.
+pub fn chunks<T: Send>(
+    particles: &(impl Particles + ?Sized),
+    look: impl Fn(Range<usize>) -> T + Send + Sync,
+) -> impl IndexedParallelIterator<Item = T> {
+    let all = particles.len();
+    (0..all.div_ceil(CHUNK)).into_par_iter().map(move |chunk| {
+        let range = chunk * CHUNK..all.min((chunk + 1) * CHUNK);
+        let found = look(range.clone());
+        particles.release(range);
+        found
+    })
+}
+
+/// All finite positions, some thousands at once.
 pub fn finite_chunks(
     particles: &(impl Particles + ?Sized),
 ) -> impl IndexedParallelIterator<Item = Vec<[f64; 3]>> {
-    const CHUNK: usize = 1 << 12;
-    (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(move |chunk| {
-        let first = chunk * CHUNK;
-        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
-        particles.positions(first, &mut positions);
-        particles.release(first..first + positions.len());
+    chunks(particles, |range| {
+        let mut positions = vec![[0.0; 3]; range.len()];
+        particles.positions(range.start, &mut positions);
         positions.retain(|position| DVec3::from(*position).is_finite());
         positions
     })

@@ -1,16 +1,15 @@
 //! Values that occur among particles, and how often, for attributes of few values.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Particles;
+use super::{Particles, chunks};
 
 /// Most values of an attribute that are listed.
 const MOST: usize = 8;
-/// Particles that are looked at together.
-const CHUNK: usize = 1 << 12;
 
 /// An attribute of few values.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -64,13 +63,13 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Keys of so many particles from `first` on, in the order of their values.
+    /// Keys of a range of particles, in the order of their values.
     pub(super) fn keys(
         self,
         particles: &(impl Particles + ?Sized),
-        first: usize,
-        count: usize,
+        range: Range<usize>,
     ) -> Vec<u64> {
+        let (first, count) = (range.start, range.len());
         match self {
             Self::Attribute(index) => {
                 let mut numbers = vec![0.0; count];
@@ -108,24 +107,21 @@ pub(super) fn values_of(
 /// How often each key occurs; `None` where more than a few do, or hardly any occurs twice.
 fn counted(particles: &(impl Particles + ?Sized), source: Source) -> Option<BTreeMap<u64, usize>> {
     let all = particles.len();
-    let counts = (0..all.div_ceil(CHUNK)).into_par_iter().map(|chunk| {
-        let first = chunk * CHUNK;
-        let count = CHUNK.min(all - first);
+    let counts = chunks(particles, |range| {
         let mut counts = BTreeMap::new();
-        for key in source.keys(particles, first, count) {
+        for key in source.keys(particles, range) {
             *counts.entry(key).or_insert(0) += 1;
             if counts.len() > MOST {
                 return None;
             }
         }
-        particles.release(first..first + count);
         Some(counts)
     });
     let joined = counts.try_reduce(BTreeMap::new, |mut counts, others| {
         others.into_iter().for_each(|(key, count)| *counts.entry(key).or_insert(0) += count);
         (counts.len() <= MOST).then_some(counts)
     })?;
-    (joined.len() * 2 <= all).then_some(joined)
+    (!joined.is_empty() && joined.len() * 2 <= all).then_some(joined)
 }
 
 /// The bits of a number, in the order of numbers; zeros are one.
@@ -142,7 +138,7 @@ fn number(key: u64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::particles::Cloud;
+    use crate::particles::{CHUNK, Cloud};
 
     #[test]
     fn values_that_occur_are_listed_in_order_with_their_counts() {

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::condition::{Comparison, Condition, Where};
 use super::occurring::{Occurring, occurring};
 use super::sieve::{GROUP, Sieve};
-use super::{AttributeInfo, Label, Particles, Unread};
+use super::{AttributeInfo, Label, Particles, Unread, attribute_called};
 
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -18,7 +18,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
     #[error(
-        "particles are selected by {name:?}, which is no attribute; there are: {}",
+        "cannot select particles by {name:?}: there is no such attribute; the attributes are: {}",
         listed(known)
     )]
     NoAttribute {
@@ -29,7 +29,7 @@ pub enum SelectionFault {
     },
     /// A vector where a number is needed, or a component that it does not have.
     #[error(
-        "particles are selected by {name:?}; the attribute has {components} components, {}",
+        "cannot select particles by {name:?}: the attribute has {components} components, {}",
         example(attribute, *components)
     )]
     Component {
@@ -41,7 +41,7 @@ pub enum SelectionFault {
         components: usize,
     },
     /// A text that is compared with numbers.
-    #[error("particles are selected by {name:?}, whose values are numbers, not {value:?}")]
+    #[error("cannot select particles by {name:?}: its values are numbers, got {value:?}")]
     Text {
         /// The name in the condition.
         name: String,
@@ -50,14 +50,14 @@ pub enum SelectionFault {
     },
     /// A text of which larger and smaller are asked.
     #[error(
-        "particles are selected by {name:?}, whose values are texts; only = and != compare them"
+        "cannot select particles by {name:?}: its values are texts, which only = and != compare"
     )]
     Order {
         /// The name in the condition.
         name: String,
     },
     /// Several types where particles of one are read at a time.
-    #[error("particles are selected of several types; name one of this file")]
+    #[error("cannot select several types of particles at once; name one type of this file")]
     Types,
     /// No particle satisfies all conditions.
     #[error("none of {of} particles satisfies {conditions}{}", occur(values))]
@@ -127,20 +127,12 @@ fn component(name: &str) -> Option<(&str, usize)> {
     Some((attribute, index.parse().ok()?))
 }
 
-/// The number of the attribute of a name: spelled so, else the only one that differs in case alone.
-fn attribute(infos: &[AttributeInfo], name: &str) -> Option<usize> {
-    let exact = infos.iter().position(|info| info.name == name);
-    exact.or_else(|| {
-        let mut alike = infos.iter().enumerate().filter(|(_, i)| i.name.eq_ignore_ascii_case(name));
-        alike.next().filter(|_| alike.next().is_none()).map(|(index, _)| index)
-    })
-}
-
 impl Condition {
     /// The number of the attribute that it is on; `None` where that is the position, or missing.
     pub(crate) fn attribute(&self, infos: &[AttributeInfo]) -> Option<usize> {
-        let of_component = || component(&self.name).and_then(|(name, _)| attribute(infos, name));
-        attribute(infos, &self.name).or_else(of_component)
+        let of_component =
+            || component(&self.name).and_then(|(name, _)| attribute_called(name, infos));
+        attribute_called(&self.name, infos).or_else(of_component)
     }
 
     /// Whether it holds for a text; `None` if it asks for an order.
@@ -163,7 +155,7 @@ impl Condition {
             return axis.map(Number::Position).ok_or_else(missing);
         };
         let info = &infos[index];
-        let named = attribute(infos, &name).is_none().then(|| component(&name)).flatten();
+        let named = attribute_called(&name, infos).is_none().then(|| component(&name)).flatten();
         let component = named.map_or(0, |(_, component)| component);
         if named.is_none() && info.components != 1 || component >= info.components {
             let (attribute, components) = (info.name.clone(), info.components);

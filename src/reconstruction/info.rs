@@ -13,6 +13,7 @@ use crate::field::indicator::SampledDif;
 use crate::frame::{Counted, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::Unpacking;
+use crate::io::collection::{frame_of, is_list};
 use crate::io::input::{InputFormat, KNOWN, file_and_step, holds_mesh, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
@@ -158,13 +159,20 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
 /// [`Error::Read`], also where there is no such type.
 pub fn info_by(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
+    let (file, step) = file_and_step(path);
+    if is_list(file) {
+        return match &frame_of(path, file, step)?.files[..] {
+            [only] => info_by(only, settings),
+            _ => particles(path, settings).map(Info::Particles),
+        };
+    }
     if is_packed(path) {
         frame(path).map(Info::Frame)
     } else if settings.format.is_some() {
         particles(path, settings).map(Info::Particles)
     } else if holds_mesh(path)? {
         mesh(path).map(Info::Mesh)
-    } else if InputFormat::of(file_and_step(path).0).is_some() {
+    } else if InputFormat::of(file).is_some() {
         particles(path, settings).map(Info::Particles)
     } else {
         Err(ReadError::new(path, ReadFault::UnknownExtension { known: &ALL_KNOWN }).into())

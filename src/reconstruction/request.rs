@@ -467,6 +467,7 @@ impl SamplingRequest {
             invalid: self.invalid,
             side: method.brick_side(),
             carried,
+            kinds: Vec::new(),
             spacing,
             resources,
         };

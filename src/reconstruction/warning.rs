@@ -7,7 +7,9 @@ use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Coincident, Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
+use crate::io::LeftOut;
 use crate::io::output::MeshFormat;
+use crate::particles::selection::SelectionFault;
 use crate::surface::simplify::TooSmall;
 
 use super::{Cells, Doubt};
@@ -103,6 +105,10 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
+    /// A part of the input is not read.
+    LeftOut(LeftOut),
+    /// None of a frame's particles satisfies the conditions: its mesh is empty.
+    NoneSelected(SelectionFault),
     /// A frame among others has no surface: its mesh is empty.
     Empty {
         /// The cause.
@@ -196,6 +202,8 @@ impl fmt::Display for Warning {
             Self::Coarse { format } => {
                 write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
             }
+            Self::LeftOut(part) => write!(f, "left out: {part}"),
+            Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {
                 Emptiness::Field => {
                     f.write_str("the field is nowhere above the isovalue: an empty mesh")

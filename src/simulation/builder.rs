@@ -7,8 +7,11 @@ use crate::error::{Error, FPS, SimulationError};
 use crate::io::input::is_known;
 use crate::reconstruction::Reconstruction;
 
-use super::inputs::{Inputs, Selection, Sequence};
+use super::frame_file::Selection;
+
+use super::inputs::{Inputs, Sequence};
 use super::naming::Naming;
+use super::pattern::is_foreign;
 
 /// A request for the mesh of each frame of a simulation.
 ///
@@ -73,13 +76,18 @@ impl Simulation {
     }
 
     /// Asks for a simulation where inputs and output name one; `None` where both name a single
-    /// frame.
+    /// frame. The output of a single file is called as it is written, unless it has `{}`: its `##`
+    /// and `%04d` stand for no number.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
     /// several inputs and one output.
     pub fn if_several(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
-        match (Inputs::of(inputs)?, Naming::of(output)?) {
+        let several = Inputs::of(inputs)?;
+        if several.is_none() && is_foreign(output) {
+            return Ok(None);
+        }
+        match (several, Naming::of(output)?) {
             (None, None) => Ok(None),
             (_, Some(_)) => Ok(Some(Self::of_files(inputs, output))),
             (Some(inputs), None) => Err(one_output(output, &inputs)),

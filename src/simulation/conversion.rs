@@ -20,8 +20,8 @@ use crate::system::cancel::Cancel;
 use crate::system::control::Progress;
 
 use super::event::{Event, Summary};
+use super::frame_file::FrameFile;
 use super::gate::Gate;
-use super::inputs::FrameFile;
 use super::lanes::Division;
 use super::one_frame::{Done, Filled};
 use super::records::{Record, Records};
@@ -214,9 +214,12 @@ impl Conversion<'_> {
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
-                    let ready = watch.ready(&self.setup.frames()?);
-                    let frames: Vec<_> = ready.iter().map(|ready| ready.frame.clone()).collect();
-                    if self.changed(&frames).is_some() {
+                    let there = self.setup.frames()?;
+                    let ready = watch.ready(&there);
+                    let is_ready = |frame: &FrameFile| {
+                        ready.iter().any(|ready| ready.frame.number == frame.number)
+                    };
+                    if self.changed(&there).is_some_and(is_ready) {
                         self.stop.store(true, Ordering::Relaxed);
                         continue;
                     }
@@ -229,7 +232,8 @@ impl Conversion<'_> {
                         under_way += 1;
                         tally.total += 1;
                         self.setup.tell(Event::Came { bytes: frame.bytes() });
-                        let again = again && tally.lists(&frame);
+                        // A frame between others that are done takes the number of the next.
+                        let again = tally.has_made(&self.output(&frame));
                         let _ = to_lanes.send(Job { frame, particles: None, again });
                     }
                     if under_way == 0 && watch.is_over() {
@@ -242,9 +246,7 @@ impl Conversion<'_> {
 
     /// The frame that was measured for all, if it is there and has changed since.
     fn changed<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
-        let frozen = &self.settled.get()?.as_ref()?.state.frozen;
-        let measured = frames.iter().find(|frame| frame.number == frozen.frame)?;
-        measured.stamp().is_ok_and(|stamp| stamp != frozen.input).then_some(measured)
+        self.settled.get()?.as_ref()?.state.frozen.changed_in(frames)
     }
 
     /// Whether no further frame is to be begun.

@@ -16,9 +16,9 @@ use crate::reconstruction::mesh_bytes;
 use crate::surface::mesh::source::MeshSource;
 use crate::system::timings::Timings;
 
+use super::frame_file::FrameFile;
 use super::frozen::Frozen;
 use super::gaps::{Gaps, gaps};
-use super::inputs::FrameFile;
 use super::records::Records;
 use super::setup::Setup;
 use super::state::{State, Store};

@@ -1,7 +1,7 @@
 //! Measuring once for all frames, on the first that can tell.
 
+use super::frame_file::FrameFile;
 use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
-use super::inputs::FrameFile;
 use super::state::{State, Store};
 use crate::error::{Cause, Error};
 use crate::frame::{FrameError, Resources};
@@ -9,6 +9,8 @@ use crate::io::ParticleFile;
 use crate::io::ReadError;
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
+use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
+use crate::particles::{AttributeKind, Particles};
 use crate::reconstruction::{self, Doubt, Slab};
 
 use super::event::Event;
@@ -36,7 +38,8 @@ impl Setup<'_> {
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
-        let (frozen, file) = self.freeze(frames, resources)?;
+        let (mut frozen, file) = self.freeze(frames, resources)?;
+        self.settle_colours(&mut frozen, frames, resources)?;
         let measured = State::new(self.checked.settings.kept(), frozen);
         // Of jobs that measure at the same time the first is right.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
@@ -125,6 +128,49 @@ impl Setup<'_> {
         }
     }
 
+    /// Settles the scale of colours that the measured frame leaves in doubt, as black does, by other
+    /// frames.
+    fn settle_colours(
+        &self,
+        frozen: &mut Frozen,
+        frames: &[FrameFile],
+        resources: &Resources,
+    ) -> Result<(), Error> {
+        let last = frames.len().saturating_sub(1);
+        for index in [last, last / 2, last / 4, last - last / 4] {
+            let is_open = |known: &&mut SettledKind| {
+                known.stored.kind == AttributeKind::Colour && !known.is_evident
+            };
+            let mut open: Vec<_> = frozen.kinds.iter_mut().filter(is_open).collect();
+            let Some(frame) = frames.get(index).filter(|_| !open.is_empty()) else { break };
+            self.go_on()?;
+            // A frame that cannot be read fails when its turn comes.
+            let Ok(file) = self.open_particles(frame, resources) else { continue };
+            let infos = file.particles.attributes();
+            for known in &mut open {
+                let found = infos.iter().position(|info| *info == known.stored);
+                if let Some(kind) = found.and_then(|index| evident_scale(&file.particles, index)) {
+                    (known.kind, known.is_evident) = (kind, true);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Opens the particles of a frame that is measured.
+    fn open_particles(
+        &self,
+        frame: &FrameFile,
+        resources: &Resources,
+    ) -> Result<ParticleFile, ReadError> {
+        let unpacking = Unpacking {
+            in_memory: resources.budget.0 / 8,
+            scratch: &resources.scratch,
+            control: Some(&resources.control),
+        };
+        frame.open(self.checked.settings.wanted(), unpacking)
+    }
+
     /// Tells what was measured, on which frame, and why its spacing may be wrong.
     fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
         found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(Box::new(doubt.clone()))));
@@ -153,14 +199,7 @@ impl Setup<'_> {
             let frozen = frozen(frame.number, input, sampled.facts.spacing, None, None, measured);
             return Ok((OneMeasured { frozen, trust: measured.trust, doubts: Vec::new() }, None));
         }
-        let file = frame.open(
-            self.checked.settings.wanted(),
-            Unpacking {
-                in_memory: resources.budget.0 / 8,
-                scratch: &resources.scratch,
-                control: Some(&resources.control),
-            },
-        )?;
+        let file = self.open_particles(frame, resources)?;
         let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
@@ -179,6 +218,10 @@ impl Setup<'_> {
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let mut frozen = frozen(frame.number, input, cells.spacing(), source, cells.slab, measured);
+        // A frame without one of these attributes fails by itself.
+        let (settings, format) = (&self.checked.settings, self.format(frame).ok());
+        let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
+        frozen.kinds = settled_for_all(&file.particles, &carried);
         if let Some(first) = lattice {
             (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
@@ -195,5 +238,15 @@ fn frozen(
     Measured { grid, calibration, .. }: Measured,
 ) -> Frozen {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
-    Frozen { frame, input, spacing, spacing_source, cell_size, origin, slab, calibration }
+    Frozen {
+        frame,
+        input,
+        spacing,
+        spacing_source,
+        cell_size,
+        origin,
+        slab,
+        calibration,
+        kinds: Vec::new(),
+    }
 }

@@ -10,8 +10,11 @@ use crate::grid::Grid;
 use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
+use crate::particles::kind::SettledKind;
 use crate::reconstruction::{Cells, Checked, Slab, as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
+
+use super::frame_file::FrameFile;
 
 /// Measured on one frame, the same for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,6 +37,9 @@ pub struct Frozen {
     /// Makes the frames alike; `None` for kernels, which have nothing to measure.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,
+    /// The kinds of the attributes that go to the vertices.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub kinds: Vec<SettledKind>,
 }
 
 /// Whether the grid may be moved to suit the particles.
@@ -143,6 +149,16 @@ pub fn measure_sampled(
 }
 
 impl Frozen {
+    /// The frame that was measured, if its file is there and has changed since. A frame at a time may
+    /// have another number by now.
+    pub(super) fn changed_in<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
+        let is_same = |frame: &FrameFile| frame.stamp().is_ok_and(|stamp| stamp == self.input);
+        let measured = frames.iter().find(|frame| frame.number == self.frame)?;
+        let changed = measured.stamp().is_ok() && !is_same(measured);
+        let moved = || measured.time.is_some() && frames.iter().any(is_same);
+        (changed && !moved()).then_some(measured)
+    }
+
     /// The grid of all frames.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::inputs::{FrameFile, neighbours};
+use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
 /// The numbers that are missing between others, by the greatest step that leads to all that are

@@ -3,43 +3,26 @@
 //! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern)
 //! says where the number is in a name.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf, is_separator};
 use std::time::Duration;
 
 use glob::MatchOptions;
 
-use crate::io::bytes::Unpacking;
 use crate::io::collection::{is_list, listed};
-use crate::io::frame_files::files_of;
-use crate::io::input::{holds_mesh, is_known, open_joined, steps};
-use crate::io::stamp::Stamp;
-use crate::io::wanted::Wanted;
-use crate::io::{ParticleFile, ReadError};
+use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::{Error, SimulationError};
 
-use super::pattern::{Candidate, Numbers, Pattern, digit_runs, infer};
+use super::frame_file::{FrameFile, neighbours};
+use super::inferred::infer;
+use super::numbered::{joined, timed, whole};
+use super::pattern::{Candidate, Numbers, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
 /// The longest wait for a second file that settles how a first one is to be read.
 const PATIENCE: Duration = Duration::from_secs(300);
-
-/// One frame, as found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FrameFile {
-    /// The frame's number.
-    pub number: i64,
-    /// The number as the name spells it.
-    pub digits: String,
-    /// The time, where the name spells it.
-    pub time: Option<f64>,
-    /// The file, or the first of several.
-    pub path: PathBuf,
-    /// Other files whose particles are of this frame too.
-    pub others: Vec<PathBuf>,
-}
 
 /// A request for frames: of one simulation or several.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -151,7 +134,7 @@ impl Inputs {
                 return match &found[..] {
                     [] => Ok(Vec::new()),
                     [only] if !only.is_joined() => Err(SimulationError::Names(format!(
-                        "{}: one simulation, and none to join it with",
+                        "{}: is the only simulation; name another one to join it with",
                         only.describe()
                     ))),
                     _ => Ok(vec![sequence(pattern)]),
@@ -167,7 +150,7 @@ impl Inputs {
                 return Ok(vec![sequence(None)]);
             }
             return Err(SimulationError::Names(format!(
-                "{}: its name has no number, those of other frames have",
+                "{}: its name has no number, unlike those of the other frames",
                 odd.path.display()
             )));
         }
@@ -546,142 +529,6 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     parts
 }
 
-impl FrameFile {
-    /// A frame in one file.
-    #[must_use]
-    pub fn new(number: i64, digits: String, path: PathBuf) -> Self {
-        Self { number, digits, time: None, path, others: Vec::new() }
-    }
-
-    /// All files whose particles are the frame's.
-    pub fn paths(&self) -> impl Iterator<Item = &Path> {
-        std::iter::once(&self.path).chain(&self.others).map(PathBuf::as_path)
-    }
-
-    /// Bytes of its files and of their pieces; 0 of what is gone.
-    #[must_use]
-    pub fn bytes(&self) -> u64 {
-        let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
-        self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
-    }
-
-    /// The stamp of its files as they are now.
-    pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
-        Stamp::of_all(self.paths()).map_err(|fault| ReadError::new(&self.path, fault.into()))
-    }
-
-    /// Opens its particles.
-    pub(super) fn open(
-        &self,
-        wanted: Wanted,
-        unpacking: Unpacking,
-    ) -> Result<ParticleFile, ReadError> {
-        let file = open_joined(&self.paths().collect::<Vec<_>>(), wanted, unpacking)?;
-        Ok(ParticleFile { time: file.time.or(self.time), ..file })
-    }
-}
-
-/// Frames by the whole numbers in their names; files of one number are its pieces, if names tell
-/// them apart.
-fn whole(
-    pattern: &Pattern,
-    files: Vec<(String, Candidate)>,
-) -> Result<Vec<FrameFile>, SimulationError> {
-    let number = |(digits, file): (String, Candidate)| match digits.parse() {
-        Ok(number) => Ok((number, digits, file)),
-        Err(_) => Err(SimulationError::Names(format!(
-            "{}: frames are numbered from {} to {}",
-            file.path.display(),
-            i64::MIN,
-            i64::MAX
-        ))),
-    };
-    let files = files.into_iter().map(number).collect::<Result<Vec<_>, _>>()?;
-    if !pattern.has_pieces() {
-        let frame = |(number, digits, file): (i64, String, Candidate)| {
-            FrameFile::new(number, digits, file.path)
-        };
-        return Ok(files.into_iter().map(frame).collect());
-    }
-    let mut frames: BTreeMap<i64, BTreeMap<u64, (String, PathBuf)>> = BTreeMap::new();
-    for (number, digits, file) in files {
-        let Some(piece) = pattern.piece(&file.name) else { continue };
-        let pieces = frames.entry(number).or_default();
-        if let Some((_, other)) = pieces.insert(piece, (digits, file.path.clone())) {
-            return Err(SimulationError::Names(format!(
-                "{} and {} are both piece {piece} of frame {number}; remove one",
-                other.display(),
-                file.path.display(),
-            )));
-        }
-    }
-    let all: BTreeSet<u64> = frames.values().flat_map(|pieces| pieces.keys().copied()).collect();
-    let mut joined = Vec::new();
-    for (number, pieces) in frames {
-        if let Some(lacking) = all.iter().find(|piece| !pieces.contains_key(piece)) {
-            return Err(SimulationError::Names(format!(
-                "{pattern}: frame {number} lacks piece {lacking}, which other frames have; add it, or leave that frame out"
-            )));
-        }
-        let mut pieces = pieces.into_values();
-        if let Some((digits, path)) = pieces.next() {
-            let others = pieces.map(|(_, path)| path).collect();
-            joined.push(FrameFile { others, ..FrameFile::new(number, digits, path) });
-        }
-    }
-    Ok(joined)
-}
-
-/// Frames in the order of the times in their names, counted from 0.
-fn timed(files: Vec<(String, Candidate)>) -> Vec<FrameFile> {
-    let time = |(digits, file): (String, Candidate)| Some((digits.parse().ok()?, digits, file));
-    let mut files: Vec<(f64, String, Candidate)> = files.into_iter().filter_map(time).collect();
-    files.sort_by(|(a, _, one), (b, _, other)| {
-        a.total_cmp(b).then_with(|| one.path.cmp(&other.path))
-    });
-    let frame = |(number, (time, digits, file)): (i64, (f64, String, Candidate))| FrameFile {
-        time: Some(time),
-        ..FrameFile::new(number, digits, file.path)
-    };
-    (0..).zip(files).map(frame).collect()
-}
-
-/// Joins the frames of several simulations that have one number.
-fn joined(
-    sequences: &[Sequence],
-    lists: Vec<Vec<FrameFile>>,
-) -> Result<Vec<FrameFile>, SimulationError> {
-    let mut lists = lists.into_iter().zip(sequences);
-    let Some((mut frames, first)) = lists.next() else { return Ok(Vec::new()) };
-    for (list, sequence) in lists {
-        let numbers =
-            |frames: &[FrameFile]| frames.iter().map(|f| f.number).collect::<BTreeSet<_>>();
-        let [own, other] = [numbers(&frames), numbers(&list)];
-        if let Some(number) = own.symmetric_difference(&other).next() {
-            let (has, lacks) =
-                if own.contains(number) { (first, sequence) } else { (sequence, first) };
-            return Err(SimulationError::Names(format!(
-                "{} has frame {number} and {} has none; frames are joined where all inputs have the same numbers",
-                has.describe(),
-                lacks.describe()
-            )));
-        }
-        let times = |(a, b): (&FrameFile, &FrameFile)| a.time != b.time;
-        if let Some((one, other)) = frames.iter().zip(&list).find(|(a, b)| times((a, b))) {
-            return Err(SimulationError::Names(format!(
-                "{} and {} are at different times; joined inputs need frames of the same times",
-                one.path.display(),
-                other.path.display()
-            )));
-        }
-        for (frame, other) in frames.iter_mut().zip(list) {
-            frame.others.push(other.path);
-            frame.others.extend(other.others);
-        }
-    }
-    Ok(frames)
-}
-
 /// Leaves out meshes. Files that differ in their last number are all meshes, or none is.
 fn without_meshes(files: Vec<Candidate>) -> Vec<Candidate> {
     let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
@@ -698,10 +545,6 @@ fn without_meshes(files: Vec<Candidate>) -> Vec<Candidate> {
 fn rests(file: &Candidate, patience: Duration) -> bool {
     let modified = file.path.metadata().and_then(|metadata| metadata.modified());
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
-}
-
-pub(super) fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {
-    frames.iter().zip(frames.iter().skip(1))
 }
 
 /// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in
@@ -755,61 +598,9 @@ fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     Ok(files)
 }
 
-/// The numbers of the frames that are wanted. Ends are included.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Selection {
-    /// The first number.
-    pub start: i64,
-    /// The last number.
-    pub end: i64,
-    /// Every so many numbers from the first.
-    pub step: u64,
-}
-
-impl Default for Selection {
-    fn default() -> Self {
-        Self { start: i64::MIN, end: i64::MAX, step: 1 }
-    }
-}
-
-impl Selection {
-    /// The frames that are wanted. Steps count from the first number asked for, else from the first
-    /// there is.
-    pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
-        let is_given = self.start > i64::MIN;
-        let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);
-        let from = first.unwrap_or(self.start);
-        let wanted = |number: i64| {
-            (self.start..=self.end).contains(&number)
-                && number.abs_diff(from).is_multiple_of(self.step.max(1))
-        };
-        frames.into_iter().filter(|frame| wanted(frame.number)).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn frames(numbers: &[i64]) -> Vec<FrameFile> {
-        let frame = |&number: &i64| FrameFile::new(number, number.to_string(), PathBuf::new());
-        numbers.iter().map(frame).collect()
-    }
-
-    #[test]
-    fn a_selection_takes_both_ends_and_steps_from_the_first() {
-        let numbers = |selection: Selection| {
-            selection
-                .of(frames(&[1, 2, 3, 4, 5, 6, 7]))
-                .iter()
-                .map(|f| f.number)
-                .collect::<Vec<_>>()
-        };
-        assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
-        assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
-        assert_eq!(numbers(Selection { start: -1, step: 3, ..Selection::default() }), [2, 5]);
-        assert_eq!(numbers(Selection { start: 2, end: i64::MAX, step: 2 }), [2, 4, 6]);
-    }
 
     #[test]
     fn a_glob_takes_no_files_of_folders_below_its_own() {

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
-use crate::frame::{FrameError, Method};
+use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::Grid;
 use crate::io::UpAxis;
+use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
     self, Doubt, Drawn, Reconstruction, Report, SinglePrecision, Slab, Started, Surface, Warning,
@@ -48,6 +49,7 @@ pub struct LiveSimulation {
 /// Measurements that the frames share.
 #[derive(Debug, Clone)]
 struct Known {
+    kinds: Vec<SettledKind>,
     grid: Grid,
     method: Method,
     spacing: Option<f64>,
@@ -131,15 +133,18 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, method, spacing, slab, calibration, .. }) = *known else {
+        let Some(&Known { grid, method, spacing, slab, calibration, ref kinds, .. }) =
+            known.as_ref()
+        else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
-        let infos = carried_infos(particles.attributes(), &carried);
+        let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
+        let sampling = Sampling { kinds: kinds.clone(), ..sampling };
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn =
             checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
@@ -170,7 +175,9 @@ impl LiveSimulation {
     ) -> Result<Drawn, Error> {
         let checked = &self.ready.checked;
         let carried = checked.settings.carried(particles.attributes(), None)?;
-        let mesh = checked.empty_mesh(carried_infos(particles.attributes(), &carried));
+        let kinds = self.known.as_ref().map_or(&[][..], |known| &known.kinds);
+        let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
+        let mesh = checked.empty_mesh(infos);
         let report =
             Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
         Ok(Drawn { mesh, precision: SinglePrecision::Enough, report })
@@ -193,5 +200,7 @@ fn measured(
     let Measured { grid, calibration, trust } = measured;
     let (slab, spacing) = (cells.slab, lattice.map_or(cells.spacing(), |known| known.spacing));
     let method = request.method.calibrated(calibration.as_ref());
-    Ok((Known { grid, method, spacing, slab, calibration, trust }, cells.doubts))
+    let carried = checked.settings.carried(particles.attributes(), None)?;
+    let kinds = settled_for_all(particles, &carried);
+    Ok((Known { kinds, grid, method, spacing, slab, calibration, trust }, cells.doubts))
 }

@@ -13,14 +13,17 @@ mod builder;
 mod conversion;
 mod event;
 mod forecast;
+mod frame_file;
 mod freeze;
 pub mod frozen;
 mod gaps;
 mod gate;
+mod inferred;
 pub mod inputs;
 mod lanes;
 mod live;
 pub mod naming;
+mod numbered;
 mod one_frame;
 pub mod pattern;
 #[cfg(feature = "pictures")]
@@ -40,8 +43,9 @@ use std::sync;
 pub use builder::Simulation;
 pub use event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
 pub use forecast::{Forecast, Largest};
+pub use frame_file::FrameFile;
 pub use frozen::{Frozen, Trust};
-pub use inputs::{FrameFile, files, frames};
+pub use inputs::{files, frames};
 pub use live::LiveSimulation;
 #[cfg(feature = "pictures")]
 pub use pictures::{PictureDone, PictureFile, Pictures, Sheet, SheetDone};

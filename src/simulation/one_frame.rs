@@ -7,9 +7,9 @@ use std::sync::atomic::Ordering;
 
 use super::conversion::{Conversion, Settled};
 use super::event::{Event, LeftOut};
+use super::frame_file::FrameFile;
 use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
-use super::inputs::FrameFile;
 use super::records::{Record, Records};
 use super::small_meshes::SmallMeshes;
 use crate::error::Error;
@@ -21,6 +21,7 @@ use crate::io::mnf::{is_packed, open_frame};
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
+use crate::particles::kind::known_of;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     Checked, Doubt, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
@@ -79,6 +80,8 @@ struct Ready<'a> {
     /// `None` where there are no particles.
     frame: Option<Engine>,
     left_out: LeftOut,
+    /// Doubts about the input.
+    warnings: Vec<Warning>,
     /// The attributes of its vertices.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
@@ -153,7 +156,7 @@ impl Conversion<'_> {
             Some(file) => self.sample(checked, path, file, frozen, &mut timings),
             None => self.unpack(checked, path, &mut timings),
         };
-        let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
+        let Ready { frame: sampled, mut left_out, mut warnings, infos, time, permit } = ready?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
                 let draw = || Self::surface(checked, path, sampled, frozen, infos, &mut timings);
@@ -168,7 +171,7 @@ impl Conversion<'_> {
         }
         let mesh = mesh.source();
         let width = coordinate_width(precision, self.format, &target)?;
-        let mut warnings = report.as_mut().map_or(Vec::new(), |report| take(&mut report.warnings));
+        warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
@@ -235,7 +238,7 @@ impl Conversion<'_> {
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));
-            before.names(made.mesh.frame, target) || made.is_whole(target)
+            before.names(target) || made.is_whole(target)
         };
         target.symlink_metadata().is_ok() && !is_own()
     }
@@ -258,6 +261,7 @@ impl Conversion<'_> {
         Ok(Ready {
             frame: Some(frame),
             left_out: LeftOut::default(),
+            warnings: Vec::new(),
             infos: Vec::new(),
             time: None,
             permit,
@@ -282,6 +286,7 @@ impl Conversion<'_> {
         let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
+        let infos = known_of(infos, &frozen.kinds);
         let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
         if let Some(spacing) =
             frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
@@ -319,7 +324,15 @@ impl Conversion<'_> {
             }
         };
         let left_out = LeftOut { unselected: file.unselected as u64, ..census.into() };
-        Ok(Ready { frame, left_out, infos, time: file.time, permit })
+        let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
+        let warnings = file
+            .none_selected
+            .clone()
+            .map(Warning::NoneSelected)
+            .into_iter()
+            .chain(parts)
+            .collect();
+        Ok(Ready { frame, left_out, warnings, infos, time: file.time, permit })
     }
 
     /// The part of a lane's memory that is left for the frame, where as much as its surface takes

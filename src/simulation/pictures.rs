@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 
 use crate::error::{Error, SimulationError};
+use crate::io::collection::{ListedFrame, frame_of, is_list, listed};
+use crate::io::input::file_and_step;
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::stamp::is_same_file;
 use crate::io::up::up_said;
@@ -19,7 +21,8 @@ use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope, so
 use crate::system::cancel::Cancel;
 
 use super::builder::Simulation;
-use super::inputs::{FrameFile, Inputs, Sequence, files_in};
+use super::frame_file::FrameFile;
+use super::inputs::{Inputs, Sequence, files_in};
 use super::naming::{self, Naming, without_number};
 use super::pattern::{Numbers, Pattern};
 use super::small_meshes::SmallMeshes;
@@ -242,6 +245,11 @@ impl Pictures {
 
     /// The meshes in order, and their sequence where they are one.
     fn frames(&self) -> Result<(Option<Sequence>, Vec<FrameFile>), Error> {
+        if let [mesh] = &self.meshes[..]
+            && is_list(file_and_step(mesh).0)
+        {
+            return Ok((None, in_list(mesh)?));
+        }
         let inputs = if let [mesh] = &self.meshes[..]
             && mesh.is_dir()
         {
@@ -442,6 +450,24 @@ impl Pictures {
         }
         Ok(open_mesh(&frame.path, self.memory.map_or(u64::MAX, |memory| memory / 2))?)
     }
+}
+
+/// The meshes in a list, or the one of a number in it.
+fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
+    let (list, step) = file_and_step(path);
+    let frames = match step {
+        Some(_) => vec![frame_of(path, list, step)?],
+        None => listed(list)?.to_vec(),
+    };
+    let frame = |(number, frame): (i64, ListedFrame)| match &frame.files[..] {
+        [mesh] => Ok(FrameFile::new(number, number.to_string(), mesh.clone())),
+        files => Err(Error::Request(format!(
+            "{}#{number}: this frame is in {} files; a picture shows one mesh, so name one file",
+            list.display(),
+            files.len()
+        ))),
+    };
+    (step.unwrap_or(0) as i64..).zip(frames).map(frame).collect()
 }
 
 /// A mesh whose name need not have a number.

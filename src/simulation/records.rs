@@ -19,8 +19,8 @@ use crate::io::frame_files::pieces_named;
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
+use super::frame_file::FrameFile;
 use super::frozen::Stamp;
-use super::inputs::FrameFile;
 use crate::error::SimulationError;
 
 const MERGED: &str = "frames.jsonl";
@@ -85,9 +85,9 @@ impl Records {
     }
 
     /// Whether a frame was made into `output`, which may have changed since.
-    pub fn names(&self, frame: i64, output: &Path) -> bool {
+    pub fn names(&self, output: &Path) -> bool {
         let name = output.file_name();
-        self.0.get(&frame).is_some_and(|record| name.is_some_and(|name| *name == *record.mesh.file))
+        self.0.values().any(|record| name.is_some_and(|name| *name == *record.mesh.file))
     }
 
     /// The record of a frame whose output has its size, and would have it if it were made now.

@@ -9,6 +9,7 @@ use crate::error::{Error, SimulationError};
 use crate::frame::{Method, Resources, Sampling};
 use crate::io::frame_files::files_of;
 use crate::io::input::file_and_step;
+use crate::io::joined::refuse_twice;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
 use crate::io::series::Series;
@@ -21,8 +22,9 @@ use crate::surface::simplify::BYTES_A_THREAD;
 use super::builder::Simulation;
 use super::event::Event;
 use super::event::Teller;
+use super::frame_file::FrameFile;
 use super::frozen::Frozen;
-use super::inputs::{FrameFile, Sequence};
+use super::inputs::Sequence;
 use super::lanes::Division;
 use super::pattern::Pattern;
 use super::state::{Found, State, Store};
@@ -79,13 +81,14 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let method = request.method.calibrated(frozen.calibration.as_ref());
         let slab = frozen.slab.filter(|slab| slab.holds(particles));
-        request.in_slab(slab).sampling_on(
+        let sampling = request.in_slab(slab).sampling_on(
             frozen.grid()?,
             method,
             frozen.spacing,
             carried,
             resources,
-        )
+        )?;
+        Ok(Sampling { kinds: frozen.kinds.clone(), ..sampling })
     }
 
     /// The division of the machine among so many frames.
@@ -112,7 +115,8 @@ impl Setup<'_> {
         Ok(format)
     }
 
-    /// Refuses outputs that are inputs, by whatever name, or would be taken for some.
+    /// Refuses outputs that are inputs, by whatever name, or would be taken for some, and inputs that
+    /// a frame has twice.
     pub(super) fn refuse_own_inputs(
         &self,
         frames: &[FrameFile],
@@ -134,6 +138,9 @@ impl Setup<'_> {
             })
             .collect();
         for frame in frames {
+            if !frame.others.is_empty() {
+                refuse_twice(frame.paths())?;
+            }
             let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
                 return Err(two_purposes(&output, input));
@@ -171,9 +178,7 @@ impl Setup<'_> {
         };
         let mut differing = state.differing(&self.checked.settings.kept());
         let of_others = !differing.is_empty();
-        let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
-        if measured_on.and_then(|frame| frame.stamp().ok()).is_some_and(|s| s != state.frozen.input)
-        {
+        if state.frozen.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);
         }

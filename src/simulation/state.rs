@@ -220,6 +220,8 @@ mod tests {
     use super::*;
     use crate::field::calibration::Calibration;
     use crate::grid::units::{Isovalue, MeanCount};
+    use crate::particles::AttributeInfo;
+    use crate::particles::kind::{AttributeKind, SettledKind};
     use crate::simulation::frozen::Stamp;
 
     fn frozen(calibration: Calibration) -> Frozen {
@@ -232,6 +234,11 @@ mod tests {
             slab: None,
             origin: [1e-17, -0.1, 1.0 / 3.0],
             calibration: Some(calibration),
+            kinds: vec![SettledKind {
+                stored: AttributeInfo::new("Cd", 3),
+                kind: AttributeKind::ByteColour,
+                is_evident: true,
+            }],
         }
     }
 

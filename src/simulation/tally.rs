@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::frame_file::FrameFile;
 use super::gaps::{gaps, missing_path};
-use super::inputs::FrameFile;
 use super::records::Records;
 use crate::error::{Cause, Error};
 use crate::field::indicator::IndicatorKind;
@@ -80,6 +81,12 @@ impl<'a> Tally<'a> {
     /// Whether a frame is done.
     pub(super) fn lists(&self, frame: &FrameFile) -> bool {
         self.listed.contains_key(&frame.number)
+    }
+
+    /// Whether the mesh of any frame was made into this file.
+    pub(super) fn has_made(&self, output: &Path) -> bool {
+        let name = output.file_name();
+        self.listed.values().any(|mesh| name.is_some_and(|name| *name == *mesh.file))
     }
 
     /// Whether nothing more can be made.

@@ -41,6 +41,7 @@ pub fn sampling() -> Sampling {
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
+        kinds: Vec::new(),
         spacing: None,
         resources: Resources::new(MemoryBudget(8 << 30), std::env::temp_dir()),
     }

@@ -1311,3 +1311,69 @@ fn frames_before_the_first_have_negative_numbers_and_times_are_in_their_order() 
     assert_eq!(times, expected);
     assert!(folder.path().join("meshes/f_1.1e1.ply").exists());
 }
+
+/// Writes a ball whose particles all have one colour, in floating-point numbers.
+fn coloured(path: &Path, frame: u64, colour: f32) {
+    let rows: String = ball(frame)
+        .iter()
+        .map(|[x, y, z]| format!("{x} {y} {z} {colour} {colour} {colour}\n"))
+        .collect();
+    let properties: String = ["x", "y", "z", "red", "green", "blue"]
+        .map(|name| format!("property float {name}\n"))
+        .concat();
+    let count = ball(frame).len();
+    let text =
+        format!("ply\nformat ascii 1.0\nelement vertex {count}\n{properties}end_header\n{rows}");
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn a_colour_that_fades_to_black_or_comes_from_it_keeps_its_scale() {
+    let folder = TempDir::new().unwrap();
+    for colours in [[200.0, 20.0, 4.0, 0.5], [0.0, 0.5, 10.0, 200.0]] {
+        for (frame, colour) in (1..).zip(colours) {
+            coloured(&folder.path().join(format!("f_{frame}.ply")), frame, colour);
+        }
+        let all = ["f_{}.ply", "-o", "m_{}.ply", "--attributes", "rgb", "--overwrite"];
+        run(folder.path(), &[&all[..], &["--spacing", "0.5", "--cell", "1"]].concat(), 0);
+        for (frame, colour) in (1..).zip(colours) {
+            let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+            let values = &mesh.attributes[0].values;
+            let is_it = |value: &f32| (value - colour).abs() <= 0.5;
+            assert!(!values.is_empty() && values.iter().all(is_it), "{colour}: {:?}", values[0]);
+        }
+    }
+    // Bright bytes among shares fail by their frame, and no other does.
+    coloured(&folder.path().join("f_4.ply"), 4, 200.0);
+    for frame in 1..4 {
+        coloured(&folder.path().join(format!("f_{frame}.ply")), frame, 0.5);
+    }
+    let all = ["f_{}.ply", "-o", "m_{}.ply", "--attributes", "rgb", "--overwrite"];
+    let errors = run(folder.path(), &[&all[..], &["--spacing", "0.5"]].concat(), 1);
+    assert!(errors.contains("frame 4") && !errors.contains("frame 3:"), "{errors}");
+}
+
+#[test]
+fn a_frame_that_a_selection_leaves_empty_and_what_frames_leave_out_are_reported() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=3 {
+        let kind = if frame == 2 { 7 } else { 1 };
+        let rows: String =
+            ball(frame).iter().map(|[x, y, z]| format!("{x},{y},{z},{kind}\n")).collect();
+        let table = format!("x,y,z,Type\n{rows}");
+        fs::write(folder.path().join(format!("f_{frame}.csv")), table).unwrap();
+    }
+    let said = run(folder.path(), &["f_{}.csv", "-o", "m_{}.ply", "--where", "Type=1"], 0);
+    let warnings: Vec<_> = said.lines().filter(|line| line.starts_with("warning: f_")).collect();
+    assert!(matches!(warnings[..], [only] if only.contains("f_2.csv")), "{said}");
+    assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().triangles.is_empty());
+
+    // Of two inputs of each frame one lacks the attribute.
+    for frame in 1..=3 {
+        fs::write(folder.path().join(format!("g_{frame}.xyz")), raw(&ball(frame + 3))).unwrap();
+    }
+    let both = ["f_{}.csv", "g_{}.xyz", "--together", "-o", "j_{}.ply", "--spacing", "0.5"];
+    let said = run(folder.path(), &both, 0);
+    assert_eq!(said.matches("left out: attribute Type").count(), 1, "{said}");
+    assert!(said.contains("left out of 3 frames"), "{said}");
+}

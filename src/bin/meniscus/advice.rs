@@ -40,13 +40,13 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--{error}")
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
-            format!("{inputs}: --watch follows files, and not the steps of one")
+            format!("{inputs}: --watch cannot follow the steps inside one file")
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
             format!("there are no frames from --start {first} to --end {last}")
         }
         Error::Simulation(SimulationError::NoneWanted(inputs)) => {
-            format!("{inputs}: --frames names none of them")
+            format!("{inputs}: no frame matches --frames")
         }
         _ => return None,
     })
@@ -156,14 +156,20 @@ pub fn doubted(doubt: &Doubt) -> String {
             let values = vec![value.to_string()];
             let fluid =
                 Condition { name: attribute.clone(), comparison: Comparison::Equal, values };
-            let fluid = fluid.to_string();
-            let is_plain = fluid.chars().all(|c| c.is_alphanumeric() || "_-.,=".contains(c));
-            let quote = if is_plain { "" } else { "'" };
-            format!("{doubt}; --where {quote}{fluid}{quote} selects the fluid")
+            format!("{doubt}; --where {} selects the fluid", shell_word(&fluid.to_string()))
         }
         Doubt::TwoResolutions { .. } => format!("{doubt}; --spacing says another"),
         _ => format!("{doubt}; give --spacing if you know it"),
     }
+}
+
+/// A word as a shell takes it, in quotes where it needs them.
+fn shell_word(text: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "_-.,=/:+".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) {
+        return text.to_owned();
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
 }
 
 /// The advice on particles that are in no surface.
@@ -216,5 +222,22 @@ fn limits(too_small: TooSmall) -> &'static str {
         (_, 0) => "--smallest-component",
         (0, _) => "--smallest-drop",
         _ => "--smallest-component and --smallest-drop",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_with_blanks_and_apostrophes_are_one_word_to_a_shell() {
+        for (text, word) in [
+            ("Type=1", "Type=1"),
+            ("a<1", "'a<1'"),
+            ("john's water.ply", r"'john'\''s water.ply'"),
+            ("", "''"),
+        ] {
+            assert_eq!(shell_word(text), word);
+        }
     }
 }

@@ -26,8 +26,10 @@ fn inputs() -> String {
 pub struct Options {
     #[arg(required = true, value_name = "INPUT", help = INPUT, long_help = format!("{INPUT}.\n\n{}", inputs()))]
     pub inputs: Vec<PathBuf>,
-    /// Make one surface of the particles of all inputs, such as several fluids; of simulations, of
-    /// the frames of one number.
+    /// Make one surface of the particles of all inputs, such as several fluids.
+    ///
+    /// Of several simulations, frames with the same number make one surface. Each input is named
+    /// once, and an attribute that an input lacks is left out.
     #[arg(long, help_heading = "Simulations", hide_short_help = true)]
     pub together: bool,
     #[command(flatten)]

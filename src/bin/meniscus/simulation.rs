@@ -1,10 +1,12 @@
 //! `meniscus reconstruct` for the frames of a simulation: what is said of its events.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use clap::Args;
 use meniscus::devices::Device;
-use meniscus::{Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied};
+use meniscus::{
+    Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied, Warning,
+};
 
 use crate::advice::{doubted, told, warned};
 use crate::interrupt;
@@ -36,8 +38,16 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     simulation.check()?;
     options.prepare_stats()?;
     let notes = options.run.notes();
-    let mut teller =
-        Teller { options, notes, bars: None, broken: None, bad: false, cancel, device };
+    let mut teller = Teller {
+        options,
+        notes,
+        bars: None,
+        left_out: BTreeMap::new(),
+        broken: None,
+        bad: false,
+        cancel,
+        device,
+    };
     let hear = |event: Event| teller.hear(&event);
     if options.dry_run {
         for forecast in simulation.forecast(hear)? {
@@ -72,6 +82,8 @@ struct Teller<'a> {
     notes: Notes,
     /// Bars of the simulation that is under way, with the notes that go above them.
     bars: Option<(Progress, Notes)>,
+    /// Parts of frames that are not read, and the number of frames of each.
+    left_out: BTreeMap<String, usize>,
     /// The failure of a file beside the meshes.
     broken: Option<Error>,
     bad: bool,
@@ -144,6 +156,13 @@ impl Teller<'_> {
 
     fn done(&mut self, done: &FrameDone) {
         for warning in &done.warnings {
+            if let Warning::LeftOut(part) = warning {
+                let frames = self.left_out.entry(part.to_string()).or_insert(0);
+                *frames += 1;
+                if *frames > 1 {
+                    continue;
+                }
+            }
             let warning = warned(warning, Some(self.options));
             self.notes().warn(&format!("{}: {warning}", done.input.display()));
         }
@@ -168,6 +187,11 @@ impl Teller<'_> {
 
     fn ended(&mut self, summary: &Summary) {
         let notes = &self.notes;
+        for (part, frames) in std::mem::take(&mut self.left_out) {
+            if frames > 1 {
+                notes.warn(&format!("left out of {frames} frames: {part}"));
+            }
+        }
         report_device(self.device.as_ref(), summary.made + summary.failed.len(), notes);
         if let Some(missing) = &summary.chosen {
             notes.say(format!("{}: there are no frames {missing}", summary.inputs));

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::input_format::{InputFormat, extension};
+use crate::io::joined::refuse_other_scales;
 use crate::io::listed::resolved;
 use crate::io::pieces::keep_shared_attributes;
 use crate::io::vertices::Triangles;
@@ -64,6 +65,8 @@ pub fn open_particles(
     }
     let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
     left_out.extend(partial);
+    let named: Vec<_> = sources.iter().map(|source| &*source.path).zip(&files).collect();
+    refuse_other_scales(&named, wanted.attributes)?;
     let time = files.iter().find_map(|file| file.time);
     let ghosts = files.iter().map(|file| file.ghosts).sum();
     let all = files.into_iter().map(|file| file.particles).collect();

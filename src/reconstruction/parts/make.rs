@@ -63,8 +63,7 @@ impl Parts {
         let meshed = self
             .meshed(&ready, &plan, indicator, mark, &mut timings)
             .map_err(|error| error.of_file(&self.input))?;
-        let stamp =
-            Stamp::of(&self.input).map_err(|fault| ReadError::new(&self.input, fault.into()))?;
+        let stamp = Stamp::of(&self.input)?;
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }

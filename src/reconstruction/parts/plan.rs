@@ -104,7 +104,7 @@ impl Parts {
         timings: &mut Timings,
     ) -> Result<(Plan, Vec<PartTakes>), Error> {
         let (Started { checked, threads }, input) = (ready, &self.input);
-        let stamp = || Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()));
+        let stamp = || Stamp::of(input);
         let before = stamp()?;
         let measured = threads.install(|| {
             let open = || {
@@ -176,7 +176,7 @@ impl Parts {
             measured: measured.map(Into::into),
             mean_symmetry,
             coincident,
-            attributes: settled(particles, &sampling.carried)
+            attributes: settled(particles, &sampling.carried, &[])
                 .map_err(|fault| Error::from(FrameError::from(fault)).of_file(&self.input))?,
             parts,
             chunks,

@@ -15,7 +15,6 @@ use crate::frame::{Coincident, Sampling};
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MeanCount;
 use crate::grid::{Grid, MortonKey};
-use crate::io::ReadError;
 use crate::io::stamp::Stamp;
 use crate::io::whole::{make_folder, replace_small};
 use crate::particles::AttributeInfo;
@@ -175,7 +174,7 @@ impl Plan {
         if !differing.is_empty() {
             return Err(PartsError::Settings { path, differing }.into());
         }
-        let stamp = Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()))?;
+        let stamp = Stamp::of(input)?;
         if stamp != self.input {
             return Err(PartsError::Changed { input: input.to_owned(), plan: path }.into());
         }

@@ -1,0 +1,100 @@
+//! Checks of files that are joined: that none is there twice, and that their colours have one scale.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use crate::particles::kind::evident_scale;
+use crate::particles::{AttributeInfo, AttributeKind, Particles, attribute_called};
+
+use super::collection::is_list;
+use super::error::ColourScale;
+use super::frame_files::files_of;
+use super::input::file_and_step;
+use super::stamp::Identity;
+use super::wanted::WantedAttributes;
+use super::{ParticleFile, Pieces, ReadError, ReadFault};
+
+/// Refuses a file, or a frame of one, that is among the paths twice, by whatever names.
+///
+/// # Errors
+/// [`ReadFault::Twice`].
+pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), ReadError> {
+    let mut known: HashMap<(Identity, Option<u64>), &Path> = HashMap::new();
+    for path in paths {
+        let (file, step) = file_and_step(path);
+        let step = step.filter(|_| !is_list(file));
+        for file in files_of(path) {
+            if let Some(other) = known.insert((Identity::of(&file), step), path) {
+                let fault = ReadFault::Twice { other: other.to_owned() };
+                return Err(ReadError::new(path, fault));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Refuses colours that are to be carried, and whose scale differs between files.
+///
+/// Bytes and shares from 0 to 1 can be joined. Floating-point numbers that look like bytes cannot be
+/// joined with shares, and colours not with plain numbers.
+///
+/// # Errors
+/// [`ReadFault::ColourScale`].
+pub(super) fn refuse_other_scales(
+    files: &[(&Path, &ParticleFile)],
+    wanted: WantedAttributes,
+) -> Result<(), ReadError> {
+    let WantedAttributes::Only { names: Some(names), .. } = wanted else { return Ok(()) };
+    let filled = || files.iter().filter(|(_, file)| !file.particles.is_empty());
+    let Some((_, first)) = filled().next() else { return Ok(()) };
+    for name in names {
+        let infos = first.particles.attributes();
+        let Some(wanted) = attribute_called(name, infos).map(|index| &infos[index]) else {
+            continue;
+        };
+        let is_it = |info: &AttributeInfo| {
+            (&info.name, info.components) == (&wanted.name, wanted.components)
+        };
+        let mut of_files = Vec::new();
+        for (path, file) in filled() {
+            let particles = &file.particles;
+            let index = particles.attributes().iter().position(is_it);
+            of_files.extend(index.map(|index| (*path, particles, index)));
+        }
+        let is_colour = |&(_, particles, index): &(_, &Pieces, usize)| {
+            particles.attributes()[index].kind.is_colour()
+        };
+        if !of_files.iter().any(is_colour) {
+            continue;
+        }
+        let mut known: Option<(&Path, ColourScale)> = None;
+        for (path, particles, index) in of_files {
+            let Some(scale) = scale_of(particles, index) else { continue };
+            let (other, of_other) = *known.get_or_insert((path, scale));
+            if !is_joinable(scale, of_other) {
+                let (attribute, other) = (wanted.name.clone(), other.to_owned());
+                let fault = ReadFault::ColourScale { attribute, scale, other, of_other };
+                return Err(ReadError::new(path, fault));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The scale of a colour; `None` where its values may be of any.
+fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
+    Some(match particles.attributes()[index].kind {
+        AttributeKind::ByteColour => ColourScale::Bytes,
+        AttributeKind::Colour => match evident_scale(particles, index)? {
+            AttributeKind::ByteColour => ColourScale::LargeShares,
+            _ => ColourScale::Shares,
+        },
+        _ => ColourScale::Whole,
+    })
+}
+
+/// Whether colours of two scales can be joined: bytes become shares.
+fn is_joinable(one: ColourScale, other: ColourScale) -> bool {
+    use ColourScale::{Bytes, Shares};
+    one == other || matches!((one, other), (Bytes, Shares) | (Shares, Bytes))
+}

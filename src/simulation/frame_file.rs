@@ -1,0 +1,122 @@
+//! A frame of a simulation: its number, its time and its files; and the choice of frames by number.
+
+use std::path::{Path, PathBuf};
+
+use crate::io::bytes::Unpacking;
+use crate::io::frame_files::files_of;
+use crate::io::input::open_joined;
+use crate::io::stamp::Stamp;
+use crate::io::wanted::Wanted;
+use crate::io::{ParticleFile, ReadError};
+
+/// One frame, as found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameFile {
+    /// The frame's number.
+    pub number: i64,
+    /// The number as the name spells it.
+    pub digits: String,
+    /// The time, where the name spells it.
+    pub time: Option<f64>,
+    /// The file, or the first of several.
+    pub path: PathBuf,
+    /// Other files whose particles are of this frame too.
+    pub others: Vec<PathBuf>,
+}
+
+impl FrameFile {
+    /// A frame in one file.
+    #[must_use]
+    pub fn new(number: i64, digits: String, path: PathBuf) -> Self {
+        Self { number, digits, time: None, path, others: Vec::new() }
+    }
+
+    /// All files whose particles are the frame's.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        std::iter::once(&self.path).chain(&self.others).map(PathBuf::as_path)
+    }
+
+    /// Bytes of its files and of their pieces; 0 of what is gone.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
+        self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
+    }
+
+    /// The stamp of its files as they are now.
+    pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
+        Stamp::of_all(self.paths())
+    }
+
+    /// Opens its particles.
+    pub(super) fn open(
+        &self,
+        wanted: Wanted,
+        unpacking: Unpacking,
+    ) -> Result<ParticleFile, ReadError> {
+        let file = open_joined(&self.paths().collect::<Vec<_>>(), wanted, unpacking)?;
+        Ok(ParticleFile { time: file.time.or(self.time), ..file })
+    }
+}
+
+/// Each frame with the next one.
+pub(super) fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {
+    frames.iter().zip(frames.iter().skip(1))
+}
+
+/// The numbers of the frames that are wanted. Ends are included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Selection {
+    /// The first number.
+    pub start: i64,
+    /// The last number.
+    pub end: i64,
+    /// Every so many numbers from the first.
+    pub step: u64,
+}
+
+impl Default for Selection {
+    fn default() -> Self {
+        Self { start: i64::MIN, end: i64::MAX, step: 1 }
+    }
+}
+
+impl Selection {
+    /// The frames that are wanted. Steps count from the first number asked for, else from the first
+    /// there is.
+    pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
+        let is_given = self.start > i64::MIN;
+        let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);
+        let from = first.unwrap_or(self.start);
+        let wanted = |number: i64| {
+            (self.start..=self.end).contains(&number)
+                && number.abs_diff(from).is_multiple_of(self.step.max(1))
+        };
+        frames.into_iter().filter(|frame| wanted(frame.number)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frames(numbers: &[i64]) -> Vec<FrameFile> {
+        let frame = |&number: &i64| FrameFile::new(number, number.to_string(), PathBuf::new());
+        numbers.iter().map(frame).collect()
+    }
+
+    #[test]
+    fn a_selection_takes_both_ends_and_steps_from_the_first() {
+        let numbers = |selection: Selection| {
+            selection
+                .of(frames(&[1, 2, 3, 4, 5, 6, 7]))
+                .iter()
+                .map(|f| f.number)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
+        assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
+        assert_eq!(numbers(Selection { start: -1, step: 3, ..Selection::default() }), [2, 5]);
+        assert_eq!(numbers(Selection { start: 2, end: i64::MAX, step: 2 }), [2, 4, 6]);
+    }
+}

@@ -1,0 +1,112 @@
+//! Frames by the numbers and times in the names of their files: one file each, pieces of one number,
+//! or the frames of several simulations that have one number.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use crate::error::SimulationError;
+
+use super::frame_file::FrameFile;
+use super::inputs::Sequence;
+use super::pattern::{Candidate, Pattern};
+
+/// Frames by the whole numbers in their names; files of one number are its pieces, if names tell
+/// them apart.
+pub(super) fn whole(
+    pattern: &Pattern,
+    files: Vec<(String, Candidate)>,
+) -> Result<Vec<FrameFile>, SimulationError> {
+    let number = |(digits, file): (String, Candidate)| match digits.parse() {
+        Ok(number) => Ok((number, digits, file)),
+        Err(_) => Err(SimulationError::Names(format!(
+            "{}: frames are numbered from {} to {}",
+            file.path.display(),
+            i64::MIN,
+            i64::MAX
+        ))),
+    };
+    let files = files.into_iter().map(number).collect::<Result<Vec<_>, _>>()?;
+    if !pattern.has_pieces() {
+        let frame = |(number, digits, file): (i64, String, Candidate)| {
+            FrameFile::new(number, digits, file.path)
+        };
+        return Ok(files.into_iter().map(frame).collect());
+    }
+    let mut frames: BTreeMap<i64, BTreeMap<u64, (String, PathBuf)>> = BTreeMap::new();
+    for (number, digits, file) in files {
+        let Some(piece) = pattern.piece(&file.name) else { continue };
+        let pieces = frames.entry(number).or_default();
+        if let Some((_, other)) = pieces.insert(piece, (digits, file.path.clone())) {
+            return Err(SimulationError::Names(format!(
+                "{} and {} are both piece {piece} of frame {number}; remove one",
+                other.display(),
+                file.path.display(),
+            )));
+        }
+    }
+    let all: BTreeSet<u64> = frames.values().flat_map(|pieces| pieces.keys().copied()).collect();
+    let mut joined = Vec::new();
+    for (number, pieces) in frames {
+        if let Some(lacking) = all.iter().find(|piece| !pieces.contains_key(piece)) {
+            return Err(SimulationError::Names(format!(
+                "{pattern}: frame {number} lacks piece {lacking}, which other frames have; add it, or leave that frame out"
+            )));
+        }
+        let mut pieces = pieces.into_values();
+        if let Some((digits, path)) = pieces.next() {
+            let others = pieces.map(|(_, path)| path).collect();
+            joined.push(FrameFile { others, ..FrameFile::new(number, digits, path) });
+        }
+    }
+    Ok(joined)
+}
+
+/// Frames in the order of the times in their names, counted from 0.
+pub(super) fn timed(files: Vec<(String, Candidate)>) -> Vec<FrameFile> {
+    let time = |(digits, file): (String, Candidate)| Some((digits.parse().ok()?, digits, file));
+    let mut files: Vec<(f64, String, Candidate)> = files.into_iter().filter_map(time).collect();
+    files.sort_by(|(a, _, one), (b, _, other)| {
+        a.total_cmp(b).then_with(|| one.path.cmp(&other.path))
+    });
+    let frame = |(number, (time, digits, file)): (i64, (f64, String, Candidate))| FrameFile {
+        time: Some(time),
+        ..FrameFile::new(number, digits, file.path)
+    };
+    (0..).zip(files).map(frame).collect()
+}
+
+/// Joins the frames of several simulations that have one number.
+pub(super) fn joined(
+    sequences: &[Sequence],
+    lists: Vec<Vec<FrameFile>>,
+) -> Result<Vec<FrameFile>, SimulationError> {
+    let mut lists = lists.into_iter().zip(sequences);
+    let Some((mut frames, first)) = lists.next() else { return Ok(Vec::new()) };
+    for (list, sequence) in lists {
+        let numbers =
+            |frames: &[FrameFile]| frames.iter().map(|f| f.number).collect::<BTreeSet<_>>();
+        let [own, other] = [numbers(&frames), numbers(&list)];
+        if let Some(number) = own.symmetric_difference(&other).next() {
+            let (has, lacks) =
+                if own.contains(number) { (first, sequence) } else { (sequence, first) };
+            return Err(SimulationError::Names(format!(
+                "{} has frame {number}, {} does not; joined inputs need frames of the same numbers",
+                has.source().describe(),
+                lacks.source().describe()
+            )));
+        }
+        let times = |(a, b): (&FrameFile, &FrameFile)| a.time != b.time;
+        if let Some((one, other)) = frames.iter().zip(&list).find(|(a, b)| times((a, b))) {
+            return Err(SimulationError::Names(format!(
+                "{} and {} are at different times; joined inputs need frames of the same times",
+                one.path.display(),
+                other.path.display()
+            )));
+        }
+        for (frame, other) in frames.iter_mut().zip(list) {
+            frame.others.push(other.path);
+            frame.others.extend(other.others);
+        }
+    }
+    Ok(frames)
+}

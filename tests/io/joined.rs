@@ -1,0 +1,85 @@
+//! Files that are joined: colours of one scale, and none of them twice.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_joined;
+use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
+use meniscus::internals::io::{ColourScale, ParticleFile, ReadError, ReadFault};
+use meniscus::internals::particles::AttributeKind;
+use tempfile::TempDir;
+
+use crate::common::particle_files::attribute;
+
+/// Writes two particles that have one colour each, of a type of numbers.
+fn coloured(path: &Path, scalar: &str, colours: [&str; 2]) {
+    let properties: String =
+        ["red", "green", "blue"].map(|name| format!("property {scalar} {name}\n")).concat();
+    let [one, other] = colours;
+    let text = format!(
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+         property float z\n{properties}end_header\n0 0 0 {one}\n1 0 0 {other}\n"
+    );
+    fs::write(path, text).unwrap();
+}
+
+fn join(paths: &[&Path]) -> Result<ParticleFile, ReadError> {
+    let names = ["rgb".to_owned()];
+    let attributes = WantedAttributes::Only { names: Some(&names), conditions: &[] };
+    open_joined(paths, Wanted { attributes, ..Wanted::default() }, Unpacking::in_memory())
+}
+
+#[test]
+fn bytes_become_shares_beside_shares_and_other_scales_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let [bytes, shares, large, dark] =
+        ["bytes", "shares", "large", "dark"].map(|name| folder.path().join(name));
+    let [bytes, shares, large, dark] =
+        [bytes, shares, large, dark].map(|path| path.with_extension("ply"));
+    coloured(&bytes, "uchar", ["255 51 0", "0 0 0"]);
+    coloured(&shares, "float", ["1 0.5 0", "0 0 0"]);
+    coloured(&large, "float", ["255 51 0", "0 0 0"]);
+    coloured(&dark, "float", ["0 0 0", "0 0 0"]);
+
+    for paths in [[&*bytes, &*shares], [&*shares, &*bytes]] {
+        let file = join(&paths).unwrap();
+        let infos = meniscus::internals::particles::Particles::attributes(&file.particles);
+        assert_eq!(infos[0].kind, AttributeKind::Colour);
+        let mut values = attribute(&file, &infos[0].name);
+        values.sort_by(f32::total_cmp);
+        assert_eq!(values[8..], [0.2, 0.5, 1.0, 1.0]);
+    }
+    use ColourScale::{Bytes, LargeShares, Shares};
+    for (paths, scales) in
+        [([&*shares, &*large], [LargeShares, Shares]), ([&*large, &*bytes], [Bytes, LargeShares])]
+    {
+        let refused = join(&paths).unwrap_err();
+        let ReadFault::ColourScale { scale, other, of_other, .. } = &refused.fault else {
+            panic!("{refused}")
+        };
+        assert_eq!((&*refused.path, &**other), (paths[1], paths[0]));
+        assert_eq!([*scale, *of_other], scales);
+    }
+    // Black is of any scale.
+    for other in [&*shares, &*large, &*bytes] {
+        join(&[&dark, other]).unwrap();
+    }
+}
+
+#[test]
+fn a_file_is_not_joined_with_itself_by_whatever_name() {
+    let folder = TempDir::new().unwrap();
+    let [one, other] = ["a.ply", "b.ply"].map(|name| folder.path().join(name));
+    coloured(&one, "uchar", ["1 2 3", "4 5 6"]);
+    coloured(&other, "uchar", ["1 2 3", "4 5 6"]);
+    join(&[&one, &other]).unwrap();
+    let list = folder.path().join("list.pvd");
+    let text = "<VTKFile><Collection><DataSet file=\"a.ply\"/></Collection></VTKFile>";
+    fs::write(&list, text).unwrap();
+    for again in [one.clone(), folder.path().join("./a.ply"), list] {
+        let refused = join(&[&one, &other, &again]).unwrap_err();
+        assert!(matches!(&refused.fault, ReadFault::Twice { other } if *other == one), "{refused}");
+        assert_eq!(refused.path, again);
+    }
+}
