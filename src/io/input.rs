@@ -6,11 +6,12 @@ use rayon::prelude::*;
 
 use crate::particles::Particles;
 
-use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
+use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within, open_for_frame};
 use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::pieces::keep_shared_attributes;
+use super::text_format::TextHint;
 use super::wanted::{Wanted, WantedPieces};
 use super::{
     LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz,
@@ -158,8 +159,20 @@ fn read(
     let fail = |fault| ReadError::new(path, fault);
     let format = wanted.format.or_else(|| InputFormat::of(file));
     let reader = reader(format.ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?);
-    let bytes = open_bytes_within(file, unpacking)?;
+    let (bytes, stamp) = match step {
+        Some(_) => open_for_frame(file, unpacking)?,
+        None => (open_bytes_within(file, unpacking)?, None),
+    };
     match reader {
+        Reader::Text => {
+            let hint = match wanted.format {
+                Some(format) => TextHint::Named(format),
+                None => TextHint::Extension(InputFormat::of(file)),
+            };
+            let frame = (stamp.map(|stamp| (file, stamp)), step);
+            text_format::read_particles(bytes, hint, frame, wanted.attributes, unpacking)
+                .map_err(fail)
+        }
         Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         Reader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
@@ -250,6 +263,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
 }
 
 enum Reader {
+    /// A frame of a text that may hold several.
+    Text,
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// A frame of arrays that may hold several.
     Arrays(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
@@ -275,11 +290,13 @@ pub(super) fn no_hdf5() -> ReadFault {
 }
 
 fn reader(format: InputFormat) -> Reader {
-    use InputFormat::{Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz};
+    use InputFormat::{
+        Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Tecplot, Vtk, Vtp, Xyz,
+    };
     match format {
         Bgeo => Reader::OneFile(|bytes, _| bgeo::read_particles(bytes)),
         Bi4 => Reader::Pieces(bi4::open_particles),
-        Csv | Lammps | Xyz => Reader::Steps(text_format::open_particles),
+        Csv | Lammps | Tecplot | Xyz => Reader::Text,
         Hdf5 => Reader::Steps(HDF5),
         Json => Reader::OneFile(json::read_particles),
         Npy => Reader::Arrays(|bytes, step, _| npy::read_particles(bytes, step)),

@@ -9,7 +9,7 @@ use super::bytes::{Bytes, Unpacked, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::number::Number;
 use super::table::{Named, excerpt};
-use super::text::{TextLines, decode_windows};
+use super::text::{LinePlace, TextLines, decode_windows};
 use super::windows::Source;
 use super::{ParticleFile, ReadFault};
 
@@ -79,7 +79,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let mut zone = Zone::default();
     let mut record = "";
     let (start, lines_above) = loop {
-        let (start, lines_above) = (lines.at(), lines.passed());
+        let LinePlace { at: start, lines_above } = lines.place();
         let Some(line) = lines.line()? else {
             return Err(lines.fault("the file ends within its header"));
         };

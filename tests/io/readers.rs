@@ -7,7 +7,8 @@ use std::path::Path;
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input::{self, InputFormat};
 use meniscus::internals::io::scene::spacing_beside;
-use meniscus::internals::io::wanted::WantedAttributes;
+use meniscus::internals::io::text_format::TextHint;
+use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
     ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, text_format, vtk, vtp,
 };
@@ -44,7 +45,8 @@ fn read_text(
     step: Option<u64>,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
-    text_format::read_particles(bytes, Some(format), step, wanted, Unpacking::in_memory())
+    let hint = TextHint::Extension(Some(format));
+    text_format::read_particles(bytes, hint, (None, step), wanted, Unpacking::in_memory())
 }
 
 /// With as much memory as unpacking takes.
@@ -1195,4 +1197,66 @@ fn the_spacing_is_found_beside_the_frames_or_above_them() {
         std::fs::write(frames.join(name), no_scene).unwrap();
     }
     assert_eq!(spacing_beside(&frame).unwrap(), (6.0, frames.join("b.json")));
+}
+
+#[test]
+fn frames_of_a_compressed_file_are_unpacked_once_and_again_when_it_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = |name: &str, scratch: &Path| {
+        let unpacking = Unpacking { in_memory: 1 << 20, scratch, control: None };
+        input::open_particles(&folder.path().join(name), unpacking).map(|file| positions(&file))
+    };
+    let frames = |first: i32| -> String {
+        (first..first + 3).map(|x| format!("1\nframe\nO {x}.5 0 0\n")).collect()
+    };
+    let write = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
+    write("a.xyz", frames(0).as_bytes());
+    write("b.xyz.gz", &gzip(frames(0).as_bytes()));
+    for name in ["a.xyz", "b.xyz.gz"] {
+        // Without a scratch folder memory serves.
+        for scratch in [Path::new("nowhere"), folder.path(), Path::new("nowhere")] {
+            for (number, x) in [(2, 2.5), (0, 0.5), (1, 1.5)] {
+                let read = open(&format!("{name}#{number}"), scratch).unwrap();
+                assert_eq!(read, [[x, 0.0, 0.0]], "{name}#{number}");
+            }
+            open(&format!("{name}#3"), scratch).unwrap_err();
+        }
+    }
+    write("a.xyz", frames(10).as_bytes());
+    write("b.xyz.gz", &gzip(frames(10).as_bytes()));
+    for name in ["a.xyz#1", "b.xyz.gz#1"] {
+        assert_eq!(open(name, folder.path()).unwrap(), [[11.5, 0.0, 0.0]], "{name}");
+    }
+}
+
+#[test]
+fn frames_above_a_line_that_does_not_parse_are_read_by_their_numbers() {
+    let frames = "1\na\nO 1 1 1\n1\nb\nO 2 2 2\nnext\n";
+    let step = |step| {
+        read_text(frames.as_bytes().to_vec().into(), InputFormat::Xyz, step, WantedAttributes::All)
+    };
+    assert_eq!(positions(&step(Some(1)).unwrap()), [[2.0; 3]]);
+    for wrong in [None, Some(2)] {
+        assert!(matches!(step(wrong), Err(ReadFault::Line { line: 7, .. })));
+    }
+}
+
+#[test]
+fn a_format_that_is_named_is_not_looked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = |text: &str, format| {
+        let path = folder.path().join("sim.out");
+        std::fs::write(&path, text).unwrap();
+        let wanted = Wanted { format: Some(format), ..Wanted::default() };
+        input::open_wanted(&path, wanted, Unpacking::in_memory()).map(|file| file.format)
+    };
+    let xyz = "2\nwater\nO 1 2 3\nH 4 5 6\n";
+    let tecplot = "VARIABLES = x, y, z\nZONE\n1 2 3\n";
+    assert_eq!(open(xyz, InputFormat::Xyz).unwrap(), "XYZ");
+    assert_eq!(open(xyz, InputFormat::Csv).unwrap(), "text table");
+    assert_eq!(open(tecplot, InputFormat::Tecplot).unwrap(), "Tecplot");
+    open(tecplot, InputFormat::Csv).unwrap_err();
+    open("ITEM: TIMESTEP\n0\n", InputFormat::Csv).unwrap_err();
+    open("x,y,z\n1,2,3\n", InputFormat::Lammps).unwrap_err();
+    open("x,y,z\n1,2,3\n", InputFormat::Tecplot).unwrap_err();
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::input::InputFormat;
+use meniscus::internals::io::text_format::TextHint;
 use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
     ParticleFile, ReadFault, bgeo, bi4, h5, json, npy, npz, ply, text_format, vtk, vtp,
@@ -281,10 +282,10 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
 }
 
 fn run_text(data: &[u8], format: InputFormat) {
-    let all = WantedAttributes::All;
+    let (all, hint) = (WantedAttributes::All, TextHint::Extension(Some(format)));
     let steps = text_format::steps(own(data), format).unwrap_or_default();
     for step in [None, steps.last().copied()] {
-        let read = text_format::read_particles(own(data), Some(format), step, all, memory());
+        let read = text_format::read_particles(own(data), hint, (None, step), all, memory());
         read_through(read);
     }
 }
