@@ -21,7 +21,7 @@ use super::{
 macro_rules! known {
     ($hdf5:literal, $vtkhdf:literal) => {
         concat!(
-            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, ",
+            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, .extxyz, ",
             $hdf5,
             ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
@@ -32,7 +32,7 @@ macro_rules! known {
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
 #[cfg(feature = "hdf5")]
-pub const KNOWN: &str = known!(".h5, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
+pub const KNOWN: &str = known!(".h5, .h5md, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
 /// The extensions that [`open_particles`] knows, in the words of a message.
 #[cfg(not(feature = "hdf5"))]
 pub const KNOWN: &str = known!("", "");
@@ -131,6 +131,7 @@ pub fn open_joined(
     let is_block = |part: &LeftOut| !matches!(part, LeftOut::Attribute(_));
     let left_out = blocks.filter(is_block).chain(partial).collect();
     let (unread, particle_types) = (first.unread.clone(), first.particle_types.clone());
+    let texts = first.texts.clone();
     let pieces = files.into_iter().map(|file| file.particles).collect();
     let particles =
         Pieces::join(pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))?;
@@ -146,6 +147,7 @@ pub fn open_joined(
         unselected,
         none_selected,
         unread,
+        texts,
         left_out,
     })
 }
@@ -316,7 +318,7 @@ mod tests {
     use crate::io::compression::EXTENSIONS;
 
     /// Extensions that are recognised to say what to do instead.
-    const ADVISED: [&str; 4] = ["sc", "h5", "h5part", "hdf5"];
+    const ADVISED: [&str; 5] = ["sc", "h5", "h5md", "h5part", "hdf5"];
 
     #[test]
     fn the_extensions_that_messages_know_are_those_that_have_a_reader() {

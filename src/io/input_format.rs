@@ -51,7 +51,7 @@ impl InputFormat {
             "bi4" => Self::Bi4,
             "csv" | "dat" | "txt" => Self::Csv,
             "dump" | "lammpstrj" => Self::Lammps,
-            "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => Self::Hdf5,
+            "h5" | "h5md" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => Self::Hdf5,
             "json" => Self::Json,
             "npy" => Self::Npy,
             "npz" => Self::Npz,
@@ -59,7 +59,7 @@ impl InputFormat {
             "pvtp" | "pvtu" | "vtm" | "vtpc" | "vtpd" => Self::Pvtp,
             "vtk" => Self::Vtk,
             "vtp" | "vtu" => Self::Vtp,
-            "xyz" => Self::Xyz,
+            "extxyz" | "xyz" => Self::Xyz,
             _ => return None,
         })
     }

@@ -141,13 +141,13 @@ impl Step {
             let columns: Vec<_> = axes.iter().filter_map(column).collect();
             (columns.len() == 3).then_some((columns, *are_fractions))
         });
-        let Some((columns, are_fractions)) = found else {
-            let what = format!(
-                "no columns x, y and z (nor xu, xs or xsu and so on) among {:?}",
-                names.join(" ")
-            );
-            return Err(ReadFault::Line { line: self.lines_above, what });
+        let shown = names.join(" ");
+        let no_position = || {
+            let what =
+                format!("no columns x, y and z (nor xu, xs or xsu and so on) among {shown:?}");
+            ReadFault::Line { line: self.lines_above, what }
         };
+        let (columns, are_fractions) = found.ok_or_else(no_position)?;
         for (number, name) in names.iter_mut().enumerate() {
             match columns.iter().position(|&column| column == number) {
                 Some(axis) => ["x", "y", "z"][axis].clone_into(name),
@@ -167,7 +167,7 @@ impl Step {
             rows: self.start..self.end,
             lines_above: self.lines_above,
             syntax: Syntax::BLANKS,
-            columns: Named::of(names).expect("x, y and z are there"),
+            columns: Named::of(names).ok_or_else(no_position)?,
             count: Some(self.atoms),
             cell,
         };

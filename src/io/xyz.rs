@@ -7,7 +7,7 @@
 
 use super::bytes::{Bytes, Unpacking, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::names::Quantity;
+use super::names::{Quantity, repeated_position};
 use super::table::unnamed_columns;
 use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
 use super::text::{LinePlace, TextLines};
@@ -174,6 +174,10 @@ impl Frame {
                     }
                     let names = names_in(&comment);
                     let named = names.len() == columns.names.len();
+                    if let Some(name) = repeated_position(&names).filter(|_| named) {
+                        let what = format!("several columns are called {name:?}");
+                        return Err(ReadFault::Line { line: lines_above, what });
+                    }
                     (syntax, named.then(|| Named::of(names)).flatten().unwrap_or(columns))
                 }
                 None if rows == 0 => (Syntax::BLANKS, Named::unnamed(0, 3)),

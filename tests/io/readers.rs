@@ -1068,6 +1068,7 @@ fn tecplot_is_read_by_points_or_by_variables() {
     assert_eq!(positions(&unsized_zone).len(), 2);
     for (zone, line) in [
         ("F=POINT\n1 2 3 10\n4 5 6 20\nZONE I=1\n1 2 3 4\n", 6),
+        ("F=POINT\n1 2 3 10\n4 5 6 20\nTITLE = \"b\"\nVARIABLES = x, y, z\nZONE I=1\n1 2 3\n", 6),
         ("F=POINT\n1 2 3 10\n4 5 6\n", 3),
         ("F=POINT\n8*1\n", 4),
         ("N=2, E=1, ZONETYPE=FETRIANGLE\n1 2 3 10\n", 3),
@@ -1259,4 +1260,77 @@ fn a_format_that_is_named_is_not_looked_for() {
     open("ITEM: TIMESTEP\n0\n", InputFormat::Csv).unwrap_err();
     open("x,y,z\n1,2,3\n", InputFormat::Lammps).unwrap_err();
     open("x,y,z\n1,2,3\n", InputFormat::Tecplot).unwrap_err();
+}
+
+#[test]
+fn zones_of_tecplot_are_refused_by_their_titles() {
+    let file =
+        "VARIABLES = x, y, z\nZONE T=\"fluid\"\n1 2 3\nzone t=\"wall\"\n4 5 6\nZONE\n7 8 9\n";
+    match text(file) {
+        Err(ReadFault::Line { line: 4, what }) => {
+            assert!(what.contains("has 3") && what.contains("\"fluid\""), "{what}");
+            assert!(what.contains("\"wall\""), "{what}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn columns_of_one_name_are_told_apart_and_a_position_is_there_once() {
+    let file = text("x,y,z,a,a\n1,2,3,4,5\n").unwrap();
+    assert_eq!(attributes(&file), [("a_column4", 1), ("a_column5", 1)]);
+    assert_eq!(attribute(&file, "a_column5"), [5.0]);
+    let twice = text("x,y,z,vx,vy,vz,vx\n1,2,3,4,5,6,7\n").unwrap();
+    assert!(attributes(&twice).iter().all(|(_, components)| *components == 1));
+    for names in ["x,y,z,x,y,z", "# x,y,z,x,y,z", "x,y,z,X,x,y"] {
+        let fault = text(&format!("{names}\n1,2,3,4,5,6\n")).expect_err(names);
+        assert!(matches!(fault, ReadFault::Line { line: 1, .. }), "{names}: {fault}");
+    }
+    let named = read(XYZ, b"1\nx y z x y z\n1.5 2.5 3.5 4.5 5.5 6.5\n");
+    assert!(matches!(named, Err(ReadFault::Line { .. })));
+}
+
+#[test]
+fn columns_of_shares_are_a_colour() {
+    for (names, components) in [("Red,Green,Blue", 3), ("r,g,b", 3), ("red,green,blue,alpha", 4)] {
+        let shares = ["255", "128", "0", "64"][..components].join(",");
+        let file = text(&format!("x,y,z,{names}\n1,2,3,{shares}\n")).unwrap();
+        assert_eq!(attributes(&file), [("color", components)], "{names}");
+    }
+    assert_eq!(attributes(&text("x,y,z,r,g\n1,2,3,4,5\n").unwrap()), [("r", 1), ("g", 1)]);
+}
+
+#[test]
+fn half_floats_of_numpy_are_read() {
+    let mut npy = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
+    npy.extend(
+        format!("{:<69}\n", "{'descr': '<f2', 'fortran_order': False, 'shape': (1, 3)}").bytes(),
+    );
+    for bits in [0x3c00_u16, 0xb800, 0x0001] {
+        npy.extend(bits.to_le_bytes());
+    }
+    let file = read(NPY, &npy).unwrap();
+    assert_eq!(positions(&file), [[1.0, -0.5, 2.0_f64.powi(-24)]]);
+}
+
+#[test]
+fn a_condition_on_text_of_vtk_is_refused_by_the_name_of_its_array() {
+    let folder = tempfile::tempdir().unwrap();
+    let legacy = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n\
+        POINT_DATA 1\nFIELD f 1\nphase 1 1 string\nwater\n";
+    let xml = "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"1\"><PointData>\
+        <DataArray type=\"String\" Name=\"phase\" format=\"ascii\">119 0</DataArray></PointData>\
+        <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">1 2 3\
+        </DataArray></Points></Piece></PolyData></VTKFile>";
+    let conditions = ["phase=water".parse().unwrap()];
+    for (name, content) in [("a.vtk", legacy), ("a.vtp", xml)] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        input::open_particles(&path, Unpacking::in_memory()).expect(name);
+        let wanted = Wanted { conditions: &conditions, ..Wanted::default() };
+        match input::open_wanted(&path, wanted, Unpacking::in_memory()).map_err(|e| e.fault) {
+            Err(ReadFault::Unsupported(what)) => assert!(what.contains("phase"), "{what}"),
+            other => panic!("{name}: {other:?}"),
+        }
+    }
 }
