@@ -10,12 +10,12 @@ use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within, open_f
 use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
-use super::pieces::keep_shared_attributes;
+use super::pieces::join_files;
 use super::text_format::TextHint;
 use super::wanted::{Wanted, WantedPieces};
 use super::{
-    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz,
-    ply, text_format, vtk, vtp,
+    ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz, ply,
+    text_format, vtk, vtp,
 };
 
 macro_rules! known {
@@ -97,8 +97,7 @@ pub fn open_joined(
     };
     // All are waited for, so that the error is the first file's.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
-    let mut files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let Some(first) = files.first() else {
         return Ok(ParticleFile::new(Pieces::default(), "no file"));
     };
@@ -115,41 +114,7 @@ pub fn open_joined(
         );
         return Err(ReadError::new(paths[other], ReadFault::Unsupported(what)));
     }
-    let alike = |value: fn(&ParticleFile) -> Option<f64>| {
-        value(first).filter(|_| files.iter().all(|file| value(file) == value(first)))
-    };
-    let spacing = alike(|file| file.spacing);
-    let time = files.iter().find_map(|file| file.time);
-    let box_size = first.box_size.filter(|_| files.iter().all(|f| f.box_size == first.box_size));
-    let (format, unit_metres) = (first.format, first.unit_metres);
-    let ghosts = files.iter().map(|file| file.ghosts).sum();
-    let unselected = files.iter().map(|file| file.unselected).sum();
-    let is_empty = files.iter().all(|file| file.particles.is_empty());
-    let none_selected = files.iter().find_map(|file| file.none_selected.clone());
-    let none_selected = none_selected.filter(|_| is_empty);
-    let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
-    let is_block = |part: &LeftOut| !matches!(part, LeftOut::Attribute(_));
-    let left_out = blocks.filter(is_block).chain(partial).collect();
-    let (unread, particle_types) = (first.unread.clone(), first.particle_types.clone());
-    let texts = first.texts.clone();
-    let pieces = files.into_iter().map(|file| file.particles).collect();
-    let particles =
-        Pieces::join(pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))?;
-    Ok(ParticleFile {
-        particles,
-        format,
-        spacing,
-        time,
-        box_size,
-        unit_metres,
-        particle_types,
-        ghosts,
-        unselected,
-        none_selected,
-        unread,
-        texts,
-        left_out,
-    })
+    join_files(files).map_err(|(file, fault)| ReadError::new(paths[file], fault))
 }
 
 fn read(
