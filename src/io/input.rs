@@ -4,8 +4,6 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::particles::Particles;
-
 use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within, open_for_frame};
 use super::collection::is_list;
 pub use super::input_format::InputFormat;
