@@ -5,7 +5,8 @@ use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 
 use libdeflater::Decompressor;
 use memchr::memmem;
@@ -13,8 +14,7 @@ use memmap2::Mmap;
 use rayon::prelude::*;
 
 use crate::system::control::{Control, Meter, Stage};
-use crate::system::reopened::ReopenedFile;
-use crate::system::reopened::read_exact_at;
+use crate::system::reopened::{FileStamp, ReopenedFile, read_exact_at};
 
 use super::compression::{Compression, DICTIONARY};
 use super::{ReadError, ReadFault};
@@ -44,7 +44,7 @@ pub enum Bytes {
 #[derive(Debug)]
 pub enum Kept {
     /// A mapped scratch file; pages come and go with their use.
-    Scratch(Mmap),
+    Scratch(Arc<Mmap>),
     /// In memory.
     Owned(Vec<u8>),
 }
@@ -112,7 +112,7 @@ impl Kept {
     pub fn map(file: &File) -> io::Result<Self> {
         // SAFETY: the map is never written through. Another program that shortens the file
         // meanwhile can end the run by a signal, as it can for every mapping reader.
-        unsafe { Mmap::map(file) }.map(Self::Scratch)
+        unsafe { Mmap::map(file) }.map(|map| Self::Scratch(Arc::new(map)))
     }
 
     /// Bytes of scratch files.
@@ -158,6 +158,38 @@ impl Deref for Kept {
             Self::Scratch(map) => map,
             Self::Owned(vec) => vec,
         }
+    }
+}
+
+/// The file that was asked for last, and a result that holds as long as the file is the same.
+#[derive(Debug)]
+pub struct LastFile<T>(Mutex<Option<(PathBuf, FileStamp, T)>>);
+
+impl<T: Clone> LastFile<T> {
+    /// No file.
+    pub const fn new() -> Self {
+        Self(Mutex::new(None))
+    }
+
+    fn last(&self) -> MutexGuard<'_, Option<(PathBuf, FileStamp, T)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The result for a file that is as it was.
+    pub fn get(&self, path: &Path, stamp: FileStamp) -> Option<T> {
+        let last = self.last();
+        let (of, known, result) = last.as_ref()?;
+        ((of.as_path(), *known) == (path, stamp)).then(|| result.clone())
+    }
+
+    /// Keeps the result for a file in place of any other.
+    pub fn keep(&self, path: &Path, stamp: FileStamp, result: T) {
+        *self.last() = Some((path.to_owned(), stamp, result));
+    }
+
+    /// Keeps no result.
+    pub fn forget(&self) {
+        *self.last() = None;
     }
 }
 
@@ -373,6 +405,12 @@ impl Unpacking<'static> {
     pub fn in_memory() -> Self {
         Self { in_memory: u64::MAX, scratch: Path::new("."), control: None }
     }
+
+    /// For a look at a file: what is large goes to a scratch file in the system's folder for them.
+    pub fn for_a_look() -> Self {
+        static FOLDER: LazyLock<PathBuf> = LazyLock::new(std::env::temp_dir);
+        Self { in_memory: ALWAYS_UNPACKED, scratch: &FOLDER, control: None }
+    }
 }
 
 impl Unpacking<'_> {
@@ -472,14 +510,14 @@ impl<'a> Unpacked<'a> {
     }
 }
 
-/// Opens `path`: to be read by position, or unpacked into memory when it is compressed by gzip, xz or
-/// zstd, whatever its extension says.
+/// Opens `path`: to be read by position, or unpacked [`for_a_look`](Unpacking::for_a_look) when it
+/// is compressed by gzip, xz or zstd, whatever its extension says.
 ///
 /// # Errors
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
 /// [`ReadFault::Compression`] for a damaged stream, or one that unpacks beyond all reason.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
-    open_bytes_within(path, Unpacking::in_memory())
+    open_bytes_within(path, Unpacking::for_a_look())
 }
 
 /// Opens `path` like [`open_bytes`], and reads all of it.
@@ -488,6 +526,60 @@ pub fn open_whole(path: &Path) -> Result<Kept, ReadError> {
     open_bytes_within(path, unpacking)?
         .read_whole(unpacking)
         .map_err(|fault| ReadError::new(path, fault))
+}
+
+/// Opens `path` like [`open_bytes_within`] for one of several frames in it.
+///
+/// A compressed file is unpacked into a scratch file, which is kept until another one is opened
+/// here or this one has changed: its frames are read without unpacking those before. What is found
+/// in the bytes holds as long as the file has the stamp, where there is one.
+///
+/// # Errors
+/// As [`open_bytes_within`].
+pub fn open_for_frame(
+    path: &Path,
+    unpacking: Unpacking,
+) -> Result<(Bytes, Option<FileStamp>), ReadError> {
+    static UNPACKED: LastFile<Arc<Mmap>> = LastFile::new();
+    /// Frames that are opened together wait for the one that unpacks.
+    static TURN: Mutex<()> = Mutex::new(());
+    let compressed = File::open(path)
+        .and_then(|file| {
+            let stamp = FileStamp::of(&file.metadata()?);
+            let mut head = [0; Compression::MAGIC];
+            let head = &mut head[..stamp.bytes.min(Compression::MAGIC as u64) as usize];
+            read_exact_at(&file, 0, head)?;
+            Ok(Compression::of(head).map(|_| stamp))
+        })
+        // Whoever opens it again reports that.
+        .unwrap_or_default();
+    // Without a limit nothing goes to scratch files.
+    let compressed = compressed.filter(|_| unpacking.in_memory < u64::MAX);
+    let _turn = compressed.map(|_| TURN.lock().unwrap_or_else(PoisonError::into_inner));
+    if let Some(stamp) = compressed {
+        if let Some(map) = UNPACKED.get(path, stamp) {
+            return Ok((Bytes::Kept(Kept::Scratch(map)), compressed));
+        }
+        // No more than one scratch file is kept.
+        UNPACKED.forget();
+        let unpacked = open_bytes_within(path, Unpacking { in_memory: 0, ..unpacking });
+        let unchanged = path.metadata().is_ok_and(|now| FileStamp::of(&now) == stamp);
+        match unpacked {
+            Ok(Bytes::Kept(Kept::Scratch(map))) if unchanged => {
+                UNPACKED.keep(path, stamp, Arc::clone(&map));
+                return Ok((Bytes::Kept(Kept::Scratch(map)), compressed));
+            }
+            // It may fit the memory.
+            Err(ReadError { fault: ReadFault::Scratch(_), .. }) => {}
+            other => return Ok((other?, None)),
+        }
+    }
+    let bytes = open_bytes_within(path, unpacking)?;
+    let stamp = match &bytes {
+        Bytes::File(file) => Some(file.stamp()),
+        Bytes::Kept(_) => None,
+    };
+    Ok((bytes, stamp))
 }
 
 /// Opens `path` like [`open_bytes`], unpacking it into memory or a scratch file as `unpacking`

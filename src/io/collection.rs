@@ -3,12 +3,13 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
+use std::sync::Arc;
 
 use serde::Deserialize;
 
-use super::bytes::{Unpacking, open_whole};
+use crate::system::reopened::FileStamp;
+
+use super::bytes::{LastFile, Unpacking, open_whole};
 use super::input::open_joined;
 use super::listed::resolved;
 use super::vtp::each_tag;
@@ -35,25 +36,17 @@ pub fn is_list(path: &Path) -> bool {
 /// # Errors
 /// [`ReadError`] for a list that cannot be read, that names nothing, or that names another list.
 pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
-    // A simulation asks for each of its frames: the last list is kept as long as it is the same.
-    static LAST: Mutex<Option<Known>> = Mutex::new(None);
-    let version = path.metadata().ok().and_then(|of| Some((of.modified().ok()?, of.len())));
-    let Some(version) = version else { return read_list(path).map(Into::into) };
-    let last = || LAST.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((of, known, frames)) = &*last()
-        && (of.as_path(), *known) == (path, version)
-    {
-        return Ok(Arc::clone(frames));
+    // A simulation asks for each of its frames.
+    static LAST: LastFile<Arc<[ListedFrame]>> = LastFile::new();
+    let Ok(metadata) = path.metadata() else { return read_list(path).map(Into::into) };
+    let stamp = FileStamp::of(&metadata);
+    if let Some(frames) = LAST.get(path, stamp) {
+        return Ok(frames);
     }
     let frames: Arc<[ListedFrame]> = read_list(path)?.into();
-    *last() = Some((path.to_owned(), version, Arc::clone(&frames)));
+    LAST.keep(path, stamp, Arc::clone(&frames));
     Ok(frames)
 }
-
-/// When a list was written, and its bytes.
-type Version = (SystemTime, u64);
-/// A list that was read.
-type Known = (PathBuf, Version, Arc<[ListedFrame]>);
 
 fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let bytes = open_whole(path)?;

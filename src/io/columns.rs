@@ -7,6 +7,8 @@ use std::collections::HashSet;
 use std::ops::Range;
 use std::sync::Arc;
 
+use half::f16;
+
 use crate::particles::kind::is_direction_name;
 use crate::particles::sieve::Sieve;
 use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
@@ -31,6 +33,7 @@ pub enum Scalar {
     U32,
     I64,
     U64,
+    F16,
     F32,
     F64,
 }
@@ -38,13 +41,13 @@ pub enum Scalar {
 impl Scalar {
     /// Whether it is a floating-point number.
     pub fn is_float(self) -> bool {
-        matches!(self, Self::F32 | Self::F64)
+        matches!(self, Self::F16 | Self::F32 | Self::F64)
     }
 
     /// The kind of an attribute whose numbers are stored so.
     pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
         let kind = match self {
-            Self::F32 | Self::F64 => return info.kind,
+            Self::F16 | Self::F32 | Self::F64 => return info.kind,
             // What is stored as bytes is no share from 0 to 1.
             Self::U8 if info.kind.is_colour() => return AttributeKind::ByteColour,
             _ if is_direction_name(info) => return AttributeKind::Number,
@@ -354,13 +357,14 @@ impl<B: Windows> Particles for ColumnStore<B> {
     }
 }
 
-/// Everything that is done for one type after the other.
+/// Everything that is done for one type after the other; half floats become f32 first.
 macro_rules! stored {
     ($($scalar:ident $type:ident),*) => {
         impl Scalar {
             /// Width in bytes.
             pub fn size(self) -> usize {
                 match self {
+                    Self::F16 => size_of::<f16>(),
                     $(Self::$scalar => size_of::<$type>()),*
                 }
             }
@@ -398,6 +402,12 @@ macro_rules! stored {
                 step: usize,
             ) {
                 match (column.scalar, column.endian) {
+                    (Scalar::F16, Endian::Little) => self.tuples::<T, K, _>(
+                        column, first, out, step, |b| T::f32(f16::from_le_bytes(b).into()),
+                    ),
+                    (Scalar::F16, Endian::Big) => self.tuples::<T, K, _>(
+                        column, first, out, step, |b| T::f32(f16::from_be_bytes(b).into()),
+                    ),
                     $((Scalar::$scalar, Endian::Little) => self.tuples::<T, K, _>(
                         column, first, out, step, |bytes| T::$type($type::from_le_bytes(bytes)),
                     ),

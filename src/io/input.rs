@@ -4,24 +4,23 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::particles::Particles;
-
-use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
+use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within, open_for_frame};
 use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::joined::{refuse_other_scales, refuse_twice};
-use super::pieces::keep_shared_attributes;
+use super::pieces::join_files;
+use super::text_format::TextHint;
 use super::wanted::{Wanted, WantedPieces};
 use super::{
-    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz,
-    ply, text_format, vtk, vtp,
+    ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz, ply,
+    text_format, vtk, vtp,
 };
 
 macro_rules! known {
     ($hdf5:literal, $vtkhdf:literal) => {
         concat!(
-            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, ",
+            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, .extxyz, ",
             $hdf5,
             ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
@@ -32,7 +31,7 @@ macro_rules! known {
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
 #[cfg(feature = "hdf5")]
-pub const KNOWN: &str = known!(".h5, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
+pub const KNOWN: &str = known!(".h5, .h5md, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
 /// The extensions that [`open_particles`] knows, in the words of a message.
 #[cfg(not(feature = "hdf5"))]
 pub const KNOWN: &str = known!("", "");
@@ -100,8 +99,7 @@ pub fn open_joined(
     };
     // All are waited for, so that the error is the first file's.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
-    let mut files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let named: Vec<_> = paths.iter().copied().zip(&files).collect();
     refuse_other_scales(&named, wanted.attributes)?;
     let Some(first) = files.first() else {
@@ -120,39 +118,7 @@ pub fn open_joined(
         );
         return Err(ReadError::new(paths[other], ReadFault::Unsupported(what)));
     }
-    let alike = |value: fn(&ParticleFile) -> Option<f64>| {
-        value(first).filter(|_| files.iter().all(|file| value(file) == value(first)))
-    };
-    let spacing = alike(|file| file.spacing);
-    let time = files.iter().find_map(|file| file.time);
-    let box_size = first.box_size.filter(|_| files.iter().all(|f| f.box_size == first.box_size));
-    let (format, unit_metres) = (first.format, first.unit_metres);
-    let ghosts = files.iter().map(|file| file.ghosts).sum();
-    let unselected = files.iter().map(|file| file.unselected).sum();
-    let is_empty = files.iter().all(|file| file.particles.is_empty());
-    let none_selected = files.iter().find_map(|file| file.none_selected.clone());
-    let none_selected = none_selected.filter(|_| is_empty);
-    let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
-    let is_block = |part: &LeftOut| !matches!(part, LeftOut::Attribute(_));
-    let left_out = blocks.filter(is_block).chain(partial).collect();
-    let (unread, particle_types) = (first.unread.clone(), first.particle_types.clone());
-    let pieces = files.into_iter().map(|file| file.particles).collect();
-    let particles =
-        Pieces::join(pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))?;
-    Ok(ParticleFile {
-        particles,
-        format,
-        spacing,
-        time,
-        box_size,
-        unit_metres,
-        particle_types,
-        ghosts,
-        unselected,
-        none_selected,
-        unread,
-        left_out,
-    })
+    join_files(files).map_err(|(file, fault)| ReadError::new(paths[file], fault))
 }
 
 fn read(
@@ -164,8 +130,20 @@ fn read(
     let fail = |fault| ReadError::new(path, fault);
     let format = wanted.format.or_else(|| InputFormat::of(file));
     let reader = reader(format.ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?);
-    let bytes = open_bytes_within(file, unpacking)?;
+    let (bytes, stamp) = match step {
+        Some(_) => open_for_frame(file, unpacking)?,
+        None => (open_bytes_within(file, unpacking)?, None),
+    };
     match reader {
+        Reader::Text => {
+            let hint = match wanted.format {
+                Some(format) => TextHint::Named(format),
+                None => TextHint::Extension(InputFormat::of(file)),
+            };
+            let frame = (stamp.map(|stamp| (file, stamp)), step);
+            text_format::read_particles(bytes, hint, frame, wanted.attributes, unpacking)
+                .map_err(fail)
+        }
         Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         Reader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
@@ -256,6 +234,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
 }
 
 enum Reader {
+    /// A frame of a text that may hold several.
+    Text,
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// A frame of arrays that may hold several.
     Arrays(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
@@ -281,11 +261,13 @@ pub(super) fn no_hdf5() -> ReadFault {
 }
 
 fn reader(format: InputFormat) -> Reader {
-    use InputFormat::{Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz};
+    use InputFormat::{
+        Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Tecplot, Vtk, Vtp, Xyz,
+    };
     match format {
         Bgeo => Reader::OneFile(|bytes, _| bgeo::read_particles(bytes)),
         Bi4 => Reader::Pieces(bi4::open_particles),
-        Csv | Lammps | Xyz => Reader::Steps(text_format::open_particles),
+        Csv | Lammps | Tecplot | Xyz => Reader::Text,
         Hdf5 => Reader::Steps(HDF5),
         Json => Reader::OneFile(json::read_particles),
         Npy => Reader::Arrays(|bytes, step, _| npy::read_particles(bytes, step)),
@@ -305,7 +287,7 @@ mod tests {
     use crate::io::compression::EXTENSIONS;
 
     /// Extensions that are recognised to say what to do instead.
-    const ADVISED: [&str; 4] = ["sc", "h5", "h5part", "hdf5"];
+    const ADVISED: [&str; 5] = ["sc", "h5", "h5md", "h5part", "hdf5"];
 
     #[test]
     fn the_extensions_that_messages_know_are_those_that_have_a_reader() {

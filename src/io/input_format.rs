@@ -15,7 +15,7 @@ pub enum InputFormat {
     Bgeo,
     /// DualSPHysics' .bi4.
     Bi4,
-    /// Tables of text, as in .csv, .txt and .dat, also of Tecplot.
+    /// Tables of text, as in .csv, .txt and .dat.
     Csv,
     /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD, or any groups and tables.
     Hdf5,
@@ -31,6 +31,8 @@ pub enum InputFormat {
     Ply,
     /// VTK's lists of files: .pvtp and .pvtu of pieces, .vtm, .vtpd and .vtpc of blocks.
     Pvtp,
+    /// Tecplot in text.
+    Tecplot,
     /// Legacy VTK.
     Vtk,
     /// VTK's XML, .vtp and .vtu.
@@ -49,7 +51,7 @@ impl InputFormat {
             "bi4" => Self::Bi4,
             "csv" | "dat" | "txt" => Self::Csv,
             "dump" | "lammpstrj" => Self::Lammps,
-            "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => Self::Hdf5,
+            "h5" | "h5md" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => Self::Hdf5,
             "json" => Self::Json,
             "npy" => Self::Npy,
             "npz" => Self::Npz,
@@ -57,7 +59,7 @@ impl InputFormat {
             "pvtp" | "pvtu" | "vtm" | "vtpc" | "vtpd" => Self::Pvtp,
             "vtk" => Self::Vtk,
             "vtp" | "vtu" => Self::Vtp,
-            "xyz" => Self::Xyz,
+            "extxyz" | "xyz" => Self::Xyz,
             _ => return None,
         })
     }

@@ -4,10 +4,9 @@
 //! fractions of the edges of the box, which may be a parallelepiped (LAMMPS' documentation of the
 //! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
 
-use super::bytes::{Bytes, Unpacking, View};
-use super::error::{no_step, several_steps};
+use super::bytes::{Bytes, Unpacking};
 use super::table::{Cell, Named, Separator, Syntax, Table, excerpt, names_of};
-use super::text::TextLines;
+use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, ReadFault};
 
@@ -43,56 +42,31 @@ pub(super) fn is_dump(head: &[u8]) -> bool {
     head.starts_with(ITEM.as_bytes())
 }
 
-/// Reads a step, or the only one.
+/// Passes a step and returns its number; `None` at the end of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, and for a step that ends too early;
-/// [`ReadFault::Unsupported`] where a step has to be chosen or is not there, and for columns
-/// without a position.
+/// [`ReadFault::Line`] for a line that does not parse, and [`ReadFault::Unsupported`] for a dump of
+/// anything but atoms.
+pub(super) fn pass(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
+    Ok(Step::next(lines)?.map(|step| step.number))
+}
+
+/// Reads the step that begins at a place.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a line that does not parse, for a step that ends too early, and for
+/// columns without a position.
 pub(super) fn read(
     bytes: Bytes,
-    step: Option<u64>,
+    place: LinePlace,
     wanted: WantedAttributes,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
-    let mut lines = TextLines::new(view)?;
-    let found = match step {
-        Some(number) => loop {
-            match Step::next(&mut lines)? {
-                Some(step) if step.number == number => break step,
-                Some(_) => {}
-                None => return Err(no_step(number)),
-            }
-        },
-        None => {
-            let only = Step::next(&mut lines)?;
-            let only = only.ok_or_else(|| lines.fault("expected `ITEM: TIMESTEP`"))?;
-            if Step::next(&mut lines)?.is_some() {
-                let steps = steps(view)?;
-                let (first, last) = (steps.first(), steps.last());
-                return Err(several_steps(*first.unwrap_or(&0), *last.unwrap_or(&0)));
-            }
-            only
-        }
-    };
+    let mut lines = TextLines::at(view, place)?;
+    let step = Step::next(&mut lines)?.ok_or_else(|| lines.fault("expected `ITEM: TIMESTEP`"))?;
     view.check()?;
-    found.read(bytes, wanted, unpacking)
-}
-
-/// The numbers of the steps, in order. A step that is there twice, as after a restart, is one.
-///
-/// # Errors
-/// [`ReadFault::Line`] for a line between steps that does not parse.
-pub(super) fn steps(view: View) -> Result<Vec<u64>, ReadFault> {
-    let mut lines = TextLines::new(view)?;
-    let mut steps = Vec::new();
-    while let Some(step) = Step::next(&mut lines)? {
-        steps.push(step.number);
-    }
-    steps.sort_unstable();
-    steps.dedup();
-    Ok(steps)
+    step.read(bytes, wanted, unpacking)
 }
 
 impl Step {
@@ -126,10 +100,10 @@ impl Step {
                         let what = "ATOMS before the TIMESTEP and the NUMBER OF ATOMS";
                         return Err(lines.fault(what));
                     };
-                    let (start, lines_above) = (lines.at(), lines.passed());
+                    let LinePlace { at: start, lines_above } = lines.place();
                     let rows = lines.skip(atoms)?;
                     let names = names_of(rest.as_bytes(), Separator::Blanks);
-                    let end = lines.at();
+                    let end = lines.place().at;
                     return Ok(Some(Self {
                         number,
                         time,
@@ -167,13 +141,13 @@ impl Step {
             let columns: Vec<_> = axes.iter().filter_map(column).collect();
             (columns.len() == 3).then_some((columns, *are_fractions))
         });
-        let Some((columns, are_fractions)) = found else {
-            let what = format!(
-                "no columns x, y and z (nor xu, xs or xsu and so on) among {:?}",
-                names.join(" ")
-            );
-            return Err(ReadFault::Line { line: self.lines_above, what });
+        let shown = names.join(" ");
+        let no_position = || {
+            let what =
+                format!("no columns x, y and z (nor xu, xs or xsu and so on) among {shown:?}");
+            ReadFault::Line { line: self.lines_above, what }
         };
+        let (columns, are_fractions) = found.ok_or_else(no_position)?;
         for (number, name) in names.iter_mut().enumerate() {
             match columns.iter().position(|&column| column == number) {
                 Some(axis) => ["x", "y", "z"][axis].clone_into(name),
@@ -193,7 +167,7 @@ impl Step {
             rows: self.start..self.end,
             lines_above: self.lines_above,
             syntax: Syntax::BLANKS,
-            columns: Named::of(names).expect("x, y and z are there"),
+            columns: Named::of(names).ok_or_else(no_position)?,
             count: Some(self.atoms),
             cell,
         };

@@ -91,6 +91,8 @@ pub struct ParticleFile {
     pub none_selected: Option<SelectionFault>,
     /// Attributes that the file has, and that were not read as nobody wanted them.
     pub unread: Vec<AttributeInfo>,
+    /// Names of arrays of text, which the format's reader passes over.
+    pub texts: Vec<String>,
     /// Parts of the input that cannot be read with the others.
     pub left_out: Vec<LeftOut>,
 }
@@ -136,6 +138,7 @@ impl ParticleFile {
             unselected: 0,
             none_selected: None,
             unread: Vec::new(),
+            texts: Vec::new(),
             left_out: Vec::new(),
         }
     }

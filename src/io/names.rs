@@ -1,7 +1,7 @@
 //! Names of columns and attributes: which columns belong together (`vx`, `vy`, `vz` are one
 //! velocity), and how attributes get names that a file tells apart.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// Names that a position may have, the likeliest first. The empty name is that of plain `x`, `y`,
 /// `z`.
@@ -31,6 +31,15 @@ const POSITION: [&str; 25] = [
     "p_x",
     "x",
     "r",
+];
+
+/// Name of the colour whose shares are columns of their own.
+pub const COLOUR: &str = "color";
+/// Names of the columns of a colour, the fourth of which may lack.
+pub const COLOURS: [[&str; 4]; 3] = [
+    ["red", "green", "blue", "alpha"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"],
+    ["r", "g", "b", "a"],
 ];
 
 /// One quantity of a table.
@@ -81,22 +90,32 @@ pub fn told_apart<'a>(
 /// order.
 ///
 /// Columns are one vector where their names differ only in a last `x`, `y`, `z`, or `0`, `1`, `2`
-/// after a separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`. None where no position is
-/// among them.
+/// after a separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`; no vector has an axis
+/// twice. So are `red`, `green`, `blue` and perhaps `alpha`, or `r`, `g`, `b` and `a`, which are
+/// called `color`. None where no position is among them.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
-    let mut vectors = HashMap::<_, [Option<usize>; 3]>::new();
+    let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
     for (column, name) in names.iter().enumerate() {
         if let Some((stem, axis)) = component(name) {
-            vectors.entry(stem).or_default()[axis].get_or_insert(column);
+            vectors.entry(stem).or_default()[axis].push(column);
         }
     }
+    let colours: Vec<Vec<usize>> = COLOURS.iter().filter_map(|c| colour(&names, c)).collect();
     let mut all = Vec::new();
     for (column, name) in names.iter().enumerate() {
-        let vector = component(name).and_then(|(stem, _)| match vectors[&stem] {
-            [Some(x), Some(y), Some(z)] => Some((stem.0, [x, y, z])),
+        let vector = component(name).and_then(|(stem, _)| match vectors[&stem].each_ref() {
+            [x, y, z] if [x, y, z].iter().all(|columns| columns.len() == 1) => {
+                Some((stem.0, [x[0], y[0], z[0]]))
+            }
             _ => None,
         });
+        if let Some(colour) = colours.iter().find(|colour| colour.contains(&column)) {
+            if colour[0] == column {
+                all.push(Quantity { name: COLOUR.to_owned(), columns: colour.clone() });
+            }
+            continue;
+        }
         match vector {
             Some((stem, columns)) if columns[0] == column => {
                 let name = stem.trim_end_matches(['.', ':', '_', '-', '[', ' ']).to_owned();
@@ -119,6 +138,34 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
         unnamed.name = unnamed.columns.iter().map(|&column| names[column]).collect();
     }
     Some((position, all))
+}
+
+/// The columns of a colour's shares, each of which is there once.
+fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
+    let called = |share: &str| {
+        let columns = names.iter().enumerate().filter(|(_, n)| n.eq_ignore_ascii_case(share));
+        columns.map(|(column, _)| column).collect::<Vec<_>>()
+    };
+    let only = |share: &&str| match called(share)[..] {
+        [only] => Some(only),
+        _ => None,
+    };
+    let mut columns = shares.iter().map(only).collect::<Option<Vec<_>>>()?;
+    columns.extend(only(alpha));
+    Some(columns)
+}
+
+/// The columns of names that no two columns may have: the position's. `x,y,z,x,y,z` names it twice.
+pub fn repeated_position(names: &[String]) -> Option<&str> {
+    let mut seen = HashSet::new();
+    let once: Vec<String> = names.iter().filter(|name| seen.insert(*name)).cloned().collect();
+    if once.len() == names.len() || quantities(names).is_some() {
+        return None;
+    }
+    let (position, _) = quantities(&once)?;
+    let is_twice = |name: &&String| names.iter().filter(|other| other == name).count() > 1;
+    let found = position.columns.iter().map(|&column| &once[column]).find(is_twice)?;
+    names.iter().find(|name| *name == found).map(String::as_str)
 }
 
 fn without_unit(name: &str) -> &str {

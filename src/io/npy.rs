@@ -170,7 +170,7 @@ impl Header {
     /// Makes sure that the numbers of a field may be positions.
     pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
         match self.members.get(field).map(|member| member.scalar) {
-            Some(Scalar::F32 | Scalar::F64) => Ok(()),
+            Some(Scalar::F16 | Scalar::F32 | Scalar::F64) => Ok(()),
             _ => Err(self.no_numbers()),
         }
     }
@@ -186,7 +186,7 @@ impl Header {
                                                  an array of numbers, of shape (N, 3)"
                 .to_owned(),
             false => format!(
-                "elements {}; positions are read from float32 and float64 (.astype(np.float32))",
+                "elements {}; positions are read from float16, float32 and float64 (.astype(np.float32))",
                 self.descr
             ),
         })
@@ -360,6 +360,7 @@ fn element(descr: &str) -> Option<(Endian, Scalar)> {
         "u4" => Scalar::U32,
         "i8" => Scalar::I64,
         "u8" => Scalar::U64,
+        "f2" => Scalar::F16,
         "f4" => Scalar::F32,
         "f8" => Scalar::F64,
         _ => return None,

@@ -41,34 +41,64 @@ impl Number for f64 {
     }
 }
 
-/// A decimal of few digits without an exponent: two numbers that f64 holds exactly, whose quotient
-/// is therefore the nearest f64 (Clinger, "How to Read Floating Point Numbers Accurately", 1990).
+/// A decimal of few digits and a small exponent: two numbers that f64 holds exactly, whose product
+/// or quotient is therefore the nearest f64 (Clinger, "How to Read Floating Point Numbers
+/// Accurately", 1990).
 fn short(word: &[u8]) -> Option<f64> {
+    /// Digits, which are fewer than 2^53.
     const MOST: usize = 15;
-    const POWERS: [f64; MOST + 1] =
-        [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
-    let (negative, digits) = match word {
+    /// Bytes of a sign, a point, and an exponent of two digits beside them.
+    const BESIDE: usize = 6;
+    /// 10^22 is the last power that f64 holds.
+    const POWERS: [f64; 23] = [
+        1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
+        1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
+    ];
+    if word.len() > MOST + BESIDE {
+        return None;
+    }
+    let (negative, rest) = match word {
         [b'-', rest @ ..] => (true, rest),
         rest => (false, rest),
     };
-    let (mut whole, mut point) = (0_u64, None);
-    if digits.len() > MOST + 1 {
-        return None;
-    }
-    for (at, &byte) in digits.iter().enumerate() {
+    let (mut whole, mut digits, mut fraction, mut exponent) = (0_u64, 0, None, 0);
+    for (at, &byte) in rest.iter().enumerate() {
         match byte {
-            b'0'..=b'9' => whole = 10 * whole + u64::from(byte - b'0'),
-            b'.' if point.is_none() => point = Some(at),
+            b'0'..=b'9' if digits < MOST => {
+                whole = 10 * whole + u64::from(byte - b'0');
+                digits += 1;
+            }
+            b'.' if fraction.is_none() => fraction = Some(digits),
+            b'e' | b'E' => {
+                exponent = short_exponent(&rest[at + 1..])?;
+                break;
+            }
             _ => return None,
         }
     }
-    let count = digits.len() - usize::from(point.is_some());
-    if !(1..=MOST).contains(&count) {
+    if digits == 0 {
         return None;
     }
-    let fraction = point.map_or(0, |at| count - at);
-    let number = whole as f64 / POWERS[fraction];
+    let behind_point = fraction.map_or(0, |before| digits - before);
+    let power = exponent - behind_point as i32;
+    let factor = *POWERS.get(power.unsigned_abs() as usize)?;
+    let number = if power < 0 { whole as f64 / factor } else { whole as f64 * factor };
     Some(if negative { -number } else { number })
+}
+
+/// An exponent of one or two digits.
+fn short_exponent(text: &[u8]) -> Option<i32> {
+    let (sign, digits) = match text {
+        [b'-', digits @ ..] => (-1, digits),
+        [b'+', digits @ ..] => (1, digits),
+        digits => (1, digits),
+    };
+    let digit = |byte: u8| byte.is_ascii_digit().then(|| i32::from(byte - b'0'));
+    match *digits {
+        [ones] => Some(sign * digit(ones)?),
+        [tens, ones] => Some(sign * (10 * digit(tens)? + digit(ones)?)),
+        _ => None,
+    }
 }
 
 /// The number that a word with this decimal character spells.
@@ -218,6 +248,14 @@ mod tests {
             "0.3",
             "-12345.6789012345",
             "999999999999.999",
+            "1.23456789e-01",
+            "-1.23456789E+22",
+            "123456789012345e7",
+            "0.1e-21",
+            "0e99",
+            "1.5e2",
+            "9007199254740993e5",
+            "1e-7",
         ] {
             let number: f64 = word.parse().unwrap();
             assert_eq!(
@@ -226,7 +264,7 @@ mod tests {
                 "{word}"
             );
         }
-        for word in ["", "-", ".", "-.", "1.2.3", "1 2"] {
+        for word in ["", "-", ".", "-.", "1.2.3", "1 2", "e5", "1e", "1e+", "1e5.", "1ee5", "-e1"] {
             assert_eq!(f64::of(word.as_bytes()), None, "{word}");
         }
     }

@@ -222,8 +222,50 @@ impl Pieces {
     }
 }
 
+/// Joins files of one set of particles, in their order, with the attributes that all have. The
+/// format, the unit and the types of particles are the first's.
+///
+/// # Errors
+/// The number of the file that cannot be joined with those before, and the reason.
+pub(super) fn join_files(mut files: Vec<ParticleFile>) -> Result<ParticleFile, (usize, ReadFault)> {
+    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
+    let left_out = blocks
+        .filter(|part| !matches!(part, LeftOut::Attribute(_)))
+        .chain(partial)
+        .collect::<Vec<_>>();
+    let time = files.iter().find_map(|file| file.time);
+    let ghosts = files.iter().map(|file| file.ghosts).sum();
+    let unselected = files.iter().map(|file| file.unselected).sum();
+    let is_empty = files.iter().all(|file| file.particles.is_empty());
+    let none_selected = files.iter().find_map(|file| file.none_selected.clone());
+    let none_selected = none_selected.filter(|_| is_empty);
+    let Some(first) = files.first() else { return Err((0, malformed(0, "no pieces"))) };
+    let spacing = first.spacing.filter(|_| files.iter().all(|f| f.spacing == first.spacing));
+    let box_size = first.box_size.filter(|_| files.iter().all(|f| f.box_size == first.box_size));
+    let (format, unit_metres) = (first.format, first.unit_metres);
+    let (unread, texts) = (first.unread.clone(), first.texts.clone());
+    let particle_types = first.particle_types.clone();
+    let particles = Pieces::join(files.into_iter().map(|file| file.particles).collect())?;
+    Ok(ParticleFile {
+        particles,
+        format,
+        spacing,
+        time,
+        box_size,
+        unit_metres,
+        particle_types,
+        ghosts,
+        unselected,
+        none_selected,
+        unread,
+        texts,
+        left_out,
+    })
+}
+
 /// Takes attributes away that some of the files with particles lack. Returns these.
-pub(super) fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
+fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     let filled = || files.iter().filter(|file| !file.particles.is_empty());
     let mut partial: Vec<AttributeInfo> = Vec::new();
     for left_out in filled().flat_map(|file| file.left_out.clone()) {

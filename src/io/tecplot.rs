@@ -5,16 +5,22 @@ use std::ops::{ControlFlow, Range};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Unpacked, Unpacking};
+use super::bytes::{Bytes, Kept, Unpacked, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::names::repeated_position;
 use super::number::Number;
 use super::table::{Named, excerpt};
-use super::text::{TextLines, decode_windows};
-use super::windows::Source;
+use super::text::{LinePlace, TextLines, decode_windows};
+use super::windows::{Source, Windows};
 use super::{ParticleFile, ReadFault};
 
 /// Bytes of a number.
 const WIDTH: usize = size_of::<f64>();
+
+/// Zones that a message names.
+const ZONES_SHOWN: usize = 8;
+/// Bytes of a zone's first line that are looked at.
+const LONGEST_RECORD: usize = 1 << 10;
 
 /// Records that may stand in a header.
 const KEYWORDS: [&str; 8] = [
@@ -79,7 +85,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let mut zone = Zone::default();
     let mut record = "";
     let (start, lines_above) = loop {
-        let (start, lines_above) = (lines.at(), lines.passed());
+        let LinePlace { at: start, lines_above } = lines.place();
         let Some(line) = lines.line()? else {
             return Err(lines.fault("the file ends within its header"));
         };
@@ -107,14 +113,33 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
         said.map_err(|what| lines.fault(what))?;
     };
     let shown = names.join(", ");
+    let repeated = repeated_position(&names).map(str::to_owned);
     let Some(columns) = Named::of(names) else {
-        let what = format!("no VARIABLES x, y and z among {shown:?}");
+        let what = match repeated {
+            Some(name) => format!("several VARIABLES are called {name:?}"),
+            None => format!("no VARIABLES x, y and z among {shown:?}"),
+        };
         return Err(ReadFault::Line { line: lines_above.max(1), what });
     };
     let width = columns.names.len();
     let end = bytes.view().len();
     let source = Source::from(bytes);
     let numbers = decode(&source, start..end, lines_above, unpacking)?;
+    let numbers = match numbers {
+        Ok(numbers) => numbers,
+        Err(line) => {
+            let zones = zones_of(&source)?;
+            let shown: Vec<_> = zones.iter().take(ZONES_SHOWN).map(|zone| zone.as_str()).collect();
+            let more = if zones.len() > ZONES_SHOWN { " and more" } else { "" };
+            let what = format!(
+                "another zone begins; the file has {}: {}{more}. Write each zone of particles to \
+                 a file of its own",
+                zones.len(),
+                shown.join(", ")
+            );
+            return Err(ReadFault::Line { line, what });
+        }
+    };
     let count = numbers.len() / WIDTH;
     let wrong = |what| Err(ReadFault::Line { line: lines_above.max(1), what });
     let points = match zone.points {
@@ -237,13 +262,39 @@ impl Zone {
     }
 }
 
-/// Decodes the numbers of a range.
+/// The titles of all zones, or words for one without.
+fn zones_of(source: &Source) -> Result<Vec<String>, ReadFault> {
+    let title = |line: &[u8]| {
+        let line = String::from_utf8_lossy(line.get(..LONGEST_RECORD).unwrap_or(line));
+        let (_, rest) = keyword(line.trim()).filter(|(keyword, _)| *keyword == "ZONE")?;
+        let upper = rest.to_ascii_uppercase();
+        let begin = ["T=", "T ="].iter().find_map(|key| Some(upper.find(key)? + key.len()));
+        let quoted = begin.and_then(|begin| rest[begin..].trim_start().strip_prefix('"'));
+        let title = quoted.and_then(|title| title.split('"').next());
+        Some(title.map_or("one without a title".to_owned(), |title| format!("{title:?}")))
+    };
+    let mut zones = Vec::new();
+    let lines = |piece: &[u8]| piece.split(|&b| b == b'\n').filter_map(title).collect::<Vec<_>>();
+    decode_windows(
+        source,
+        0..source.count(),
+        |byte| byte == b'\n',
+        lines,
+        |titles| {
+            zones.extend(titles);
+            Ok(ControlFlow::Continue(()))
+        },
+    )?;
+    Ok(zones)
+}
+
+/// Decodes the numbers of a range; or the line where another zone begins.
 fn decode(
     source: &Source,
     range: Range<usize>,
     lines_above: u64,
     unpacking: Unpacking,
-) -> Result<super::bytes::Kept, ReadFault> {
+) -> Result<Result<Kept, u64>, ReadFault> {
     let is_end = |byte: u8| byte.is_ascii_whitespace() || byte == b',';
     let decode = |piece: &[u8]| {
         let mut numbers = Vec::new();
@@ -264,10 +315,19 @@ fn decode(
     };
     let mut passed = lines_above;
     let mut numbers = Unpacked::new(unpacking);
+    let mut other_zone = None;
+    /// Records that may stand before another zone.
+    const BETWEEN: [&[u8]; 6] =
+        [b"ZONE", b"TITLE", b"TITLE=", b"VARIABLES", b"VARIABLES=", b"DATASETAUXDATA"];
     decode_windows(source, range, is_end, decode, |piece| {
+        if let Err((line, word)) = &piece
+            && BETWEEN.contains(&&*word.to_ascii_uppercase())
+        {
+            other_zone = Some(passed + line);
+            return Ok(ControlFlow::Break(()));
+        }
         let (piece, lines) = piece.map_err(|(line, word)| {
             let what = match &*word.to_ascii_uppercase() {
-                b"ZONE" => "a second zone begins; write one file for each zone".to_owned(),
                 repeated if repeated.contains(&b'*') && f64::of(repeated).is_none() => {
                     format!("{}: repeated values are not read", excerpt(&word))
                 }
@@ -279,5 +339,5 @@ fn decode(
         numbers.push(&piece)?;
         Ok(ControlFlow::Continue(()))
     })?;
-    numbers.finish()
+    other_zone.map_or_else(|| numbers.finish().map(Ok), |line| Ok(Err(line)))
 }

@@ -165,6 +165,15 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
     text.finish().map(Bytes::Kept)
 }
 
+/// The beginning of a line.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LinePlace {
+    /// In bytes from the start of the text.
+    pub at: usize,
+    /// The number of lines above it.
+    pub lines_above: u64,
+}
+
 /// The lines of a text, one after the other, read by windows.
 pub(super) struct TextLines<'a> {
     view: View<'a>,
@@ -186,14 +195,15 @@ impl<'a> TextLines<'a> {
         Ok(Self { view, end, at, passed: 0, window: Cow::Borrowed(&[]), window_at: at })
     }
 
-    /// The place in bytes from the start of the file.
-    pub fn at(&self) -> usize {
-        self.at
+    /// Starts at a line below the first.
+    pub fn at(view: View<'a>, place: LinePlace) -> Result<Self, ReadFault> {
+        let LinePlace { at, lines_above } = place;
+        Ok(Self { at, passed: lines_above, window_at: at, ..Self::new(view)? })
     }
 
-    /// The number of lines that were passed, which is that of the last line counted from 1.
-    pub fn passed(&self) -> u64 {
-        self.passed
+    /// The place of the line that comes next.
+    pub fn place(&self) -> LinePlace {
+        LinePlace { at: self.at, lines_above: self.passed }
     }
 
     /// A fault of the line that was passed last.

@@ -7,19 +7,25 @@
 //! | XYZ | the number of particles alone on the first line | its frames, from 0 |
 //! | table | anything else | one |
 //!
-//! UTF-16 with a byte order mark is decoded first.
+//! A format that the request names is not looked for. UTF-16 with a byte order mark is decoded
+//! first.
 
 use std::path::Path;
+use std::sync::Arc;
 
-use super::bytes::{Bytes, Unpacking, View};
+use crate::system::reopened::FileStamp;
+
+use super::bytes::{Bytes, LastFile, Unpacking, View};
+use super::error::{no_step, several_steps};
 use super::input_format::InputFormat;
-use super::text::{TextLines, utf8};
-use super::wanted::{Wanted, WantedAttributes};
-use super::{ParticleFile, ReadError, ReadFault, lammps, table, tecplot, xyz};
+use super::text::{LinePlace, TextLines, utf8};
+use super::wanted::WantedAttributes;
+use super::{ParticleFile, ReadFault, lammps, table, tecplot, xyz};
 
 /// Bytes by which formats are told apart.
 const SNIFFED: usize = 4 << 10;
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TextFormat {
     Lammps,
     Tecplot,
@@ -28,24 +34,128 @@ enum TextFormat {
     Table,
 }
 
+/// The format of a text, as far as it is known before its content.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TextHint {
+    /// The format that the file's extension names; the content counts.
+    Extension(Option<InputFormat>),
+    /// The format that the request names.
+    Named(InputFormat),
+}
+
+impl TextHint {
+    /// Whether a text may be raw numbers.
+    fn may_be_raw(self) -> bool {
+        matches!(self, Self::Extension(Some(InputFormat::Xyz)) | Self::Named(InputFormat::Xyz))
+    }
+}
+
 impl TextFormat {
-    fn of(bytes: View, named: Option<InputFormat>) -> Result<Self, ReadFault> {
+    fn of(bytes: View, hint: TextHint) -> Result<Self, ReadFault> {
         let head = bytes.read(0..bytes.len().min(SNIFFED))?;
         if is_text(&head) && head.contains(&b'\r') && !head.contains(&b'\n') {
             let what = "its lines end in CR alone, as on old Macs; convert their ends to LF";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
-        Ok(if named == Some(InputFormat::Xyz) && !is_text(&head) {
-            Self::Raw
-        } else if named == Some(InputFormat::Lammps) || lammps::is_dump(&head) {
-            Self::Lammps
-        } else if tecplot::is_tecplot(&head) {
-            Self::Tecplot
-        } else if xyz::has_count(bytes)? {
-            Self::Xyz
-        } else {
-            Self::Table
+        if hint.may_be_raw() && !is_text(&head) {
+            return Ok(Self::Raw);
+        }
+        use InputFormat::{Csv, Lammps, Tecplot, Xyz};
+        let (by_extension, named) = match hint {
+            TextHint::Extension(format) => (format, None),
+            TextHint::Named(format) => (None, Some(format)),
+        };
+        Ok(match named {
+            Some(Csv) => Self::Table,
+            Some(Lammps) => Self::Lammps,
+            Some(Tecplot) => Self::Tecplot,
+            None if by_extension == Some(Lammps) || lammps::is_dump(&head) => Self::Lammps,
+            None if tecplot::is_tecplot(&head) => Self::Tecplot,
+            // What is called XYZ may be a table of nothing but positions.
+            None | Some(Xyz) if xyz::has_count(bytes)? => Self::Xyz,
+            _ => Self::Table,
         })
+    }
+
+    /// Passes a frame, of which there are `before` above it, and returns its number; `None` at the
+    /// end of the file.
+    fn pass(self, lines: &mut TextLines, before: u64) -> Result<Option<u64>, ReadFault> {
+        match self {
+            Self::Lammps => lammps::pass(lines),
+            Self::Xyz => Ok(xyz::pass(lines)?.then_some(before)),
+            Self::Tecplot | Self::Raw | Self::Table => Ok(None),
+        }
+    }
+}
+
+/// Frames of a text, and the places where they begin.
+#[derive(Debug)]
+struct Frames {
+    format: TextFormat,
+    /// Numbers and places, in the order of the file.
+    all: Vec<(u64, LinePlace)>,
+    /// The place from which on the text does not parse.
+    broken: Option<LinePlace>,
+}
+
+impl Frames {
+    /// Passes over the whole text.
+    fn of(view: View, hint: TextHint) -> Result<Self, ReadFault> {
+        let format = TextFormat::of(view, hint)?;
+        let mut frames = Self { format, all: Vec::new(), broken: None };
+        let mut lines = TextLines::new(view)?;
+        loop {
+            let place = lines.place();
+            match format.pass(&mut lines, frames.all.len() as u64) {
+                Ok(Some(number)) => frames.all.push((number, place)),
+                Ok(None) => break,
+                Err(ReadFault::Line { .. } | ReadFault::Unsupported(_)) => {
+                    frames.broken = Some(place);
+                    break;
+                }
+                Err(fault) => return Err(fault),
+            }
+        }
+        view.check()?;
+        Ok(frames)
+    }
+
+    /// The fault at which the text stops to parse, if it does.
+    fn check(&self, view: View) -> Result<(), ReadFault> {
+        let Some(place) = self.broken else { return Ok(()) };
+        let passed = self.format.pass(&mut TextLines::at(view, place)?, self.all.len() as u64);
+        // What parses now has changed.
+        passed.and(Err(ReadFault::Changed))
+    }
+
+    /// The numbers, in order. A step that is there twice, as after a restart, is one.
+    fn numbers(&self) -> Vec<u64> {
+        let mut numbers: Vec<u64> = self.all.iter().map(|(number, _)| *number).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        numbers
+    }
+
+    /// The place of the frame of a number, or of the only one. Frames above a line that does not
+    /// parse can be read by their numbers.
+    fn find(&self, view: View, step: Option<u64>) -> Result<LinePlace, ReadFault> {
+        let found = match step {
+            Some(step) => self.all.iter().find(|(number, _)| *number == step),
+            None => None,
+        };
+        if let Some((_, place)) = found {
+            return Ok(*place);
+        }
+        self.check(view)?;
+        match (step, &*self.all) {
+            (Some(step), _) => Err(no_step(step)),
+            (None, []) => Err(ReadFault::Unsupported("it holds no frame".to_owned())),
+            (None, [(_, only)]) => Ok(*only),
+            (None, _) => {
+                let numbers = self.numbers();
+                Err(several_steps(numbers[0], numbers[numbers.len() - 1]))
+            }
+        }
     }
 }
 
@@ -60,12 +170,8 @@ fn is_text(start: &[u8]) -> bool {
 }
 
 /// Decodes UTF-16, unless a file that may hold raw numbers looks like them.
-fn decoded(
-    bytes: Bytes,
-    named: Option<InputFormat>,
-    unpacking: Unpacking,
-) -> Result<Bytes, ReadFault> {
-    if named == Some(InputFormat::Xyz) {
+fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+    if hint.may_be_raw() {
         let view = bytes.view();
         let head = view.read(0..view.len().min(SNIFFED) / 2 * 2)?.into_owned();
         let head = utf8(head.into(), Unpacking::in_memory())?;
@@ -79,58 +185,64 @@ fn decoded(
 /// Reads a frame of a text file, or its only one. In an .xyz, bytes that are no text are raw
 /// little-endian f32 triples.
 ///
+/// Where frames begin is kept for a file at a path with a stamp, so that each is read without those
+/// above it.
+///
 /// # Errors
 /// [`ReadFault::Line`] for a line that does not parse; [`ReadFault::Unsupported`] where a frame has
 /// to be chosen or is not there; [`ReadFault::Malformed`] for raw bytes that are not whole triples;
 /// [`ReadFault::Scratch`] where the scratch file fails.
 pub fn read_particles(
     bytes: Bytes,
-    format: Option<InputFormat>,
-    step: Option<u64>,
+    hint: TextHint,
+    (file, step): (Option<(&Path, FileStamp)>, Option<u64>),
     wanted: WantedAttributes,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
-    let bytes = decoded(bytes, format, unpacking)?;
-    match (TextFormat::of(bytes.view(), format)?, step) {
-        (TextFormat::Lammps, step) => lammps::read(bytes, step, wanted, unpacking),
-        (TextFormat::Xyz, step) => xyz::read(bytes, step, wanted, unpacking),
+    static LAST: LastFile<(TextHint, Arc<Frames>)> = LastFile::new();
+    let bytes = decoded(bytes, hint, unpacking)?;
+    let view = bytes.view();
+    let file = file.filter(|_| step.is_some());
+    let known = file.and_then(|(path, stamp)| LAST.get(path, stamp));
+    let frames = match known.filter(|(of, _)| *of == hint) {
+        Some((_, frames)) => frames,
+        None => {
+            let frames = Arc::new(Frames::of(view, hint)?);
+            if let Some((path, stamp)) = file {
+                LAST.keep(path, stamp, (hint, Arc::clone(&frames)));
+            }
+            frames
+        }
+    };
+    match (frames.format, step) {
+        (TextFormat::Lammps, step) => {
+            let place = frames.find(view, step)?;
+            lammps::read(bytes, place, wanted, unpacking)
+        }
+        (TextFormat::Xyz, step) => {
+            let place = frames.find(view, step)?;
+            xyz::read(bytes, place, wanted, unpacking)
+        }
         (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => {
             Err(ReadFault::Unsupported(format!("it holds one frame, and no step {step}")))
         }
         (TextFormat::Tecplot, None) => tecplot::read(bytes, unpacking),
         (TextFormat::Raw, None) => xyz::read_raw(bytes),
         (TextFormat::Table, None) => {
-            let start = TextLines::new(bytes.view())?.at();
+            let start = TextLines::new(view)?.place().at;
             table::read(bytes, start, wanted, unpacking)
         }
     }
-}
-
-/// Reads a frame of the file at `path`, like [`read_particles`].
-///
-/// # Errors
-/// As [`read_particles`].
-pub(super) fn open_particles(
-    path: &Path,
-    bytes: Bytes,
-    step: Option<u64>,
-    wanted: Wanted,
-    unpacking: Unpacking,
-) -> Result<ParticleFile, ReadError> {
-    let format = wanted.format.or_else(|| InputFormat::of(path));
-    read_particles(bytes, format, step, wanted.attributes, unpacking)
-        .map_err(|fault| ReadError::new(path, fault))
 }
 
 /// The numbers of the frames in a file, in order; none in a file that is one frame.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for a file of several that does not parse.
-pub fn steps(bytes: Bytes, format: InputFormat) -> Result<Vec<u64>, ReadFault> {
-    let bytes = decoded(bytes, Some(format), Unpacking::in_memory())?;
-    match TextFormat::of(bytes.view(), Some(format))? {
-        TextFormat::Lammps => lammps::steps(bytes.view()),
-        TextFormat::Xyz => xyz::steps(bytes.view()),
-        TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table => Ok(Vec::new()),
-    }
+pub fn steps(bytes: Bytes, extension: InputFormat) -> Result<Vec<u64>, ReadFault> {
+    let hint = TextHint::Extension(Some(extension));
+    let bytes = decoded(bytes, hint, Unpacking::for_a_look())?;
+    let frames = Frames::of(bytes.view(), hint)?;
+    frames.check(bytes.view())?;
+    Ok(frames.numbers())
 }

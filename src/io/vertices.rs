@@ -160,7 +160,7 @@ pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i6
         Scalar::I64 => chunk8().map(|value| value as i64),
         // What is beyond i64 is no count and no index: -1 is refused wherever it is used.
         Scalar::U64 => chunk8().map(|value| i64::try_from(value).unwrap_or(-1)),
-        Scalar::F32 | Scalar::F64 => None,
+        Scalar::F16 | Scalar::F32 | Scalar::F64 => None,
     }
 }
 

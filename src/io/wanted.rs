@@ -139,6 +139,14 @@ impl ParticleFile {
         let sieve = sieve.map_err(|fault| match fault {
             SelectionFault::Cancelled => unpacking.go_on().expect_err("was cancelled"),
             SelectionFault::Unread(fault) => fault.into(),
+            SelectionFault::NoAttribute { name, .. }
+                if self.texts.iter().any(|text| text.eq_ignore_ascii_case(&name)) =>
+            {
+                ReadFault::Unsupported(format!(
+                    "particles are selected by {name:?}, an array of text, which is not read from \
+                     this format; store a number for each text"
+                ))
+            }
             SelectionFault::NoAttribute { name, mut known } => {
                 known.extend(self.unread.iter().map(|info| info.name.clone()));
                 ReadFault::Selection(SelectionFault::NoAttribute { name, known })

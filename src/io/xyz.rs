@@ -7,11 +7,10 @@
 
 use super::bytes::{Bytes, Unpacking, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::error::several_steps;
-use super::names::Quantity;
+use super::names::{Quantity, repeated_position};
 use super::table::unnamed_columns;
 use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
-use super::text::TextLines;
+use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
 use super::windows::{Source, Windows};
 use super::{ParticleFile, ReadFault, malformed};
@@ -100,47 +99,32 @@ fn names_in(comment: &str) -> Vec<String> {
     names_of(comment.as_bytes(), Separator::of(comment.as_bytes()))
 }
 
-/// Reads a frame, or the only one.
+/// Passes a frame; false at the end of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, and for a frame that ends too early;
-/// [`ReadFault::Unsupported`] where a frame has to be chosen or is not there, and for columns
-/// without a position.
+/// [`ReadFault::Line`] for a line between frames that does not parse.
+pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
+    Ok(Frame::next(lines)?.is_some())
+}
+
+/// Reads the frame that begins at a place.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a line that does not parse, for a frame that ends too early, and for
+/// columns without a position; [`ReadFault::Unsupported`] for columns of whole numbers without
+/// names.
 pub(super) fn read(
     bytes: Bytes,
-    step: Option<u64>,
+    place: LinePlace,
     wanted: WantedAttributes,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
-    let mut lines = TextLines::new(view)?;
-    let number = step.unwrap_or(0);
-    for _ in 0..number {
-        if Frame::next(&mut lines)?.is_none() {
-            break;
-        }
-    }
+    let mut lines = TextLines::at(view, place)?;
     let frame = Frame::next(&mut lines)?;
-    let none = || ReadFault::Unsupported(format!("there is no frame {number}; the first is 0"));
-    let frame = frame.ok_or_else(none)?;
-    if step.is_none() && Frame::next(&mut lines)?.is_some() {
-        return Err(several_steps(0, steps(view)?.len() as u64 - 1));
-    }
+    let frame = frame.ok_or_else(|| lines.fault("expected the number of a frame's particles"))?;
     view.check()?;
-    frame.read(number, bytes, wanted, unpacking)
-}
-
-/// The numbers of the frames.
-///
-/// # Errors
-/// [`ReadFault::Line`] for a line between frames that does not parse.
-pub(super) fn steps(view: View) -> Result<Vec<u64>, ReadFault> {
-    let mut lines = TextLines::new(view)?;
-    let mut steps = Vec::new();
-    while Frame::next(&mut lines)?.is_some() {
-        steps.push(steps.len() as u64);
-    }
-    Ok(steps)
+    frame.read(bytes, wanted, unpacking)
 }
 
 impl Frame {
@@ -158,21 +142,21 @@ impl Frame {
             lines.fault(format!("expected the number of a frame's particles, found {found}"))
         })?;
         let comment = lines.line()?.unwrap_or_default();
-        let (start, lines_above) = (lines.at(), lines.passed());
+        let LinePlace { at: start, lines_above } = lines.place();
         let rows = lines.skip(count)?;
-        Ok(Some(Self { count, comment, rows, start, end: lines.at(), lines_above }))
+        let end = lines.place().at;
+        Ok(Some(Self { count, comment, rows, start, end, lines_above }))
     }
 
     fn read(
         self,
-        number: u64,
         bytes: Bytes,
         wanted: WantedAttributes,
         unpacking: Unpacking,
     ) -> Result<ParticleFile, ReadFault> {
         let Self { count, comment, rows, start, end, lines_above } = self;
         if rows < count {
-            let what = format!("frame {number} ends after {rows} of {count} particles");
+            let what = format!("the frame ends after {rows} of {count} particles");
             return Err(ReadFault::Line { line: lines_above + rows, what });
         }
         let head = bytes.view().read(start..end.min(start + HEAD))?.into_owned();
@@ -190,6 +174,10 @@ impl Frame {
                     }
                     let names = names_in(&comment);
                     let named = names.len() == columns.names.len();
+                    if let Some(name) = repeated_position(&names).filter(|_| named) {
+                        let what = format!("several columns are called {name:?}");
+                        return Err(ReadFault::Line { line: lines_above, what });
+                    }
                     (syntax, named.then(|| Named::of(names)).flatten().unwrap_or(columns))
                 }
                 None if rows == 0 => (Syntax::BLANKS, Named::unnamed(0, 3)),

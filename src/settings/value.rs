@@ -145,7 +145,7 @@ taken_by_name! {
     IndicatorKind: "cloud" => Cloud, "counting" => Counting, "symmetry" => Symmetry;
     MethodName: "dif" => Dif, "mueller" => Mueller, "zhu-bridson" => ZhuBridson, "yu-turk" => YuTurk;
     InputFormat: "bgeo" => Bgeo, "bi4" => Bi4, "csv" => Csv, "hdf5" => Hdf5, "json" => Json, "lammps" => Lammps, "npy" => Npy, "npz" => Npz, "ply" => Ply,
-        "pvtp" => Pvtp, "vtk" => Vtk, "vtp" => Vtp, "xyz" => Xyz;
+        "pvtp" => Pvtp, "tecplot" => Tecplot, "vtk" => Vtk, "vtp" => Vtp, "xyz" => Xyz;
     UpAxis: "y" => Y, "z" => Z;
     PeriodicMesh: "cut" => Cut, "overlap" => Overlap;
 }
@@ -209,7 +209,7 @@ mod tests {
     fn callers_call_values_as_files_do() {
         are_called_as_in_files::<IndicatorKind>(3);
         are_called_as_in_files::<MethodName>(4);
-        are_called_as_in_files::<InputFormat>(13);
+        are_called_as_in_files::<InputFormat>(14);
         are_called_as_in_files::<UpAxis>(2);
         are_called_as_in_files::<PeriodicMesh>(2);
     }

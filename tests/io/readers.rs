@@ -7,7 +7,8 @@ use std::path::Path;
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input::{self, InputFormat};
 use meniscus::internals::io::scene::spacing_beside;
-use meniscus::internals::io::wanted::WantedAttributes;
+use meniscus::internals::io::text_format::TextHint;
+use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
     ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, text_format, vtk, vtp,
 };
@@ -44,7 +45,8 @@ fn read_text(
     step: Option<u64>,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
-    text_format::read_particles(bytes, Some(format), step, wanted, Unpacking::in_memory())
+    let hint = TextHint::Extension(Some(format));
+    text_format::read_particles(bytes, hint, (None, step), wanted, Unpacking::in_memory())
 }
 
 /// With as much memory as unpacking takes.
@@ -1066,6 +1068,7 @@ fn tecplot_is_read_by_points_or_by_variables() {
     assert_eq!(positions(&unsized_zone).len(), 2);
     for (zone, line) in [
         ("F=POINT\n1 2 3 10\n4 5 6 20\nZONE I=1\n1 2 3 4\n", 6),
+        ("F=POINT\n1 2 3 10\n4 5 6 20\nTITLE = \"b\"\nVARIABLES = x, y, z\nZONE I=1\n1 2 3\n", 6),
         ("F=POINT\n1 2 3 10\n4 5 6\n", 3),
         ("F=POINT\n8*1\n", 4),
         ("N=2, E=1, ZONETYPE=FETRIANGLE\n1 2 3 10\n", 3),
@@ -1195,4 +1198,139 @@ fn the_spacing_is_found_beside_the_frames_or_above_them() {
         std::fs::write(frames.join(name), no_scene).unwrap();
     }
     assert_eq!(spacing_beside(&frame).unwrap(), (6.0, frames.join("b.json")));
+}
+
+#[test]
+fn frames_of_a_compressed_file_are_unpacked_once_and_again_when_it_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = |name: &str, scratch: &Path| {
+        let unpacking = Unpacking { in_memory: 1 << 20, scratch, control: None };
+        input::open_particles(&folder.path().join(name), unpacking).map(|file| positions(&file))
+    };
+    let frames = |first: i32| -> String {
+        (first..first + 3).map(|x| format!("1\nframe\nO {x}.5 0 0\n")).collect()
+    };
+    let write = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
+    write("a.xyz", frames(0).as_bytes());
+    write("b.xyz.gz", &gzip(frames(0).as_bytes()));
+    for name in ["a.xyz", "b.xyz.gz"] {
+        // Without a scratch folder memory serves.
+        for scratch in [Path::new("nowhere"), folder.path(), Path::new("nowhere")] {
+            for (number, x) in [(2, 2.5), (0, 0.5), (1, 1.5)] {
+                let read = open(&format!("{name}#{number}"), scratch).unwrap();
+                assert_eq!(read, [[x, 0.0, 0.0]], "{name}#{number}");
+            }
+            open(&format!("{name}#3"), scratch).unwrap_err();
+        }
+    }
+    write("a.xyz", frames(10).as_bytes());
+    write("b.xyz.gz", &gzip(frames(10).as_bytes()));
+    for name in ["a.xyz#1", "b.xyz.gz#1"] {
+        assert_eq!(open(name, folder.path()).unwrap(), [[11.5, 0.0, 0.0]], "{name}");
+    }
+}
+
+#[test]
+fn frames_above_a_line_that_does_not_parse_are_read_by_their_numbers() {
+    let frames = "1\na\nO 1 1 1\n1\nb\nO 2 2 2\nnext\n";
+    let step = |step| {
+        read_text(frames.as_bytes().to_vec().into(), InputFormat::Xyz, step, WantedAttributes::All)
+    };
+    assert_eq!(positions(&step(Some(1)).unwrap()), [[2.0; 3]]);
+    for wrong in [None, Some(2)] {
+        assert!(matches!(step(wrong), Err(ReadFault::Line { line: 7, .. })));
+    }
+}
+
+#[test]
+fn a_format_that_is_named_is_not_looked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = |text: &str, format| {
+        let path = folder.path().join("sim.out");
+        std::fs::write(&path, text).unwrap();
+        let wanted = Wanted { format: Some(format), ..Wanted::default() };
+        input::open_wanted(&path, wanted, Unpacking::in_memory()).map(|file| file.format)
+    };
+    let xyz = "2\nwater\nO 1 2 3\nH 4 5 6\n";
+    let tecplot = "VARIABLES = x, y, z\nZONE\n1 2 3\n";
+    assert_eq!(open(xyz, InputFormat::Xyz).unwrap(), "XYZ");
+    assert_eq!(open(xyz, InputFormat::Csv).unwrap(), "text table");
+    assert_eq!(open(tecplot, InputFormat::Tecplot).unwrap(), "Tecplot");
+    open(tecplot, InputFormat::Csv).unwrap_err();
+    open("ITEM: TIMESTEP\n0\n", InputFormat::Csv).unwrap_err();
+    open("x,y,z\n1,2,3\n", InputFormat::Lammps).unwrap_err();
+    open("x,y,z\n1,2,3\n", InputFormat::Tecplot).unwrap_err();
+}
+
+#[test]
+fn zones_of_tecplot_are_refused_by_their_titles() {
+    let file =
+        "VARIABLES = x, y, z\nZONE T=\"fluid\"\n1 2 3\nzone t=\"wall\"\n4 5 6\nZONE\n7 8 9\n";
+    match text(file) {
+        Err(ReadFault::Line { line: 4, what }) => {
+            assert!(what.contains("has 3") && what.contains("\"fluid\""), "{what}");
+            assert!(what.contains("\"wall\""), "{what}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn columns_of_one_name_are_told_apart_and_a_position_is_there_once() {
+    let file = text("x,y,z,a,a\n1,2,3,4,5\n").unwrap();
+    assert_eq!(attributes(&file), [("a_column4", 1), ("a_column5", 1)]);
+    assert_eq!(attribute(&file, "a_column5"), [5.0]);
+    let twice = text("x,y,z,vx,vy,vz,vx\n1,2,3,4,5,6,7\n").unwrap();
+    assert!(attributes(&twice).iter().all(|(_, components)| *components == 1));
+    for names in ["x,y,z,x,y,z", "# x,y,z,x,y,z", "x,y,z,X,x,y"] {
+        let fault = text(&format!("{names}\n1,2,3,4,5,6\n")).expect_err(names);
+        assert!(matches!(fault, ReadFault::Line { line: 1, .. }), "{names}: {fault}");
+    }
+    let named = read(XYZ, b"1\nx y z x y z\n1.5 2.5 3.5 4.5 5.5 6.5\n");
+    assert!(matches!(named, Err(ReadFault::Line { .. })));
+}
+
+#[test]
+fn columns_of_shares_are_a_colour() {
+    for (names, components) in [("Red,Green,Blue", 3), ("r,g,b", 3), ("red,green,blue,alpha", 4)] {
+        let shares = ["255", "128", "0", "64"][..components].join(",");
+        let file = text(&format!("x,y,z,{names}\n1,2,3,{shares}\n")).unwrap();
+        assert_eq!(attributes(&file), [("color", components)], "{names}");
+    }
+    assert_eq!(attributes(&text("x,y,z,r,g\n1,2,3,4,5\n").unwrap()), [("r", 1), ("g", 1)]);
+}
+
+#[test]
+fn half_floats_of_numpy_are_read() {
+    let mut npy = b"\x93NUMPY\x01\x00\x46\x00".to_vec();
+    npy.extend(
+        format!("{:<69}\n", "{'descr': '<f2', 'fortran_order': False, 'shape': (1, 3)}").bytes(),
+    );
+    for bits in [0x3c00_u16, 0xb800, 0x0001] {
+        npy.extend(bits.to_le_bytes());
+    }
+    let file = read(NPY, &npy).unwrap();
+    assert_eq!(positions(&file), [[1.0, -0.5, 2.0_f64.powi(-24)]]);
+}
+
+#[test]
+fn a_condition_on_text_of_vtk_is_refused_by_the_name_of_its_array() {
+    let folder = tempfile::tempdir().unwrap();
+    let legacy = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n\
+        POINT_DATA 1\nFIELD f 1\nphase 1 1 string\nwater\n";
+    let xml = "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"1\"><PointData>\
+        <DataArray type=\"String\" Name=\"phase\" format=\"ascii\">119 0</DataArray></PointData>\
+        <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">1 2 3\
+        </DataArray></Points></Piece></PolyData></VTKFile>";
+    let conditions = ["phase=water".parse().unwrap()];
+    for (name, content) in [("a.vtk", legacy), ("a.vtp", xml)] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        input::open_particles(&path, Unpacking::in_memory()).expect(name);
+        let wanted = Wanted { conditions: &conditions, ..Wanted::default() };
+        match input::open_wanted(&path, wanted, Unpacking::in_memory()).map_err(|e| e.fault) {
+            Err(ReadFault::Unsupported(what)) => assert!(what.contains("phase"), "{what}"),
+            other => panic!("{name}: {other:?}"),
+        }
+    }
 }

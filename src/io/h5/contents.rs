@@ -98,6 +98,8 @@ fn kind(kind: &Datatype) -> String {
         Datatype::FixedPoint { size, signed, .. } => {
             format!("{}int{}", if *signed { "" } else { "u" }, u32::from(*size) * 8)
         }
+        // It may be half floats or bfloat16, which the library does not tell apart.
+        Datatype::FloatingPoint { size: 2, .. } => "float16, which is not read".to_owned(),
         Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
         Datatype::Compound { fields, .. } => {
             let members = fields.iter().take(MEMBERS);

@@ -252,6 +252,8 @@ impl Array {
             Scalar::U32 => put::<u32>(self, rows, component, out),
             Scalar::I64 => put::<i64>(self, rows, component, out),
             Scalar::U64 => put::<u64>(self, rows, component, out),
+            // It is no number of HDF5.
+            Scalar::F16 => Err(malformed(0, format!("{} is of 16-bit floats", self.name))),
             Scalar::F32 => put::<f32>(self, rows, component, out),
             Scalar::F64 => put::<f64>(self, rows, component, out),
         }
@@ -271,6 +273,9 @@ impl Array {
             }
             Scalar::U64 => {
                 self.values::<u64>(rows, 0)?.into_iter().map(|value| value as f64).collect()
+            }
+            Scalar::F16 => {
+                return Err(malformed(0, format!("{} is of 16-bit floats", self.name)));
             }
             Scalar::F32 => self.values::<f32>(rows, 0)?.into_iter().map(f64::from).collect(),
             Scalar::F64 => self.values::<f64>(rows, 0)?,

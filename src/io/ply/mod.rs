@@ -23,14 +23,6 @@ const GROUPS: [(&str, [&str; 3]); 4] = [
 ];
 
 /// Name of the attribute that shares of a colour are read as.
-const COLOUR: &str = "color";
-
-/// Properties that together are a colour, the last of them perhaps missing.
-const COLOURS: [[&str; 4]; 3] = [
-    ["red", "green", "blue", "alpha"],
-    ["diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"],
-    ["r", "g", "b", "a"],
-];
 
 /// Name of the attribute that nx, ny and nz are read as.
 const NORMAL: &str = "normal";

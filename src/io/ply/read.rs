@@ -12,7 +12,8 @@ use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::Mesh;
 
 use super::header::{Element, Encoding, Header, Property};
-use super::{COLOUR, COLOURS, GROUPS, NORMAL};
+use super::{GROUPS, NORMAL};
+use crate::io::names::{COLOUR, COLOURS};
 
 /// Bytes of rows that are handed on at once.
 const PIECE: usize = 1 << 16;

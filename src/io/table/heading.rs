@@ -1,9 +1,11 @@
 //! The head of a table: where its rows start, how their fields are separated, and what the columns
 //! are.
 
+use std::collections::HashMap;
+
 use crate::io::ReadFault;
 use crate::io::bytes::View;
-use crate::io::names::{Quantity, quantities};
+use crate::io::names::{Quantity, quantities, repeated_position};
 use crate::io::number::{Decimal, is_overflow};
 
 use super::excerpt;
@@ -56,9 +58,17 @@ struct Unnamed {
 }
 
 impl Named {
-    /// Columns of these names; None where no position is among them.
+    /// Columns of these names; None where no position is among them, or several. Attributes of one
+    /// name are told apart by the numbers of their columns: `a_column4` and `a_column7`.
     pub fn of(names: Vec<String>) -> Option<Self> {
-        let (position, attributes) = quantities(&names)?;
+        let (position, mut attributes) = quantities(&names)?;
+        let mut times = HashMap::new();
+        for attribute in &attributes {
+            *times.entry(attribute.name.clone()).or_insert(0) += 1;
+        }
+        for attribute in attributes.iter_mut().filter(|a| times[&a.name] > 1) {
+            attribute.name = format!("{}_column{}", attribute.name, attribute.columns[0] + 1);
+        }
         Some(Self { names, position, attributes })
     }
 
@@ -121,7 +131,12 @@ impl Heading {
             if is_comment(content) {
                 let content = content.trim_ascii_start();
                 let marks = content.iter().take_while(|byte| b"#%!/".contains(byte)).count();
-                comment = Named::of(names_of(&content[marks..], separator_of(content))).or(comment);
+                let names = names_of(&content[marks..], separator_of(content));
+                if repeated_position(&names).is_some() {
+                    titles.push(Title { line, names });
+                } else {
+                    comment = Named::of(names).or(comment);
+                }
                 continue;
             }
             if named.is_some() {
@@ -425,6 +440,10 @@ fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
 
 impl Title {
     fn refused(&self) -> ReadFault {
+        if let Some(name) = repeated_position(&self.names) {
+            let what = format!("several columns are called {name:?}; rename those of no position");
+            return ReadFault::Line { line: self.line, what };
+        }
         let shown: Vec<_> =
             self.names.iter().take(8).map(|name| excerpt(name.as_bytes())).collect();
         let what = format!(

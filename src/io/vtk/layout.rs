@@ -24,6 +24,8 @@ pub(super) struct Layout {
     pub attributes: Vec<Array>,
     /// The number of the attribute under `NORMALS`.
     pub normals: Option<usize>,
+    /// Names of arrays of text, on points or not.
+    pub texts: Vec<String>,
     /// The last `VERTICES`.
     pub vertices: Option<Corners>,
     /// Whether there are `LINES`, or `VERTICES` before the last.
@@ -92,6 +94,7 @@ struct Walk<'a> {
     points: Option<Array>,
     attributes: Vec<Array>,
     normals: Option<usize>,
+    texts: Vec<String>,
     vertices: Option<Corners>,
     has_others: bool,
     cells: Vec<Cells>,
@@ -146,6 +149,7 @@ impl<'a> Walk<'a> {
             points: None,
             attributes: Vec::new(),
             normals: None,
+            texts: Vec::new(),
             vertices: None,
             has_others: false,
             cells: Vec::new(),
@@ -281,6 +285,7 @@ impl<'a> Walk<'a> {
             points,
             attributes: self.attributes,
             normals: self.normals,
+            texts: self.texts,
             vertices: self.vertices,
             has_others: self.has_others,
             cells: self.cells,
@@ -420,7 +425,10 @@ impl<'a> Walk<'a> {
         let scalar = match kind.to_ascii_lowercase().as_str() {
             "bit" if self.ascii => None,
             "bit" => return self.lines.skip(values.div_ceil(8), name).map(|()| None),
-            "string" => return self.strings(values, name).map(|()| None),
+            "string" => {
+                self.texts.push(name.to_owned());
+                return self.strings(values, name).map(|()| None);
+            }
             kind => Some(
                 scalar_named(kind).ok_or_else(|| self.fault(format!("{name} of type {kind:?}")))?,
             ),

@@ -63,7 +63,8 @@ fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<Particl
     let left = not_ghosts(bytes.view(), layout)?;
     let vertices = vertices(bytes.view(), layout, unpacking)?;
     let time = time.flatten().filter(|time| time.is_finite());
-    Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
+    let texts = layout.texts.clone();
+    Ok(ParticleFile { time, texts, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.

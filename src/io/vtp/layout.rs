@@ -109,6 +109,8 @@ pub(super) struct Piece {
     /// Name of the array of identifiers that points share with those of other pieces.
     pub global_ids: Option<String>,
     pub arrays: Vec<Array>,
+    /// Names of arrays of points that are no numbers.
+    pub texts: Vec<String>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -293,6 +295,9 @@ impl<'a> Layout<'a> {
             }
             // Strings and bits are no values of a vertex; whatever else needs this array will miss
             // it.
+            if let (Section::PointData, Some(piece)) = (section, self.pieces.last_mut()) {
+                piece.texts.push(name);
+            }
             return Ok(());
         };
         let arrays = match (section, self.pieces.last_mut()) {

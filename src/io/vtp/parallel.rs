@@ -10,7 +10,7 @@ use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_who
 use crate::io::input_format::{InputFormat, extension};
 use crate::io::joined::refuse_other_scales;
 use crate::io::listed::resolved;
-use crate::io::pieces::keep_shared_attributes;
+use crate::io::pieces::join_files;
 use crate::io::vertices::Triangles;
 use crate::io::wanted::Wanted;
 use crate::io::{LeftOut, ParticleFile, Pieces, ReadError, ReadFault, malformed};
@@ -63,16 +63,12 @@ pub fn open_particles(
         let what = format!("none of {} blocks holds particles: {}", files.len(), blocks.join("; "));
         return Err(fail(ReadFault::Unsupported(what)));
     }
-    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
-    left_out.extend(partial);
     let named: Vec<_> = sources.iter().map(|source| &*source.path).zip(&files).collect();
     refuse_other_scales(&named, wanted.attributes)?;
-    let time = files.iter().find_map(|file| file.time);
-    let ghosts = files.iter().map(|file| file.ghosts).sum();
-    let all = files.into_iter().map(|file| file.particles).collect();
-    let particles =
-        Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&sources[piece].path, fault))?;
-    Ok(ParticleFile { time, ghosts, left_out, ..ParticleFile::new(particles, format) })
+    let file =
+        join_files(files).map_err(|(piece, fault)| ReadError::new(&sources[piece].path, fault))?;
+    left_out.extend(file.left_out);
+    Ok(ParticleFile { format, left_out, ..file })
 }
 
 /// Blocks that a message names, at the most.

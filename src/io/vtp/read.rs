@@ -109,9 +109,10 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     let time = time.filter(|time| time.is_finite());
     let left = not_ghosts(&layout, &mut decoder)?;
     let names = attributes(&layout.pieces);
+    let texts = layout.pieces.first().map_or_else(Vec::new, |piece| piece.texts.clone());
     let vertices = vertices(&layout, decoder, &names.shared)?;
     let file = vertices.into_particles(bytes, format);
-    Ok(ParticleFile { time, left_out: names.left_out, ..file }.with_points(left))
+    Ok(ParticleFile { time, left_out: names.left_out, texts, ..file }.with_points(left))
 }
 
 /// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::input::InputFormat;
+use meniscus::internals::io::text_format::TextHint;
 use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
     ParticleFile, ReadFault, bgeo, bi4, h5, json, npy, npz, ply, text_format, vtk, vtp,
@@ -64,7 +65,7 @@ pub fn targets() -> Vec<Target> {
         Target {
             name: "tecplot",
             runs: 10000,
-            run: |data| run_text(data, InputFormat::Csv),
+            run: |data| run_text(data, InputFormat::Tecplot),
             seeds: tecplots,
             words: TECPLOT,
         },
@@ -281,12 +282,15 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
 }
 
 fn run_text(data: &[u8], format: InputFormat) {
-    let all = WantedAttributes::All;
+    let (all, hint) = (WantedAttributes::All, TextHint::Extension(Some(format)));
     let steps = text_format::steps(own(data), format).unwrap_or_default();
     for step in [None, steps.last().copied()] {
-        let read = text_format::read_particles(own(data), Some(format), step, all, memory());
+        let read = text_format::read_particles(own(data), hint, (None, step), all, memory());
         read_through(read);
     }
+    let named = TextHint::Named(format);
+    let step = steps.first().copied();
+    read_through(text_format::read_particles(own(data), named, (None, step), all, memory()));
 }
 
 fn run_ply(data: &[u8]) {
@@ -397,27 +401,21 @@ pub fn vtus() -> Vec<Vec<u8>> {
 
 fn hdf5s() -> Vec<Vec<u8>> {
     // Made by `tools/interop`.
-    let files: [&[u8]; 13] = [
-        include_bytes!("../../data/h5/columns.h5"),
-        include_bytes!("../../data/h5/groups.h5"),
-        include_bytes!("../../data/h5/h5md.h5"),
-        include_bytes!("../../data/h5/huge.h5"),
-        include_bytes!("../../data/h5/packed.h5"),
-        include_bytes!("../../data/h5/steps.h5part"),
-        include_bytes!("../../data/h5/table.h5"),
-        include_bytes!("../../data/simulations/gadget_005.1.hdf5"),
-        include_bytes!("../../data/simulations/gadget_005.hdf5"),
-        include_bytes!("../../data/simulations/steps.vtkhdf"),
-        include_bytes!("../../data/simulations/flags_poly.vtkhdf"),
-        include_bytes!("../../data/simulations/openpmd.h5"),
-        include_bytes!("../../data/simulations/pysph_40.hdf5"),
+    let files: [(u8, &[u8]); 14] = [
+        (0, include_bytes!("../../data/h5/columns.h5")),
+        (1, include_bytes!("../../data/h5/groups.h5")),
+        (1, include_bytes!("../../data/h5/h5md.h5")),
+        (0, include_bytes!("../../data/h5/huge.h5")),
+        (1, include_bytes!("../../data/h5/packed.h5")),
+        (1, include_bytes!("../../data/h5/steps.h5part")),
+        (0, include_bytes!("../../data/h5/table.h5")),
+        (4, include_bytes!("../../data/simulations/gadget_005.1.hdf5")),
+        (12, include_bytes!("../../data/simulations/gadget_005.hdf5")),
+        (1, include_bytes!("../../data/simulations/steps.vtkhdf")),
+        (0, include_bytes!("../../data/simulations/flags_poly.vtkhdf")),
+        (0, include_bytes!("../../data/simulations/openpmd.h5")),
+        (8, include_bytes!("../../data/simulations/pysph_40.hdf5")),
+        (0, include_bytes!("../../data/simulations/swift_0003.hdf5")),
     ];
-    let swift: &[u8] = include_bytes!("../../data/simulations/swift_0003.hdf5");
-    let with_choice = |(choice, file): (u8, &[u8])| [&[choice][..], file].concat();
-    files
-        .into_iter()
-        .chain([swift])
-        .zip([0, 0, 2, 0, 4, 1, 2, 1, 8, 4])
-        .map(|(file, choice)| with_choice((choice, file)))
-        .collect()
+    files.map(|(choice, file)| [&[choice][..], file].concat()).to_vec()
 }

@@ -1,18 +1,21 @@
 //! Files that are compressed or summed up, around bytes that are not: what is mutated is what is
 //! inside.
 
+use std::path::Path;
+
 use meniscus::files;
-use meniscus::internals::io::input::open_particles;
+use meniscus::internals::io::input::{open_particles, steps};
 use meniscus::internals::io::{npz, vtp};
 use zip::CompressionMethod;
 
-use super::build::{self, gzip};
+use super::build::{self, gzip, xz};
 use super::particles::{self, NPY, memory, own, read_through};
 use super::{Target, folder, meshes};
 
 pub fn targets() -> Vec<Target> {
     vec![
         Target { name: "gzip", runs: 2000, run: run_gzip, seeds: gzips, words: &["\u{1f}"] },
+        Target { name: "xz-and-zstd", runs: 1000, run: run_streams, seeds: streams, words: &[] },
         Target { name: "npz-arrays", runs: 2000, run: run_npz, seeds: arrays, words: NPY },
         Target { name: "vtu-blocks", runs: 3000, run: run_blocks, seeds: blocks, words: &[] },
         Target {
@@ -58,6 +61,41 @@ fn gzips() -> Vec<Vec<u8>> {
     wrapped.chain([packed]).collect()
 }
 
+/// The first byte says by what the rest is compressed, and whether before or after it is damaged.
+fn run_streams(data: &[u8]) {
+    let Some((choice, data)) = data.split_first() else { return };
+    let zstd = |data: &[u8]| zstd::encode_all(data, 1).unwrap();
+    let (name, magic, pack): (_, &[u8], &dyn Fn(&[u8]) -> Vec<u8>) = match choice & 1 {
+        0 => ("a.npy.xz", b"\xfd7zXZ\0", &xz),
+        _ => ("a.csv.zst", b"\x28\xb5\x2f\xfd", &zstd),
+    };
+    let packed = match choice >> 1 & 3 {
+        0 => pack(data),
+        1 => [pack(data), pack(data)].concat(),
+        // A stream that ends as it likes.
+        2 => {
+            let mut packed = pack(data);
+            packed.truncate(packed.len().saturating_sub(usize::from(choice >> 3)));
+            packed
+        }
+        _ => [magic, data].concat(),
+    };
+    let read = open_particles(&folder::file(name, &packed), memory());
+    read_through(read.map_err(|error| error.fault));
+}
+
+fn streams() -> Vec<Vec<u8>> {
+    let array = build::npy(&build::tuples(3), "<f4", false);
+    let table = b"x,y,z,phase\n1,2,3,water\n4,5,6,air\n".to_vec();
+    let zstd = zstd::encode_all(&*table, 1).unwrap();
+    vec![
+        [&[0][..], &array].concat(),
+        [&[1][..], &table].concat(),
+        [&[6][..], &xz(&array)[6..]].concat(),
+        [&[7][..], &zstd[4..]].concat(),
+    ]
+}
+
 /// Arrays, each after its length in two bytes, in an archive whose sums are right.
 fn run_npz(data: &[u8]) {
     let Some((choice, mut data)) = data.split_first() else { return };
@@ -80,15 +118,20 @@ fn arrays() -> Vec<Vec<u8>> {
     arrays.chunks(2).map(pair).collect()
 }
 
-/// Blocks of zlib, with whatever lengths the first bytes say.
+/// Blocks of zlib, LZ4 or LZMA, with whatever lengths the first bytes say.
 fn run_blocks(data: &[u8]) {
     let Some((head, data)) = data.split_first_chunk::<8>() else { return };
     let [kind, points, block, last, count, ..] = *head;
     let (kinds, sizes) =
         (["Float32", "Float64", "Int8", "UInt16", "Int64", "Float32"], [4, 8, 1, 2, 8, 4]);
+    let (compressor, pack): (_, fn(&[u8]) -> Vec<u8>) = match usize::from(kind) / kinds.len() % 3 {
+        0 => ("ZLib", zlib),
+        1 => ("LZ4", lz4_flex::block::compress),
+        _ => ("LZMA", xz),
+    };
     let kind = usize::from(kind) % kinds.len();
     let (block, points) = (usize::from(block).max(1), usize::from(points));
-    let whole: Vec<Vec<u8>> = data.chunks(block).map(zlib).collect();
+    let whole: Vec<Vec<u8>> = data.chunks(block).map(pack).collect();
     let mut lengths = vec![whole.len() as u32, block as u32, (data.len() % block) as u32];
     lengths.extend(whole.iter().map(|block| block.len() as u32));
     // Right but for what these bytes say.
@@ -98,7 +141,7 @@ fn run_blocks(data: &[u8]) {
     }
     let mut file = format!(
         "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt32\" \
-         compressor=\"vtkZLibDataCompressor\"><PolyData><Piece NumberOfPoints=\"{points}\"><Points>\
+         compressor=\"vtk{compressor}DataCompressor\"><PolyData><Piece NumberOfPoints=\"{points}\"><Points>\
          <DataArray type=\"{}\" Name=\"Points\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>\
          </Points></Piece></PolyData><AppendedData encoding=\"raw\">_",
         kinds[kind]
@@ -124,9 +167,15 @@ fn zlib(block: &[u8]) -> Vec<u8> {
 
 fn blocks() -> Vec<Vec<u8>> {
     let raw = build::raw(&build::tuples(3));
-    [[0, 3, 16, 0, 0, 0, 0, 0], [0, 3, 16, 130, 1, 0, 0, 0], [5, 3, 36, 0, 0, 0, 0, 0]]
-        .map(|head: [u8; 8]| [&head[..], &raw].concat())
-        .to_vec()
+    [
+        [0, 3, 16, 0, 0, 0, 0, 0],
+        [0, 3, 16, 130, 1, 0, 0, 0],
+        [5, 3, 36, 0, 0, 0, 0, 0],
+        [6, 3, 16, 0, 0, 0, 0, 0],
+        [12, 3, 36, 0, 0, 0, 0, 0],
+    ]
+    .map(|head: [u8; 8]| [&head[..], &raw].concat())
+    .to_vec()
 }
 
 /// What `info` says of files, which are mapped here as they are in the program; the first byte says
@@ -134,13 +183,29 @@ fn blocks() -> Vec<Vec<u8>> {
 fn run_info(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let names = [
-        "a.ply", "a.vtk", "a.vtp", "a.pvtp", "a.pvtu", "a.vtkhdf", "a.npy", "a.bi4", "a.mnf",
-        "a.obj", "a.stl", "a.csv",
+        "a.ply",
+        "a.vtk",
+        "a.vtp",
+        "a.pvtp",
+        "a.pvtu",
+        "a.vtkhdf",
+        "a.npy",
+        "a.bi4",
+        "a.mnf",
+        "a.obj",
+        "a.stl",
+        "a.csv",
+        "a.pvd",
+        "a.vtp.series",
+        "a.vtm",
     ];
     let path = folder::file(names[usize::from(*choice) % names.len()], data);
     if let Err(error) = files::info(&path) {
         assert!(!error.to_string().is_empty());
     }
+    let _ = steps(&path);
+    let frame = open_particles(Path::new(&format!("{}#0", path.display())), memory());
+    read_through(frame.map_err(|error| error.fault));
 }
 
 fn infos() -> Vec<Vec<u8>> {
@@ -156,5 +221,15 @@ fn infos() -> Vec<Vec<u8>> {
     let mut all: Vec<_> =
         (0_u8..).zip(files).map(|(kind, file)| [&[kind][..], &file].concat()).collect();
     all.push([&[6][..], &first(particles::npys())].concat());
+    let lists = [
+        "<VTKFile type=\"Collection\"><Collection><DataSet timestep=\"0.5\" part=\"1\" file=\"a.vtp\"/>\
+         <DataSet timestep=\"0.5\" part=\"0\" file=\".\\a.vtk\"/><DataSet file=\"a%20.csv\"/>\
+         </Collection></VTKFile>",
+        "{\"file-series-version\": \"1.0\", \"files\": [{\"name\": \"a.vtp\", \"time\": 0.5}]}",
+        "<VTKFile type=\"vtkMultiBlockDataSet\"><vtkMultiBlockDataSet><Block index=\"0\">\
+         <DataSet index=\"0\" name=\"b\" file=\"a.vtp\"/></Block><DataSet file=\"a.vtm\"/>\
+         </vtkMultiBlockDataSet></VTKFile>",
+    ];
+    all.extend((12_u8..).zip(lists).map(|(kind, list)| [&[kind][..], list.as_bytes()].concat()));
     all
 }

@@ -16,8 +16,8 @@ import meniscus
 
 #: Extensions of all files that hold particles or list such, of packed frames, and of compressed files.
 EXTENSIONS = (
-    ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".h5", ".h5part", ".hdf", ".hdf5", ".json",
-    ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".series", ".txt", ".vtk",
+    ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".extxyz", ".h5", ".h5md", ".h5part", ".hdf", ".hdf5",
+    ".json", ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".series", ".txt", ".vtk",
     ".vtkhdf", ".vtm", ".vtp", ".vtpc", ".vtpd", ".vtu", ".xyz",
     ".gz", ".xz", ".zst",
 )

@@ -32,7 +32,7 @@ _Column: TypeAlias = _Array | npt.NDArray[np.integer[Any]]
 _Path: TypeAlias = str | os.PathLike[str]
 _Point: TypeAlias = Sequence[float] | npt.NDArray[Any]
 _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | npt.NDArray[Any]
-_Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "json", "lammps", "npy", "npz", "ply", "pvtp", "vtk", "vtp", "xyz"]
+_Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "json", "lammps", "npy", "npz", "ply", "pvtp", "tecplot", "vtk", "vtp", "xyz"]
 _Progress: TypeAlias = Callable[[str, float], object]
 
 # Keywords, which are the program's options, each said once.
