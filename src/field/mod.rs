@@ -14,3 +14,4 @@ pub mod distance;
 pub mod indicator;
 pub mod recipe;
 pub mod spacing;
+pub mod walls;

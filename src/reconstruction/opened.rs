@@ -1,5 +1,6 @@
 //! An input that was opened: what it holds, and its samples.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
@@ -14,7 +15,7 @@ use crate::system::timings::Timings;
 
 use super::checked::{Checked, Started};
 use super::frame::{Frame, Sampled};
-use super::{Cells, ChosenSampling, Source};
+use super::{Cells, ChosenSampling, FoundWalls, SamplingRequest, Search, Source};
 
 /// An input that was opened, and is not sampled yet.
 #[derive(Debug)]
@@ -58,7 +59,7 @@ impl Started {
             let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
-            let chosen = checked.choose_and_plan(&file.particles, source);
+            let chosen = checked.hinted().choose_and_plan(&file.particles, source);
             let chosen = chosen.map_err(|error| error.of_file(path))?;
             timings.done(chosen.stage());
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
@@ -70,6 +71,17 @@ impl Started {
 }
 
 impl Checked {
+    /// The request, that also looks for walls to tell of, where it does not say where the fluid ends.
+    fn hinted(&self) -> Cow<'_, Self> {
+        let request = &self.sampling;
+        if request.search != Search::Never || request.walls.is_some() || request.periodic.is_some()
+        {
+            return Cow::Borrowed(self);
+        }
+        let sampling = SamplingRequest { search: Search::Hint, ..request.clone() };
+        Cow::Owned(Self { sampling, ..self.clone() })
+    }
+
     /// Ends the work where the caller has asked for it.
     pub(crate) fn go_on(&self) -> Result<(), Error> {
         Ok(self.resources.control.cancel.go_on()?)
@@ -151,6 +163,14 @@ impl Opened {
             Input::Particles { chosen, .. } => Some(&chosen.cells),
             Input::Packed(_) => None,
         }
+    }
+
+    /// The walls that were found, and whether the fluid is put in them, as it was asked for; else
+    /// they are a hint. `None` where none were looked for.
+    #[must_use]
+    pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
+        let is_asked_for = self.ready.checked.sampling.search == Search::Walls;
+        Some((self.cells()?.walls.as_ref()?, is_asked_for))
     }
 
     /// The indicator that makes the field; `None` for kernels.

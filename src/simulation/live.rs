@@ -6,7 +6,7 @@ use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
 use crate::frame::{FrameError, Method};
-use crate::grid::Grid;
+use crate::grid::{Grid, Walls};
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
@@ -52,6 +52,7 @@ struct Known {
     method: Method,
     spacing: Option<f64>,
     slab: Option<Slab>,
+    walls: Option<Walls>,
     calibration: Option<Calibration>,
     trust: Trust,
 }
@@ -131,20 +132,26 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, method, spacing, slab, calibration, .. }) = *known else {
+        let Some(Known { grid, method, spacing, slab, walls: known_walls, calibration, .. }) = *known
+        else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let infos = carried_infos(particles.attributes(), &carried);
         let resources = checked.resources.clone();
-        let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
+        let request = &checked.sampling;
+        let (request, past) =
+            request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
+        let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn =
             checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
-        drawn.report.warnings.splice(0..0, doubts.into_iter().map(Warning::Spacing));
+        let past = past.into_iter().map(Warning::PastWall);
+        let first = doubts.into_iter().map(Warning::Spacing).chain(past);
+        drawn.report.warnings.splice(0..0, first);
         Ok(drawn)
     }
 
@@ -193,5 +200,6 @@ fn measured(
     let Measured { grid, calibration, trust } = measured;
     let (slab, spacing) = (cells.slab, lattice.map_or(cells.spacing(), |known| known.spacing));
     let method = request.method.calibrated(calibration.as_ref());
-    Ok((Known { grid, method, spacing, slab, calibration, trust }, cells.doubts))
+    let walls = cells.found().copied();
+    Ok((Known { grid, method, spacing, slab, walls, calibration, trust }, cells.doubts))
 }

@@ -82,6 +82,7 @@ struct Ready<'a> {
     /// The attributes of its vertices.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
+    warnings: Vec<Warning>,
     permit: Permit<'a>,
 }
 
@@ -153,7 +154,7 @@ impl Conversion<'_> {
             Some(file) => self.sample(checked, path, file, frozen, &mut timings),
             None => self.unpack(checked, path, &mut timings),
         };
-        let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
+        let Ready { frame: sampled, mut left_out, infos, time, mut warnings, permit } = ready?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
                 let draw = || Self::surface(checked, path, sampled, frozen, infos, &mut timings);
@@ -168,7 +169,7 @@ impl Conversion<'_> {
         }
         let mesh = mesh.source();
         let width = coordinate_width(precision, self.format, &target)?;
-        let mut warnings = report.as_mut().map_or(Vec::new(), |report| take(&mut report.warnings));
+        warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
@@ -260,6 +261,7 @@ impl Conversion<'_> {
             left_out: LeftOut::default(),
             infos: Vec::new(),
             time: None,
+            warnings: Vec::new(),
             permit,
         })
     }
@@ -282,7 +284,8 @@ impl Conversion<'_> {
         let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
-        let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
+        let (mut sampling, warnings) =
+            self.setup.sampling(frozen, &file.particles, carried, opening)?;
         if let Some(spacing) =
             frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
         {
@@ -319,7 +322,7 @@ impl Conversion<'_> {
             }
         };
         let left_out = LeftOut { unselected: file.unselected as u64, ..census.into() };
-        Ok(Ready { frame, left_out, infos, time: file.time, permit })
+        Ok(Ready { frame, left_out, infos, time: file.time, warnings, permit })
     }
 
     /// The part of a lane's memory that is left for the frame, where as much as its surface takes

@@ -1,0 +1,407 @@
+//! Walls of a tank, found as the planes at which the particles end.
+//!
+//! Each side is judged on its own. The plane is where the outermost particle is. Behind it stand
+//! columns that are two spacings wide; those that are full of particles three spacings behind the
+//! plane are evidence. They show a wall if there are many of them, nearly all hold a particle within
+//! 0.6 spacings of the plane, the density behind the plane is that of full fluid at once, and the
+//! outermost particles of groups of columns lie in one plane: there a free surface with waves
+//! differs from a wall. A free surface that is level within 0.15 spacings cannot be told from a wall
+//! in one frame; in several frames only planes at the same place are walls.
+//!
+//! The outermost layer of a lattice is half a spacing inside of the wall, particles in disorder
+//! reach it. Both follow from the number n of particles in the outermost shell, per squared spacing,
+//! and their mean depth m below the plane: in fluid of one particle per cubed spacing whose end is
+//! the wall, whole layers as well as disorder have their mean n/2 spacings inside of the wall.
+//!
+//! All sums are of integers: neither the order of the particles nor threads matter.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::grid::{Grid, Walls};
+use crate::particles::{Bounds, Particles, finite_chunks};
+
+/// Edge of a column, in spacings.
+const COLUMN: f64 = 2.0;
+/// Depths between which a full column is full, in spacings.
+const BEHIND: [f64; 2] = [2.0, 4.0];
+/// The share of the particles of full fluid that a full column holds there, at the least.
+const FULL: f64 = 0.6;
+/// The depth of the nearest particle of a column that ends at the plane, in spacings.
+const NEAR: f64 = 0.6;
+/// The share of full columns that end at a wall, at the least.
+const ENDING: f64 = 0.8;
+/// The depth to which particles say where the wall is, in spacings.
+const SHELL: f64 = 1.5;
+/// The density of the outermost spacing of fluid at a wall, in particles per cubed spacing.
+const DENSITY: std::ops::Range<f64> = 0.5..2.0;
+/// Edge of a group, in columns.
+const GROUP: u64 = 4;
+/// Columns of a group.
+const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
+/// Groups of a side that are looked at, at the most: some all over it where there are more.
+const MOST_GROUPS: u64 = 2048;
+/// How far the nearest particles of groups may lie from their median, in spacings.
+const LEVEL: f64 = 0.15;
+/// The share of groups that are no farther from it at a wall, at the least.
+const LEVEL_SHARE: f64 = 0.85;
+/// The wall's distance from the outermost particle, in spacings, at the most.
+const FARTHEST: f64 = 0.75;
+/// The distance of walls of several frames that are the same, and of particles past a wall that is
+/// moved for them, in spacings.
+const SAME: f64 = 0.5;
+/// Fluid keeps a distance from a scene's walls, in spacings: at the most this one.
+const KEPT: f64 = 2.0;
+/// Fixed-point steps of a depth, per spacing.
+const STEPS: f64 = 1024.0;
+
+/// A side of the box around the particles, as one frame shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Side {
+    /// Too little fluid is behind it.
+    Unclear,
+    /// The fluid ends there, and not in a plane.
+    Ragged,
+    /// A plane, with a wall at this coordinate.
+    Plane(f64),
+}
+
+/// The ends of the particles of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ends {
+    /// The least and the greatest coordinate along each axis.
+    reach: [[f64; 2]; 3],
+    sides: [[Side; 2]; 3],
+    spacing: f64,
+}
+
+/// Particles past a wall that was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Past {
+    /// x, y or z.
+    pub axis: char,
+    /// The coordinate of the wall.
+    pub wall: f64,
+    /// The coordinate that particles reach.
+    pub reach: f64,
+    /// The coordinate that the wall is moved to; `None` where the side is open instead.
+    pub moved: Option<f64>,
+}
+
+/// Counts of the particles in a column near a side.
+struct Column {
+    /// The least depth, in steps.
+    nearest: AtomicU32,
+    /// Particles of the outermost spacing.
+    outermost: AtomicU32,
+    /// Particles of the shell.
+    shell: AtomicU32,
+    /// Particles of the depths where full columns are full.
+    behind: AtomicU32,
+    /// The sum of the depths of the shell's particles, in steps.
+    depths: AtomicU64,
+}
+
+/// The columns behind one side.
+struct Columns {
+    axis: usize,
+    /// 1 for the upper side, and 0 for the lower one.
+    end: usize,
+    /// The coordinate of the outermost particle.
+    at: f64,
+    /// One group in so many is looked at, along both axes of the side.
+    stride: u64,
+    /// Groups that are looked at in a row.
+    row: u64,
+    columns: Vec<Column>,
+    /// The area of a column, in squared spacings.
+    area: f64,
+}
+
+impl Ends {
+    /// Looks at the ends of particles that the grid can hold; `None` where there are none, or a
+    /// frame of `spacing` cannot be told. Particles in a plane have no ends along the axis `flat`.
+    ///
+    /// The particles are read twice. The memory is some megabytes at the most.
+    #[must_use]
+    pub fn of(
+        particles: &(impl Particles + ?Sized),
+        spacing: f64,
+        flat: Option<usize>,
+        grid: &Grid,
+    ) -> Option<Self> {
+        let held = |position: &&[f64; 3]| grid.place(**position).is_ok();
+        let bounds = bounds_held(particles, grid)?;
+        let axes = (0..3).filter(|axis| flat != Some(*axis));
+        let sides: Vec<Columns> = axes
+            .flat_map(|axis| [0, 1].map(|end| Columns::of(axis, end, &bounds, spacing, flat)))
+            .collect();
+        let (lo, per_spacing) = (bounds.lo, 1.0 / spacing);
+        finite_chunks(particles).for_each(|chunk| {
+            for &position in chunk.iter().filter(held) {
+                sides.iter().for_each(|side| side.add(position.into(), lo, per_spacing));
+            }
+        });
+        let mut ends = Self {
+            reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
+            sides: [[Side::Unclear; 2]; 3],
+            spacing,
+        };
+        for side in sides {
+            ends.sides[side.axis][side.end] = side.judged(spacing);
+        }
+        Some(ends)
+    }
+}
+
+impl Columns {
+    fn of(axis: usize, end: usize, bounds: &Bounds, spacing: f64, flat: Option<usize>) -> Self {
+        let at = [bounds.lo, bounds.hi][end][axis];
+        let groups = |axis: usize| {
+            let columns = (bounds.hi[axis] - bounds.lo[axis]) / (COLUMN * spacing);
+            columns as u64 / GROUP + 1
+        };
+        let [u, v] = others(axis).map(groups);
+        let mut stride = 1;
+        while u.div_ceil(stride).saturating_mul(v.div_ceil(stride)) > MOST_GROUPS {
+            stride *= 2;
+        }
+        let (row, rows) = (u.div_ceil(stride), v.div_ceil(stride));
+        let columns = (0..row * rows * GROUP * GROUP).map(|_| Column::new()).collect();
+        let area = if flat.is_some() { COLUMN } else { COLUMN * COLUMN };
+        Self { axis, end, at, stride, row, columns, area }
+    }
+
+    /// Counts a particle.
+    #[inline(always)]
+    fn add(&self, position: DVec3, lo: DVec3, per_spacing: f64) {
+        let depth = (self.at - position[self.axis]).abs() * per_spacing;
+        if depth >= BEHIND[1] {
+            return;
+        }
+        let place = |axis: usize| ((position[axis] - lo[axis]) * per_spacing / COLUMN) as u64;
+        let [u, v] = others(self.axis).map(place);
+        let [group_u, group_v] = [u / GROUP, v / GROUP];
+        if group_u % self.stride != 0 || group_v % self.stride != 0 {
+            return;
+        }
+        let group = group_v / self.stride * self.row + group_u / self.stride;
+        let index = (group * GROUP + v % GROUP) * GROUP + u % GROUP;
+        let Some(column) = self.columns.get(index as usize) else { return };
+        let steps = (depth * STEPS) as u32;
+        column.nearest.fetch_min(steps, Relaxed);
+        if depth < SHELL {
+            column.shell.fetch_add(1, Relaxed);
+            column.depths.fetch_add(u64::from(steps), Relaxed);
+        }
+        if depth < 1.0 {
+            column.outermost.fetch_add(1, Relaxed);
+        }
+        if depth >= BEHIND[0] {
+            column.behind.fetch_add(1, Relaxed);
+        }
+    }
+
+    /// Whether the columns show a wall, and where.
+    fn judged(&self, spacing: f64) -> Side {
+        /// Full columns that say anything, and those of a group, by the area of a column: an area
+        /// of 120 squared spacings, and 24 spacings of particles in a plane.
+        const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
+        let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
+        let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
+        let is_full = |column: &&Column| f64::from(column.behind.load(Relaxed)) >= behind;
+        let nearest = |column: &Column| f64::from(column.nearest.load(Relaxed)) / STEPS;
+        let (mut full, mut ending, mut outermost, mut shell, mut depths) = (0, 0, 0, 0, 0);
+        for column in self.columns.iter().filter(is_full) {
+            full += 1;
+            ending += usize::from(nearest(column) < NEAR);
+            outermost += u64::from(column.outermost.load(Relaxed));
+            shell += u64::from(column.shell.load(Relaxed));
+            depths += column.depths.load(Relaxed);
+        }
+        let mut groups: Vec<f64> = self
+            .columns
+            .chunks(GROUP_COLUMNS)
+            .filter_map(|group| {
+                let full: Vec<f64> = group.iter().filter(is_full).map(nearest).collect();
+                (full.len() >= least_of_group).then(|| full.into_iter().fold(f64::MAX, f64::min))
+            })
+            .collect();
+        if full < least || groups.len() < 3 {
+            return Side::Unclear;
+        }
+        groups.sort_unstable_by(f64::total_cmp);
+        let median = groups[groups.len() / 2];
+        let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
+        let area = full as f64 * self.area;
+        let is_plane = ending as f64 >= ENDING * full as f64
+            && DENSITY.contains(&(outermost as f64 / area))
+            && level as f64 >= LEVEL_SHARE * groups.len() as f64;
+        if !is_plane {
+            return Side::Ragged;
+        }
+        let mean = depths as f64 / STEPS / shell.max(1) as f64;
+        let outside = (shell as f64 / area / 2.0 - mean).clamp(0.0, FARTHEST) * spacing;
+        Side::Plane(outward(self.end, self.at, outside))
+    }
+}
+
+impl Column {
+    fn new() -> Self {
+        let [nearest, outermost, shell, behind] = [u32::MAX, 0, 0, 0].map(AtomicU32::new);
+        Self { nearest, outermost, shell, behind, depths: AtomicU64::new(0) }
+    }
+}
+
+/// Bounds of the particles that a grid can hold; `None` where it holds none.
+#[must_use]
+pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option<Bounds> {
+    let of_chunk = |chunk: Vec<[f64; 3]>| {
+        let held = chunk.into_iter().filter(|&position| grid.place(position).is_ok());
+        held.map(DVec3::from).fold(Bounds::NONE, |b, p| Bounds {
+            lo: b.lo.min(p),
+            hi: b.hi.max(p),
+            finite: b.finite + 1,
+        })
+    };
+    let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
+    (bounds.finite > 0).then_some(bounds)
+}
+
+/// The axes across another.
+fn others(axis: usize) -> [usize; 2] {
+    [[1, 2], [0, 2], [0, 1]][axis]
+}
+
+/// A coordinate moved out of a box, at its lower end or at its upper one.
+fn outward(end: usize, at: f64, by: f64) -> f64 {
+    if end == 0 { at - by } else { at + by }
+}
+
+/// How far a coordinate is outside of another, at the lower or the upper end of a box.
+fn outside(end: usize, at: f64, of: f64) -> f64 {
+    if end == 0 { of - at } else { at - of }
+}
+
+/// A wall at a coordinate of few digits, moved out by a thousandth of the spacing at the most, so
+/// that it can be copied; particles that reach `reach` stay inside.
+fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
+    let digits = (3.0 - spacing.log10().floor()).clamp(0.0, 15.0) as usize;
+    let step = 10_f64.powi(-(digits as i32));
+    let short = |at: f64| format!("{at:.digits$}").parse().unwrap_or(wall);
+    let candidates = [0.0, 1.0, 2.0].map(|steps: f64| short(outward(end, wall, steps * step)));
+    let holds = |at: &f64| outside(end, *at, wall) >= 0.0 && outside(end, *at, reach) >= 0.0;
+    let of_few_digits = candidates.into_iter().find(holds).unwrap_or(wall);
+    // No zero with a sign.
+    if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
+}
+
+/// The walls that hold in all frames that were looked at, by the walls of a scene if one is known.
+///
+/// One frame alone shows its planes. Of several frames, two and a third of them at the least have to
+/// show a wall at the same place, and more than show something else there or pass it. The side that
+/// points up is free, unless a scene has a wall there: it is that of the axis `up` if that is known.
+/// Else it is that of y if y and z both have one. Says whether the scene is of these particles.
+#[must_use]
+pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
+    let fits = |scene: &&Walls| {
+        let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
+        let passed = sides.filter(|&(axis, end)| {
+            let passes = |wall: f64| frames.iter().any(|frame| frame.passes(axis, end, wall));
+            scene.0[axis][end].is_some_and(passes)
+        });
+        passed.count() <= 1
+    };
+    if let Some(scene) = scene.filter(fits) {
+        let walls = Walls([0, 1, 2].map(|axis| {
+            [0, 1].map(|end| {
+                let wall = scene.0[axis][end]?;
+                let near = |at: f64, spacing: f64| {
+                    (-SAME..=KEPT).contains(&(outside(end, wall, at) / spacing))
+                };
+                let shown = frames.iter().filter_map(|frame| frame.plane(axis, end));
+                let spacing = frames.first().map_or(0.0, |frame| frame.spacing);
+                let shown = shown.filter(|&at| near(at, spacing));
+                let shown = shown.reduce(|a, b| if outside(end, b, a) > 0.0 { b } else { a });
+                match shown {
+                    Some(at) => Some(rounded_for(frames, axis, end, at)),
+                    None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
+                    None => Some(wall),
+                }
+            })
+        }));
+        return (walls, true);
+    }
+    let mut walls =
+        Walls([0, 1, 2].map(|axis| [0, 1].map(|end| common_wall(frames, axis, end))));
+    match up {
+        Some(axis) => walls.0[axis][1] = None,
+        None if walls.0[1][1].is_some() && walls.0[2][1].is_some() => walls.0[1][1] = None,
+        None => {}
+    }
+    (walls, false)
+}
+
+fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
+    let needed = if frames.len() == 1 { 1 } else { frames.len().div_ceil(3).max(2) };
+    let spacing = frames.first()?.spacing;
+    let mut planes: Vec<f64> =
+        frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
+    planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
+    // From the outermost inward.
+    planes.into_iter().find_map(|wall| {
+        let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
+        let shown = frames.iter().filter(|frame| frame.plane(axis, end).is_some_and(is_same));
+        let against = frames.iter().filter(|frame| match frame.sides[axis][end] {
+            Side::Plane(at) => !is_same(at) && frame.passes(axis, end, wall),
+            Side::Unclear => frame.passes(axis, end, wall),
+            Side::Ragged => outside(end, frame.reach[axis][end], wall) > -2.0 * SAME * spacing,
+        });
+        let shown = shown.count();
+        let holds = shown >= needed && shown > against.count();
+        holds.then(|| rounded_for(frames, axis, end, wall))
+    })
+}
+
+/// A wall of few digits, that holds all particles of the frames that do not pass it by much.
+fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
+    let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacing));
+    let holding = reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME * spacing);
+    let reach = holding.map(|(at, _)| at).fold(wall, |a, b| if outside(end, b, a) > 0.0 { b } else { a });
+    rounded(end, reach, reach, frames.first().map_or(1.0, |frame| frame.spacing))
+}
+
+impl Ends {
+    fn plane(&self, axis: usize, end: usize) -> Option<f64> {
+        match self.sides[axis][end] {
+            Side::Plane(at) => Some(at),
+            Side::Unclear | Side::Ragged => None,
+        }
+    }
+
+    /// Whether particles are farther outside of a wall than it would be moved for them.
+    fn passes(&self, axis: usize, end: usize, wall: f64) -> bool {
+        outside(end, self.reach[axis][end], wall) > SAME * self.spacing
+    }
+}
+
+/// The walls for particles within some bounds, none of which is left outside: a wall that they pass
+/// is moved to them where they are near, else its side is open. Says which walls these are.
+#[must_use]
+pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<Past>) {
+    let (mut holding, mut past) = (*walls, Vec::new());
+    for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+        let (Some(wall), reach) = (walls.0[axis][end], [bounds.lo, bounds.hi][end][axis]) else {
+            continue;
+        };
+        let by = outside(end, reach, wall);
+        if by > 0.0 {
+            let moved = (by <= SAME * spacing).then_some(reach);
+            holding.0[axis][end] = moved;
+            past.push(Past { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
+        }
+    }
+    (holding, past)
+}
