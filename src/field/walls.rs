@@ -11,7 +11,10 @@
 //! The outermost layer of a lattice is half a spacing inside of the wall, particles in disorder
 //! reach it. Both follow from the number n of particles in the outermost shell, per squared spacing,
 //! and their mean depth m below the plane: in fluid of one particle per cubed spacing whose end is
-//! the wall, whole layers as well as disorder have their mean n/2 spacings inside of the wall.
+//! the wall, whole layers as well as disorder have their mean n/2 spacings inside of the wall. Solvers
+//! push particles back that would leave, and more than fluid has pile up at the wall. Where there is
+//! no gap behind the outermost layer, which tells such a pile from a layer, n is that of full fluid
+//! at the most.
 //!
 //! All sums are of integers: neither the order of the particles nor threads matter.
 
@@ -35,7 +38,12 @@ const NEAR: f64 = 0.6;
 const ENDING: f64 = 0.8;
 /// The depth to which particles say where the wall is, in spacings.
 const SHELL: f64 = 1.5;
-/// The density of the outermost spacing of fluid at a wall, in particles per cubed spacing.
+/// Depths between which there is a gap behind the outermost layer of a lattice, in spacings, also of
+/// one that is jittered by 0.3 spacings.
+const GAP: std::ops::Range<f64> = 0.5..0.9;
+/// The density in such a gap, in particles per cubed spacing, at the most.
+const IN_GAP: f64 = 0.7;
+/// The density of the shell of fluid at a wall, in particles per cubed spacing.
 const DENSITY: std::ops::Range<f64> = 0.5..2.0;
 /// Edge of a group, in columns.
 const GROUP: u64 = 4;
@@ -60,9 +68,9 @@ const STEPS: f64 = 1024.0;
 /// A side of the box around the particles, as one frame shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Side {
-    /// Too little fluid is behind it.
+    /// Too little fluid is behind it, or its end is not quite level.
     Unclear,
-    /// The fluid ends there, and not in a plane.
+    /// The fluid ends far from a plane.
     Ragged,
     /// A plane, with a wall at this coordinate.
     Plane(f64),
@@ -94,10 +102,10 @@ pub struct Past {
 struct Column {
     /// The least depth, in steps.
     nearest: AtomicU32,
-    /// Particles of the outermost spacing.
-    outermost: AtomicU32,
     /// Particles of the shell.
     shell: AtomicU32,
+    /// Particles where a lattice has a gap.
+    in_gap: AtomicU32,
     /// Particles of the depths where full columns are full.
     behind: AtomicU32,
     /// The sum of the depths of the shell's particles, in steps.
@@ -196,8 +204,8 @@ impl Columns {
             column.shell.fetch_add(1, Relaxed);
             column.depths.fetch_add(u64::from(steps), Relaxed);
         }
-        if depth < 1.0 {
-            column.outermost.fetch_add(1, Relaxed);
+        if GAP.contains(&depth) {
+            column.in_gap.fetch_add(1, Relaxed);
         }
         if depth >= BEHIND[0] {
             column.behind.fetch_add(1, Relaxed);
@@ -213,12 +221,12 @@ impl Columns {
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
         let is_full = |column: &&Column| f64::from(column.behind.load(Relaxed)) >= behind;
         let nearest = |column: &Column| f64::from(column.nearest.load(Relaxed)) / STEPS;
-        let (mut full, mut ending, mut outermost, mut shell, mut depths) = (0, 0, 0, 0, 0);
+        let (mut full, mut ending, mut shell, mut in_gap, mut depths) = (0, 0, 0, 0, 0);
         for column in self.columns.iter().filter(is_full) {
             full += 1;
             ending += usize::from(nearest(column) < NEAR);
-            outermost += u64::from(column.outermost.load(Relaxed));
             shell += u64::from(column.shell.load(Relaxed));
+            in_gap += u64::from(column.in_gap.load(Relaxed));
             depths += column.depths.load(Relaxed);
         }
         let mut groups: Vec<f64> = self
@@ -236,22 +244,27 @@ impl Columns {
         let median = groups[groups.len() / 2];
         let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
         let area = full as f64 * self.area;
-        let is_plane = ending as f64 >= ENDING * full as f64
-            && DENSITY.contains(&(outermost as f64 / area))
-            && level as f64 >= LEVEL_SHARE * groups.len() as f64;
-        if !is_plane {
+        let shell_per_area = shell as f64 / area;
+        if (ending as f64) < ENDING * full as f64
+            || !DENSITY.contains(&(shell_per_area / SHELL))
+        {
             return Side::Ragged;
         }
+        if (level as f64) < LEVEL_SHARE * groups.len() as f64 {
+            return Side::Unclear;
+        }
+        let has_gap = in_gap as f64 <= IN_GAP * area * (GAP.end - GAP.start);
+        let standing_for = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
         let mean = depths as f64 / STEPS / shell.max(1) as f64;
-        let outside = (shell as f64 / area / 2.0 - mean).clamp(0.0, FARTHEST) * spacing;
+        let outside = (standing_for / 2.0 - mean).clamp(0.0, FARTHEST) * spacing;
         Side::Plane(outward(self.end, self.at, outside))
     }
 }
 
 impl Column {
     fn new() -> Self {
-        let [nearest, outermost, shell, behind] = [u32::MAX, 0, 0, 0].map(AtomicU32::new);
-        Self { nearest, outermost, shell, behind, depths: AtomicU64::new(0) }
+        let [nearest, shell, in_gap, behind] = [u32::MAX, 0, 0, 0].map(AtomicU32::new);
+        Self { nearest, shell, in_gap, behind, depths: AtomicU64::new(0) }
     }
 }
 
