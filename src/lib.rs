@@ -179,6 +179,8 @@ pub mod guide {
     pub mod packed {}
     #[doc = include_str!("reconstruction/periodic.md")]
     pub mod periodic {}
+    #[doc = include_str!("reconstruction/tanks.md")]
+    pub mod tanks {}
     #[doc = include_str!("surface/picture/guide.md")]
     pub mod pictures {}
     #[doc = include_str!("surface/simplify/guide.md")]
@@ -340,8 +342,8 @@ pub use particles::condition::{Comparison, Condition};
 pub use particles::mixture::Mixture;
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts,
-    FoundWalls, Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
+    Cells, Doubt, Emptiness, FoundWalls, Frame, Mistake, Needs, Opened, PartMade, PartShare,
+    PartTakes, Parts, Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
 };
 pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Tank, Where};
 pub use simulation::{

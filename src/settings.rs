@@ -422,7 +422,11 @@ mod tests {
             origin: Some([1.0, 2.0, 3.0]),
             format: Some(InputFormat::Csv),
             r#where: Some(vec!["Type=1".parse().unwrap()]),
-            domain: Some(Tank::Walls(Walls([[Some(0.0), Some(1.0)], [None; 2], [None, Some(2.0)]]))),
+            domain: Some(Tank::Walls(Walls([
+                [Some(0.0), Some(1.0)],
+                [None; 2],
+                [None, Some(2.0)],
+            ]))),
             periodic: Some(Faces([None, Some([0.0, 4.0]), None])),
             indicator: Some(IndicatorKind::Counting),
             mu0: Some(3.0),

@@ -226,7 +226,8 @@ impl Boxes {
                 };
                 let walls = walls_of(lo, size).zip(filled(&self.fill));
                 self.walled.extend(walls.map(|(Walls(ends), filled)| {
-                    let wall = |axis: usize, end: usize| ends[axis][end].filter(|_| filled[axis][end]);
+                    let wall =
+                        |axis: usize, end: usize| ends[axis][end].filter(|_| filled[axis][end]);
                     let walls = [0, 1, 2].map(|axis| [0, 1].map(|end| wall(axis, end)));
                     (size.iter().product(), Walls(walls))
                 }));
@@ -256,4 +257,58 @@ fn filled(fill: &str) -> Option<[[bool; 2]; 3]> {
             })
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn body(extra: &str) -> Vec<u8> {
+        let body = format!(
+            r#"{{"geometryFile": "../models/UnitBox.obj", "translation": [0, 1.5, 0], "scale": [4, 3, 1.5], "isWall": true{extra}}}"#
+        );
+        format!(r#"{{"Configuration": {{"particleRadius": 0.025}}, "RigidBodies": [{body}]}}"#)
+            .into()
+    }
+
+    #[test]
+    fn the_tank_of_splishsplash_is_a_fixed_box_that_is_a_wall() {
+        let tank =
+            Walls([[Some(-2.0), Some(2.0)], [Some(0.0), Some(3.0)], [Some(-0.75), Some(0.75)]]);
+        let scene = splishsplash(&body("")).unwrap();
+        assert_eq!(scene, Scene { spacing: 0.05, tank: Some(tank) });
+        for other in [", \"isDynamic\": true", ", \"rotationAngle\": 0.1", ", \"other\": 1"] {
+            let expected = if other.contains("other") { Some(tank) } else { None };
+            assert_eq!(splishsplash(&body(other)).unwrap().tank, expected, "{other}");
+        }
+        let without =
+            br#"{"Configuration": {"particleRadius": 0.025}, "RigidBodies": [{"scale": 1}]}"#;
+        assert_eq!(splishsplash(without), Some(Scene { spacing: 0.05, tank: None }));
+    }
+
+    #[test]
+    fn the_tank_of_dualsphysics_is_its_largest_boundary_box_with_the_faces_that_it_fills() {
+        let case = |moved: &str| {
+            let drawn = |fill: &str, size: [f64; 3]| {
+                let [x, y, z] = size;
+                format!(
+                    r#"<drawbox><boxfill>{fill}</boxfill><point x="0" y="0" z="0" /><size x="{x}" y="{y}" z="{z}" /></drawbox>"#
+                )
+            };
+            let all = [
+                "<setmkfluid mk=\"0\" />".to_owned(),
+                drawn("solid", [9.0; 3]),
+                "<setmkbound mk=\"0\" />".into(),
+                drawn("bottom | left|right | front", [1.6, 0.67, 0.4]),
+                drawn("all^top", [0.1, 0.1, 0.1]),
+            ];
+            format!(r#"<case><definition dp="0.02"/>{moved}{}</case>"#, all.join(""))
+        };
+        let tank = Walls([[Some(0.0), Some(1.6)], [Some(0.0), None], [Some(0.0), None]]);
+        let scene = dualsphysics(case("").as_bytes());
+        assert_eq!(scene, Some(Scene { spacing: 0.02, tank: Some(tank) }));
+        assert_eq!(dualsphysics(case("<move x=\"1\" />").as_bytes()).unwrap().tank, None);
+        assert_eq!(filled("all^top"), Some([[true; 2], [true; 2], [true, false]]));
+        assert_eq!(filled("solid"), None);
+    }
 }

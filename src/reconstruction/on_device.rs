@@ -40,7 +40,9 @@ impl Reconstruction {
         let settings = self.settings.without_default_method();
         refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
         if settings.domain == Some(Tank::Auto) {
-            return Err(Unfit { setting: Setting::named("domain"), with: Conflict::OnDevice }.into());
+            return Err(
+                Unfit { setting: Setting::named("domain"), with: Conflict::OnDevice }.into()
+            );
         }
         let checked = self.checked()?;
         checked.refuse_of_indicator()?;

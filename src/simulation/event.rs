@@ -320,7 +320,8 @@ impl fmt::Display for Summary {
 
 impl fmt::Display for Frozen {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { spacing, spacing_source, cell_size, origin, slab, walls, calibration, .. } = self;
+        let Self { spacing, spacing_source, cell_size, origin, slab, walls, calibration, .. } =
+            self;
         if let (Some(spacing), Some(source)) = (spacing, spacing_source) {
             write!(f, "spacing {} ({source}), ", shown(*spacing))?;
         }

@@ -132,7 +132,8 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, method, spacing, slab, walls: known_walls, calibration, .. }) = *known
+        let Some(Known { grid, method, spacing, slab, walls: known_walls, calibration, .. }) =
+            *known
         else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
