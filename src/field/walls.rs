@@ -62,6 +62,8 @@ const FARTHEST: f64 = 0.75;
 const SAME: f64 = 0.5;
 /// Fluid keeps a distance from a scene's walls, in spacings: at the most this one.
 const KEPT: f64 = 2.0;
+/// Particles in the shell of drops that left the fluid, at the most.
+const FEW: u64 = 32;
 /// Fixed-point steps of a depth, per spacing.
 const STEPS: f64 = 1024.0;
 
@@ -70,6 +72,8 @@ const STEPS: f64 = 1024.0;
 pub enum Side {
     /// Too little fluid is behind it, or its end is not quite level.
     Unclear,
+    /// Hardly any particles are there.
+    Stray,
     /// The fluid ends far from a plane.
     Ragged,
     /// A plane, with a wall at this coordinate.
@@ -237,7 +241,9 @@ impl Columns {
             })
             .collect();
         if full < least || groups.len() < 3 {
-            return Side::Unclear;
+            let all = self.columns.iter().map(|column| u64::from(column.shell.load(Relaxed)));
+            let is_stray = all.sum::<u64>().saturating_mul(self.stride.pow(2)) <= FEW;
+            return if is_stray { Side::Stray } else { Side::Unclear };
         }
         groups.sort_unstable_by(f64::total_cmp);
         let median = groups[groups.len() / 2];
@@ -314,7 +320,8 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
 /// The walls that hold in all frames that were looked at, by the walls of a scene if one is known.
 ///
 /// One frame alone shows its planes. Of several frames, two and a third of them at the least have to
-/// show a wall at the same place, and more than show something else there or pass it. The side that
+/// show a wall at the same place, and more than end there otherwise; in none more than some drops are
+/// farther out. The side that
 /// points up is free, unless a scene has a wall there: it is that of the axis `up` if that is known.
 /// Else it is that of y if y and z both have one. Says whether the scene is of these particles.
 #[must_use]
@@ -361,19 +368,20 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     let spacing = frames.first()?.spacing;
     let mut planes: Vec<f64> = frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
     planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
-    // From the outermost inward.
-    planes.into_iter().find_map(|wall| {
-        let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
-        let shown = frames.iter().filter(|frame| frame.plane(axis, end).is_some_and(is_same));
-        let against = frames.iter().filter(|frame| match frame.sides[axis][end] {
-            Side::Plane(at) => !is_same(at) && frame.passes(axis, end, wall),
-            Side::Unclear => frame.passes(axis, end, wall),
-            Side::Ragged => outside(end, frame.reach[axis][end], wall) > -2.0 * SAME * spacing,
-        });
-        let shown = shown.count();
-        let holds = shown >= needed && shown > against.count();
-        holds.then(|| rounded_for(frames, axis, end, wall))
-    })
+    // Whatever is inside of the outermost plane is passed there.
+    let wall = planes.into_iter().next()?;
+    let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
+    let (mut shown, mut against) = (0, 0);
+    for frame in frames {
+        match frame.sides[axis][end] {
+            Side::Plane(at) if is_same(at) => shown += 1,
+            Side::Stray => {}
+            _ if frame.passes(axis, end, wall) => return None,
+            Side::Ragged if is_same(frame.reach[axis][end]) => against += 1,
+            _ => {}
+        }
+    }
+    (shown >= needed && shown > against).then(|| rounded_for(frames, axis, end, wall))
 }
 
 /// A wall of few digits, that holds all particles of the frames that do not pass it by much.
@@ -389,7 +397,7 @@ impl Ends {
     fn plane(&self, axis: usize, end: usize) -> Option<f64> {
         match self.sides[axis][end] {
             Side::Plane(at) => Some(at),
-            Side::Unclear | Side::Ragged => None,
+            Side::Unclear | Side::Stray | Side::Ragged => None,
         }
     }
 
@@ -512,8 +520,25 @@ mod tests {
             let at = found.0[axis][end].unwrap_or(open);
             assert!(at == expected[axis][end] || (at - expected[axis][end]).abs() < 0.3, "{at}");
         }
-        // Shown once of three times, it could be another free face.
+        // More than drops are beyond it later.
         assert_eq!(common(&[dam.clone(), dam, broken], None, None).0.0[0][1], None);
+    }
+
+    #[test]
+    fn a_wall_that_drops_have_passed_in_some_frames_is_the_wall_of_all() {
+        let mut water = lattice([50, 20, 40], 0.5);
+        water.retain(waves);
+        let tight = ends(&water);
+        water.extend([[-3.0, 5.0, 5.0], [-9.0, 5.0, 5.0]]);
+        let leaking = ends(&water);
+        let wall = |frames: &[&Ends]| {
+            let frames: Vec<Ends> = frames.iter().map(|&ends| ends.clone()).collect();
+            common(&frames, None, None).0.0[0][0]
+        };
+        let expected = wall(&[&tight]);
+        assert!(expected.is_some());
+        assert_eq!(wall(&[&tight, &leaking, &tight]), expected);
+        assert_eq!(wall(&[&tight, &leaking, &leaking]), None, "shown by one");
     }
 
     #[test]
