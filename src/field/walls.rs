@@ -87,6 +87,8 @@ pub struct Ends {
     reach: [[f64; 2]; 3],
     sides: [[Side; 2]; 3],
     spacing: f64,
+    /// The axis across the plane that all particles lie in.
+    flat: Option<usize>,
 }
 
 /// Particles past a wall that was found.
@@ -160,6 +162,7 @@ impl Ends {
             reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
             sides: [[Side::Unclear; 2]; 3],
             spacing,
+            flat,
         };
         for side in sides {
             ends.sides[side.axis][side.end] = side.judged(spacing);
@@ -354,6 +357,9 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
         }));
         return (walls, true);
     }
+    // In two dimensions it is the other one of y and z.
+    let in_plane = frames.first().and_then(|frame| frame.flat);
+    let up = up.or(in_plane.and_then(|flat| [None, Some(2), Some(1)][flat]));
     let mut walls = Walls([0, 1, 2].map(|axis| [0, 1].map(|end| common_wall(frames, axis, end))));
     match up {
         Some(axis) => walls.0[axis][1] = None,

@@ -554,7 +554,7 @@ fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_
             Event::Done(frame) => drop(done.insert(frame.frame, frame)),
             _ => {}
         });
-        assert!(summary.unwrap().is_complete());
+        assert!(summary.unwrap().iter().all(Summary::is_complete));
         (frozen.unwrap().walls.unwrap(), done)
     };
     let (found, done) = convert(simulation(folder.path(), "mesh"));
