@@ -23,6 +23,8 @@ pub struct Opened {
     path: PathBuf,
     pub(super) ready: Started,
     pub(super) input: Input,
+    /// Walls that were not asked for.
+    hint: Option<FoundWalls>,
     pub(super) timings: Timings,
 }
 
@@ -65,8 +67,14 @@ impl Started {
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         };
         let control = &checked.resources.control;
-        let input = self.threads.install(|| control.during(Stage::Reading, open))?;
-        Ok(Opened { path: path.to_owned(), ready: self, input, timings })
+        let mut input = self.threads.install(|| control.during(Stage::Reading, open))?;
+        let hint = match &mut input {
+            Input::Particles { chosen, .. } if checked.sampling.search != Search::Walls => {
+                chosen.cells.walls.take()
+            }
+            Input::Particles { .. } | Input::Packed(_) => None,
+        };
+        Ok(Opened { path: path.to_owned(), ready: self, input, hint, timings })
     }
 }
 
@@ -169,8 +177,9 @@ impl Opened {
     /// they are a hint. `None` where none were looked for.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
-        let is_asked_for = self.ready.checked.sampling.search == Search::Walls;
-        Some((self.cells()?.walls.as_ref()?, is_asked_for))
+        let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());
+        let hint = self.hint.as_ref().map(|walls| (walls, false));
+        asked_for.map(|walls| (walls, true)).or(hint)
     }
 
     /// The indicator that makes the field; `None` for kernels.
@@ -204,7 +213,7 @@ impl Opened {
     /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and
     /// [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
-        let Self { path, ready, input, mut timings } = self;
+        let Self { path, ready, input, mut timings, .. } = self;
         let checked = &ready.checked;
         let up = checked.settings.usual_up(&path);
         let sampled = ready.threads.install(|| match input {
