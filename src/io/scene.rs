@@ -249,8 +249,8 @@ fn filled(fill: &str) -> Option<[[bool; 2]; 3]> {
     let mut words = fill.split('^').map(str::trim);
     let listed: Vec<&str> = words.next()?.split('|').map(str::trim).collect();
     let without: Vec<&str> = words.flat_map(|list| list.split('|')).map(str::trim).collect();
-    let is_known = |word: &&str| **word == *"all" || FACES.as_flattened().contains(word);
-    listed.iter().chain(&without).all(|word| is_known(&word)).then(|| {
+    let is_known = |word: &&str| *word == "all" || FACES.as_flattened().contains(word);
+    listed.iter().chain(&without).all(is_known).then(|| {
         FACES.map(|pair| {
             pair.map(|face| {
                 (listed.contains(&face) || listed.contains(&"all")) && !without.contains(&face)

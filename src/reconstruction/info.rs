@@ -85,7 +85,7 @@ pub struct ParticlesInfo {
     /// The slab that is meshed, where all particles lie in a plane.
     pub slab: Option<Slab>,
     /// The walls that the scene and the ends of the particles show.
-    pub walls: Option<FoundWalls>,
+    pub walls: Option<Box<FoundWalls>>,
     /// Bytes that reconstructing in memory takes by default.
     pub memory_bytes: Option<u64>,
 }
@@ -254,7 +254,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
             | SpacingSource::Packed => "the file".to_owned(),
         }),
         slab: cells.as_ref().and_then(|cells| cells.slab),
-        walls: cells.as_ref().and_then(|cells| cells.walls.clone()),
+        walls: cells.as_ref().and_then(|cells| cells.walls.clone()).map(Box::new),
         spacing_doubts: cells
             .map_or(Vec::new(), |cells| cells.doubts.iter().map(ToString::to_string).collect()),
         spacing_unknown,
