@@ -179,6 +179,8 @@ pub mod guide {
     pub mod packed {}
     #[doc = include_str!("reconstruction/periodic.md")]
     pub mod periodic {}
+    #[doc = include_str!("reconstruction/tanks.md")]
+    pub mod tanks {}
     #[doc = include_str!("surface/picture/guide.md")]
     pub mod pictures {}
     #[doc = include_str!("surface/simplify/guide.md")]
@@ -331,18 +333,19 @@ pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
 pub use field::calibration::{Calibrated, Calibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
+pub use field::walls::Past;
 pub use frame::{Coincident, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
-pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
+pub use grid::{Domain, Grid, Periodic, PeriodicMesh, Walls};
 pub use io::UpAxis;
 pub use particles::condition::{Comparison, Condition};
 pub use particles::mixture::Mixture;
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts,
-    Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
+    Cells, Doubt, Emptiness, FoundWalls, Frame, Mistake, Needs, Opened, PartMade, PartShare,
+    PartTakes, Parts, Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
 };
-pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Where};
+pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Tank, Where};
 pub use simulation::{
     Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing,
     Simulation, Summary, Tallied, Trust,

@@ -18,7 +18,7 @@ use crate::io::input::InputFormat;
 use crate::surface::mesh::up::UpAxis;
 
 pub use crate::particles::condition::Where;
-pub use faces::Faces;
+pub use faces::{Faces, Tank};
 use value::Given;
 pub use value::{Iso, MethodName, Source, Taken};
 
@@ -182,11 +182,13 @@ settings! {
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
-    /// A tank with walls [default: unbounded].
+    /// A tank with walls, or auto to find them [default: unbounded].
     ///
-    /// Particles outside are not counted. `-` for both ends of an axis leaves it without walls.
-    #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
-    domain: Option<Faces>,
+    /// Particles outside are not counted. `-` leaves a side without a wall. auto takes the tank of
+    /// the scene beside the file, or the planes at which the particles end; no particle is outside
+    /// of walls that are found.
+    #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input")]
+    domain: Option<Tank>,
 
     /// A box beyond whose faces the fluid repeats itself.
     ///
@@ -414,6 +416,7 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::Walls;
 
     /// Settings with a value in every field.
     fn all() -> Settings {
@@ -425,7 +428,11 @@ mod tests {
             origin: Some([1.0, 2.0, 3.0]),
             format: Some(InputFormat::Csv),
             r#where: Some(vec!["Type=1".parse().unwrap()]),
-            domain: Some(Faces([Some([0.0, 1.0]), None, Some([-1.0, 2.0])])),
+            domain: Some(Tank::Walls(Walls([
+                [Some(0.0), Some(1.0)],
+                [None; 2],
+                [None, Some(2.0)],
+            ]))),
             periodic: Some(Faces([None, Some([0.0, 4.0]), None])),
             indicator: Some(IndicatorKind::Counting),
             mu0: Some(3.0),

@@ -15,3 +15,4 @@ pub mod indicator;
 pub mod recipe;
 pub mod sheets;
 pub mod spacing;
+pub mod walls;

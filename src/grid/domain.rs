@@ -1,19 +1,72 @@
 //! Tanks: walls that the fluid cannot leave.
 
+use std::fmt;
+
 use glam::{DVec3, IVec3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid};
 
-/// Cells from the origin to where the cells of an axis without walls end: beyond all that the grid
-/// has.
+/// Cells from the origin to where the cells end at an open side: beyond all that the grid has.
 const OPEN: i32 = 1 << 24;
+
+/// The coordinates of walls, the lower and the upper one along each axis; `None` for an open side.
+///
+/// They print as x0,y0,z0,x1,y1,z1, with `-` for an open side.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(into = "[Option<f64>; 6]", from = "[Option<f64>; 6]")]
+pub struct Walls(pub [[Option<f64>; 2]; 3]);
+
+impl Walls {
+    /// The lowest and the highest corner: open sides are at -inf and inf.
+    #[must_use]
+    pub fn corners(&self) -> [DVec3; 2] {
+        [(0, f64::NEG_INFINITY), (1, f64::INFINITY)]
+            .map(|(side, open)| DVec3::from(self.0.map(|walls| walls[side].unwrap_or(open))))
+    }
+
+    /// The walls of a box by its corners, of which coordinates at -inf and inf are open sides.
+    #[must_use]
+    pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
+        let wall = |at: f64, open: f64| Some(at).filter(|_| at != open);
+        Self([0, 1, 2].map(|axis| {
+            [wall(lowest[axis], f64::NEG_INFINITY), wall(highest[axis], f64::INFINITY)]
+        }))
+    }
+
+    /// Whether no side has a wall.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        self.0.iter().flatten().all(Option::is_none)
+    }
+}
+
+impl From<Walls> for [Option<f64>; 6] {
+    fn from(Walls([x, y, z]): Walls) -> Self {
+        [x[0], y[0], z[0], x[1], y[1], z[1]]
+    }
+}
+
+impl From<[Option<f64>; 6]> for Walls {
+    fn from([x0, y0, z0, x1, y1, z1]: [Option<f64>; 6]) -> Self {
+        Self([[x0, x1], [y0, y1], [z0, z1]])
+    }
+}
+
+impl fmt::Display for Walls {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ends: [Option<f64>; 6] = (*self).into();
+        let shown = ends.map(|end| end.map_or("-".to_owned(), |at| at.to_string()));
+        f.write_str(&shown.join(","))
+    }
+}
 
 /// A box with walls that the fluid cannot leave.
 ///
 /// Its cells are those whose centre lies inside. Walls need not fall on cell faces: the outermost
-/// layer of cells reaches to the wall, from half a cell up to one and a half. An axis without walls
-/// goes from -inf to inf.
+/// layer of cells reaches to the wall, from half a cell up to one and a half. An open side is at
+/// -inf or inf.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Domain {
     lo: DVec3,
@@ -24,8 +77,10 @@ pub struct Domain {
 /// A box that cannot be a domain.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum DomainError {
-    /// The corners are not in order, or not finite.
-    #[error("the domain's corners must be finite, and the second above the first along every axis")]
+    /// The corners are not in order, or no numbers.
+    #[error(
+        "the domain's second corner must be above the first along every axis that has two walls, and all coordinates numbers"
+    )]
     Corners,
     /// Too thin for a single layer of cells.
     #[error("the domain holds no cell centre along {axis}; use a smaller cell size")]
@@ -41,28 +96,35 @@ pub enum DomainError {
 }
 
 impl Domain {
-    /// The box from `lo` to `hi` in world coordinates, on `grid`; an axis from -inf to inf has no
-    /// walls.
+    /// The box from `lo` to `hi` in world coordinates, on `grid`. A side at -inf or inf is open.
     ///
     /// # Errors
     /// [`DomainError`] where the box is empty, thinner than a cell or beyond the grid.
     pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
-        let is_open = |a: usize| lo[a] == f64::NEG_INFINITY && hi[a] == f64::INFINITY;
-        let is_walled = |a: usize| lo[a].is_finite() && hi[a].is_finite() && lo[a] < hi[a];
-        if !(0..3).all(|a| is_open(a) || is_walled(a)) {
+        // Comparisons that NaN fails too.
+        let is_in_order =
+            |a: usize| lo[a] < hi[a] && lo[a] != f64::INFINITY && hi[a] != f64::NEG_INFINITY;
+        if !(0..3).all(is_in_order) {
             return Err(DomainError::Corners);
         }
         let lo_cells = DVec3::from(grid.cells_from_world(lo.to_array()));
         let hi_cells = DVec3::from(grid.cells_from_world(hi.to_array()));
         let mut cells = CellBox { lo: IVec3::splat(-OPEN), hi: IVec3::splat(OPEN) };
-        for axis in (0..3).filter(|&a| !is_open(a)) {
-            let limit = f64::from(CELL_LIMIT);
-            if lo_cells[axis] < -limit || hi_cells[axis] >= limit {
+        let limit = f64::from(CELL_LIMIT);
+        let is_far = |cells: f64| !(-limit..limit).contains(&cells);
+        for axis in 0..3 {
+            // Cell k is in when lo < k + 1/2 < hi.
+            if lo[axis].is_finite() {
+                cells.lo[axis] = ((lo_cells[axis] - 0.5).floor() + 1.0) as i32;
+            }
+            if hi[axis].is_finite() {
+                cells.hi[axis] = (hi_cells[axis] - 0.5).ceil() as i32;
+            }
+            if lo[axis].is_finite() && is_far(lo_cells[axis])
+                || hi[axis].is_finite() && is_far(hi_cells[axis])
+            {
                 return Err(DomainError::TooFar);
             }
-            // Cell k is in when lo < k + 1/2 < hi.
-            cells.lo[axis] = ((lo_cells[axis] - 0.5).floor() + 1.0) as i32;
-            cells.hi[axis] = (hi_cells[axis] - 0.5).ceil() as i32;
         }
         let thin = cells.lo.cmpge(cells.hi);
         match (0..3).find(|&axis| thin.test(axis)) {
@@ -127,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_has_two_walls_or_none() {
+    fn each_side_of_an_axis_is_a_wall_or_open() {
         let grid = Grid::new(DVec3::ZERO, 0.1).unwrap();
         let of_y = |lo: f64, hi: f64| {
             Domain::new(&grid, DVec3::new(0.0, lo, 0.0), DVec3::new(1.0, hi, 1.0))
@@ -135,9 +197,13 @@ mod tests {
         let open = of_y(f64::NEG_INFINITY, f64::INFINITY).unwrap();
         assert!(open.contains([0.5, 1e300, 0.5]) && !open.contains([1.5, 0.5, 0.5]));
         assert!(open.cells().contains(IVec3::new(5, CELL_LIMIT, 5)));
-        for (lo, hi) in
-            [(f64::NEG_INFINITY, 1.0), (0.0, f64::INFINITY), (f64::INFINITY, f64::NEG_INFINITY)]
-        {
+        let floor = of_y(0.0, f64::INFINITY).unwrap();
+        assert!(floor.contains([0.5, 1e300, 0.5]) && !floor.contains([0.5, -0.1, 0.5]));
+        assert_eq!((floor.cells().lo.y, floor.cells().hi.y), (0, OPEN));
+        let lid = of_y(f64::NEG_INFINITY, 1.0).unwrap();
+        assert_eq!((lid.cells().lo.y, lid.cells().hi.y), (-OPEN, 10));
+        let none = [f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
+        for (lo, hi) in [(none[0], none[1]), (none[0], none[0]), (none[2], 1.0), (1.0, 0.0)] {
             assert_eq!(of_y(lo, hi), Err(DomainError::Corners), "{lo} to {hi}");
         }
     }

@@ -10,7 +10,7 @@ mod periodic;
 pub mod stretch;
 pub mod units;
 
-pub use domain::{Domain, DomainError};
+pub use domain::{Domain, DomainError, Walls};
 pub use periodic::{Periodic, PeriodicError, PeriodicMesh};
 
 use glam::{DVec3, IVec3};

@@ -1,7 +1,9 @@
-//! The spacing of the particles, from the scene file that a simulator leaves beside its frames.
+//! Spacing of the particles and walls of their tank, from the scene file that a simulator leaves
+//! beside its frames.
 //!
-//! SPlisHSPlasH's scene is JSON and gives the radius, half of the spacing; DualSPHysics' case is
-//! XML and gives the spacing `dp`.
+//! SPlisHSPlasH's scene is JSON and gives the radius, half of the spacing; its tank is a box that is
+//! a wall. DualSPHysics' case is XML and gives the spacing `dp`; its tank is the largest box of
+//! boundary particles, with the faces that the box fills.
 
 use std::fs::File;
 use std::io::Read;
@@ -11,19 +13,38 @@ use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use serde::Deserialize;
 
+use crate::grid::Walls;
 use crate::grid::units::positive_length;
 
 /// No scene is larger, in bytes; a result that happens to be JSON may be.
 const LARGEST: u64 = 16 << 20;
+
+/// A scene, as far as it says something of the particles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Scene {
+    spacing: f64,
+    tank: Option<Walls>,
+}
 
 /// The spacing of the particles of `path`, and the file that says so.
 ///
 /// Every .json and .xml in the file's folder is tried in the order of their names, then those of
 /// the folder above. Files that do not parse, or are no scenes, are passed over.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
+    scene_beside(path).map(|(scene, path)| (scene.spacing, path))
+}
+
+/// The walls of the tank in the scene that gives the spacing of the particles of `path`, and the
+/// scene's file.
+pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
+    let (scene, path) = scene_beside(path)?;
+    scene.tank.map(|tank| (tank, path))
+}
+
+fn scene_beside(path: &Path) -> Option<(Scene, PathBuf)> {
     let folder =
         path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    [folder, &above(folder)].iter().find_map(|folder| spacing_in(folder))
+    [folder, &above(folder)].iter().find_map(|folder| scene_in(folder))
 }
 
 /// The folder above, by name where `folder` ends in one.
@@ -35,18 +56,19 @@ fn above(folder: &Path) -> PathBuf {
     }
 }
 
-fn spacing_in(folder: &Path) -> Option<(f64, PathBuf)> {
+fn scene_in(folder: &Path) -> Option<(Scene, PathBuf)> {
     let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     let mut scenes: Vec<(PathBuf, Parser)> =
         files.filter_map(|path| parser_for(&path).map(|parser| (path, parser))).collect();
     scenes.sort();
     scenes.into_iter().find_map(|(path, parser)| {
-        let spacing = positive_length("spacing", parser(&read_small(&path)?)?).ok()?;
-        Some((spacing, path))
+        let scene = parser(&read_small(&path)?)?;
+        positive_length("spacing", scene.spacing).ok()?;
+        Some((scene, path))
     })
 }
 
-type Parser = fn(&[u8]) -> Option<f64>;
+type Parser = fn(&[u8]) -> Option<Scene>;
 
 fn parser_for(path: &Path) -> Option<Parser> {
     let extension = path.extension()?;
@@ -70,43 +92,223 @@ fn read_small(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Twice `Configuration.particleRadius`.
-fn splishsplash(json: &[u8]) -> Option<f64> {
+/// The box from `lo` with these edges; `None` unless it is one.
+fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
+    let is_box = lo.iter().all(|at| at.is_finite()) && size.iter().all(|&edge| edge > 0.0);
+    let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(Some);
+    is_box.then(|| Walls([0, 1, 2].map(ends)))
+}
+
+/// Twice `Configuration.particleRadius`, and the only body that is a wall, if it is a box that is
+/// not turned.
+fn splishsplash(json: &[u8]) -> Option<Scene> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]
-    struct Scene {
+    struct Whole {
         configuration: Configuration,
+        #[serde(default)]
+        rigid_bodies: serde_json::Value,
     }
     #[derive(Deserialize)]
     #[serde(rename_all = "camelCase")]
     struct Configuration {
         particle_radius: f64,
     }
-    let scene: Scene = serde_json::from_slice(json).ok()?;
-    Some(2.0 * scene.configuration.particle_radius)
+    #[derive(Deserialize)]
+    #[serde(rename_all = "camelCase", default)]
+    struct Body {
+        geometry_file: String,
+        is_wall: bool,
+        is_dynamic: bool,
+        rotation_angle: f64,
+        translation: [f64; 3],
+        scale: [f64; 3],
+    }
+    impl Default for Body {
+        fn default() -> Self {
+            Self {
+                geometry_file: String::new(),
+                is_wall: false,
+                is_dynamic: false,
+                rotation_angle: 0.0,
+                translation: [0.0; 3],
+                scale: [1.0; 3],
+            }
+        }
+    }
+    impl Body {
+        /// The box whose edges are 1 before it is scaled.
+        fn walls(&self) -> Option<Walls> {
+            let is_box = self.geometry_file.rsplit(['/', '\\']).next() == Some("UnitBox.obj");
+            let is_fixed = !self.is_dynamic && self.rotation_angle == 0.0;
+            let lo = [0, 1, 2].map(|axis| self.translation[axis] - self.scale[axis] / 2.0);
+            walls_of(lo, self.scale).filter(|_| is_box && is_fixed)
+        }
+    }
+    let Whole { configuration, rigid_bodies } = serde_json::from_slice(json).ok()?;
+    let bodies: Vec<Body> = serde_json::from_value(rigid_bodies).unwrap_or_default();
+    let walls: Vec<&Body> = bodies.iter().filter(|body| body.is_wall).collect();
+    let tank = match walls[..] {
+        [tank] => tank.walls(),
+        _ => None,
+    };
+    Some(Scene { spacing: 2.0 * configuration.particle_radius, tank })
 }
 
-/// `<dp value="..">` among the constants of a `<case>`, else `<definition dp="..">`.
-fn dualsphysics(xml: &[u8]) -> Option<f64> {
+/// `<dp value="..">` among the constants of a `<case>`, else `<definition dp="..">`, and the largest
+/// `<drawbox>` of a boundary.
+fn dualsphysics(xml: &[u8]) -> Option<Scene> {
     let number = |element: &BytesStart, attribute: &str| -> Option<f64> {
         let attribute = element.try_get_attribute(attribute).ok()??;
         attribute.value.trim().parse().ok()
     };
+    let point = |element: &BytesStart| {
+        Some([number(element, "x")?, number(element, "y")?, number(element, "z")?])
+    };
     let xml = String::from_utf8_lossy(xml);
     let mut reader = Reader::from_str(&xml);
     let mut is_case = false;
-    let mut defined = None;
+    let (mut constant, mut defined) = (None, None);
+    let mut boxes = Boxes::default();
     loop {
         match reader.read_event().ok()? {
             Event::Start(element) | Event::Empty(element) => match element.name().as_ref() {
                 "case" => is_case = true,
                 _ if !is_case => return None,
-                "dp" => return number(&element, "value").or(defined),
+                "dp" if constant.is_none() => constant = number(&element, "value"),
                 "definition" => defined = number(&element, "dp"),
-                _ => {}
+                "point" => boxes.lo = point(&element),
+                "size" => boxes.size = point(&element),
+                name => boxes.begin(name),
             },
-            Event::Eof => return defined,
+            Event::Text(text) if boxes.is_fill => boxes.fill = text.as_ref().to_owned(),
+            Event::End(element) => boxes.end(element.name().as_ref()),
+            Event::Eof => break,
             _ => {}
         }
+    }
+    Some(Scene { spacing: constant.or(defined)?, tank: boxes.tank() })
+}
+
+/// The boxes that a case draws.
+#[derive(Debug, Default)]
+struct Boxes {
+    /// Whether boundary particles are drawn.
+    is_boundary: bool,
+    /// Whether boxes are drawn elsewhere than they say.
+    is_moved: bool,
+    is_fill: bool,
+    fill: String,
+    lo: Option<[f64; 3]>,
+    size: Option<[f64; 3]>,
+    /// Volumes of boxes, and their walls.
+    walled: Vec<(f64, Walls)>,
+}
+
+impl Boxes {
+    fn begin(&mut self, name: &str) {
+        match name {
+            "setmkbound" => self.is_boundary = true,
+            "setmkfluid" | "setmkvoid" => self.is_boundary = false,
+            "move" | "rotate" | "rotateline" | "scale" | "matrixreset" => self.is_moved = true,
+            "drawbox" => (self.lo, self.size, self.fill) = (None, None, String::new()),
+            "boxfill" => self.is_fill = true,
+            _ => {}
+        }
+    }
+
+    fn end(&mut self, name: &str) {
+        match name {
+            "boxfill" => self.is_fill = false,
+            "drawbox" => {
+                let (Some(lo), Some(size), true) = (self.lo, self.size, self.is_boundary) else {
+                    return;
+                };
+                let walls = walls_of(lo, size).zip(filled(&self.fill));
+                self.walled.extend(walls.map(|(Walls(ends), filled)| {
+                    let wall =
+                        |axis: usize, end: usize| ends[axis][end].filter(|_| filled[axis][end]);
+                    let walls = [0, 1, 2].map(|axis| [0, 1].map(|end| wall(axis, end)));
+                    (size.iter().product(), Walls(walls))
+                }));
+            }
+            _ => {}
+        }
+    }
+
+    fn tank(self) -> Option<Walls> {
+        let largest = self.walled.into_iter().reduce(|a, b| if b.0 > a.0 { b } else { a });
+        largest.filter(|_| !self.is_moved).map(|(_, walls)| walls)
+    }
+}
+
+/// The faces that a box of shells fills, such as `bottom | left` or `all^top`, the lower and the
+/// upper one along each axis.
+fn filled(fill: &str) -> Option<[[bool; 2]; 3]> {
+    const FACES: [[&str; 2]; 3] = [["left", "right"], ["front", "back"], ["bottom", "top"]];
+    let mut words = fill.split('^').map(str::trim);
+    let listed: Vec<&str> = words.next()?.split('|').map(str::trim).collect();
+    let without: Vec<&str> = words.flat_map(|list| list.split('|')).map(str::trim).collect();
+    let is_known = |word: &&str| *word == "all" || FACES.as_flattened().contains(word);
+    listed.iter().chain(&without).all(is_known).then(|| {
+        FACES.map(|pair| {
+            pair.map(|face| {
+                (listed.contains(&face) || listed.contains(&"all")) && !without.contains(&face)
+            })
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn body(extra: &str) -> Vec<u8> {
+        let body = format!(
+            r#"{{"geometryFile": "../models/UnitBox.obj", "translation": [0, 1.5, 0], "scale": [4, 3, 1.5], "isWall": true{extra}}}"#
+        );
+        format!(r#"{{"Configuration": {{"particleRadius": 0.025}}, "RigidBodies": [{body}]}}"#)
+            .into()
+    }
+
+    #[test]
+    fn the_tank_of_splishsplash_is_a_fixed_box_that_is_a_wall() {
+        let tank =
+            Walls([[Some(-2.0), Some(2.0)], [Some(0.0), Some(3.0)], [Some(-0.75), Some(0.75)]]);
+        let scene = splishsplash(&body("")).unwrap();
+        assert_eq!(scene, Scene { spacing: 0.05, tank: Some(tank) });
+        for other in [", \"isDynamic\": true", ", \"rotationAngle\": 0.1", ", \"other\": 1"] {
+            let expected = if other.contains("other") { Some(tank) } else { None };
+            assert_eq!(splishsplash(&body(other)).unwrap().tank, expected, "{other}");
+        }
+        let without =
+            br#"{"Configuration": {"particleRadius": 0.025}, "RigidBodies": [{"scale": 1}]}"#;
+        assert_eq!(splishsplash(without), Some(Scene { spacing: 0.05, tank: None }));
+    }
+
+    #[test]
+    fn the_tank_of_dualsphysics_is_its_largest_boundary_box_with_the_faces_that_it_fills() {
+        let case = |moved: &str| {
+            let drawn = |fill: &str, size: [f64; 3]| {
+                let [x, y, z] = size;
+                format!(
+                    r#"<drawbox><boxfill>{fill}</boxfill><point x="0" y="0" z="0" /><size x="{x}" y="{y}" z="{z}" /></drawbox>"#
+                )
+            };
+            let all = [
+                "<setmkfluid mk=\"0\" />".to_owned(),
+                drawn("solid", [9.0; 3]),
+                "<setmkbound mk=\"0\" />".into(),
+                drawn("bottom | left|right | front", [1.6, 0.67, 0.4]),
+                drawn("all^top", [0.1, 0.1, 0.1]),
+            ];
+            format!(r#"<case><definition dp="0.02"/>{moved}{}</case>"#, all.join(""))
+        };
+        let tank = Walls([[Some(0.0), Some(1.6)], [Some(0.0), None], [Some(0.0), None]]);
+        let scene = dualsphysics(case("").as_bytes());
+        assert_eq!(scene, Some(Scene { spacing: 0.02, tank: Some(tank) }));
+        assert_eq!(dualsphysics(case("<move x=\"1\" />").as_bytes()).unwrap().tank, None);
+        assert_eq!(filled("all^top"), Some([[true; 2], [true; 2], [true, false]]));
+        assert_eq!(filled("solid"), None);
     }
 }

@@ -9,10 +9,10 @@ use crate::backend::Backend;
 use crate::baselines::KernelMethod;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
-use crate::grid::PeriodicMesh;
 use crate::grid::units::MemoryBudget;
+use crate::grid::{PeriodicMesh, Walls};
 use crate::io::UpAxis;
-use crate::settings::{Faces, Iso, MethodName, Settings, Where};
+use crate::settings::{Faces, Iso, MethodName, Settings, Tank, Where};
 use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
@@ -107,9 +107,34 @@ impl Reconstruction {
     }
 
     /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not
-    /// counted. An axis without walls goes from -inf to inf.
+    /// counted. A side at -inf or inf is open.
     pub fn domain(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
-        self.settings.domain = Some(Faces::from_corners([lowest, highest]));
+        self.settings.domain = Some(Tank::Walls(Walls::from_corners([lowest, highest])));
+        self
+    }
+
+    /// Finds the walls of the tank: those of the scene beside the file, or the planes at which the
+    /// particles end. No particle is outside of them, and a side that is not certain stays open.
+    ///
+    /// ```
+    /// use meniscus::Reconstruction;
+    ///
+    /// // A tank that is open above, where the water has waves.
+    /// let steps = |n: i32| (0..n).map(|i| f64::from(i) + 0.5);
+    /// let depth = |x: f64| (12.0 + 3.0 * (x / 5.0).sin()) as i32;
+    /// let water = steps(40).flat_map(|x| {
+    ///     steps(depth(x)).flat_map(move |y| steps(40).map(move |z| [x, y, z]))
+    /// });
+    /// let water: Vec<[f64; 3]> = water.collect();
+    ///
+    /// let surface = Reconstruction::new().spacing(1.0).find_domain().run(&water[..])?;
+    /// let [lowest, highest] = surface.report().facts.domain.ok_or("no walls")?.walls();
+    /// assert_eq!(lowest.to_array(), [0.0; 3]);
+    /// assert_eq!(highest.to_array(), [40.0, f64::INFINITY, 40.0]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn find_domain(mut self) -> Self {
+        self.settings.domain = Some(Tank::Auto);
         self
     }
 

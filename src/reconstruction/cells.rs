@@ -2,7 +2,7 @@
 //! in this order.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::Plane;
 use crate::frame::Method;
+use crate::grid::Walls;
 use crate::grid::units::shown;
 use crate::particles::{Particles, finite_chunks};
 
@@ -60,8 +61,35 @@ pub struct Cells {
     /// The slab that particles in a plane stand for: they are of a simulation in two dimensions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
+    /// The walls that the scene and the ends of the particles show, where they were looked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub walls: Option<FoundWalls>,
     /// Why the spacing may be wrong.
     pub doubts: Vec<Doubt>,
+}
+
+/// Walls of a tank that were found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FoundWalls {
+    /// The walls.
+    pub walls: Walls,
+    /// The scene that says where walls are; without one they are planes at which particles end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene: Option<PathBuf>,
+}
+
+impl fmt::Display for FoundWalls {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.scene, self.walls.is_open()) {
+            (_, true) => f.write_str("no walls were found"),
+            (Some(scene), false) => {
+                write!(f, "walls {} ({} and the particles)", self.walls, scene.display())
+            }
+            (None, false) => {
+                write!(f, "walls {} (planes at which the particles end)", self.walls)
+            }
+        }
+    }
 }
 
 /// A slab across an axis, one spacing thick.
@@ -108,6 +136,12 @@ impl fmt::Display for Slab {
 }
 
 impl Cells {
+    /// The walls that were found, where they were looked for.
+    #[must_use]
+    pub fn found(&self) -> Option<&Walls> {
+        self.walls.as_ref().map(|found| &found.walls)
+    }
+
     /// The spacing, where it is known.
     #[must_use]
     pub fn spacing(&self) -> Option<f64> {

@@ -20,9 +20,10 @@ use crate::grid::units::{
     Isovalue, MeanCount, SheetStretch, Sigma, Smooth, Tolerance, UnitError, positive_length,
 };
 use crate::io::bytes::Unpacking;
+use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
 use crate::particles::kind::asks_for_colour;
-use crate::settings::Settings;
+use crate::settings::{Settings, Tank};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::up::UpAxis;
 use crate::surface::simplify::{BYTES_A_THREAD, Reduction};
@@ -30,7 +31,7 @@ use crate::system::memory::default_memory;
 
 use super::builder::Reconstruction;
 use super::threads::Threads;
-use super::{CellSize, SamplingRequest};
+use super::{CellSize, SamplingRequest, Search};
 
 /// Threads that a call may have at the most: more than any machine has cores, and few enough to
 /// start.
@@ -156,7 +157,19 @@ fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest
             InvalidParticles::Refuse
         },
         origin: settings.origin.map(Into::into),
-        walls: settings.domain.map(|walls| walls.corners().map(Into::into)),
+        walls: match &settings.domain {
+            Some(Tank::Walls(walls)) => Some(walls.corners()),
+            Some(Tank::Auto) | None => None,
+        },
+        search: match &settings.domain {
+            Some(Tank::Auto) => Search::Walls,
+            Some(Tank::Walls(_)) | None => Search::Never,
+        },
+        up: match (settings.particles_up, settings.format) {
+            (Some(UpAxis::Y), _) => Some(1),
+            (Some(UpAxis::Z), _) | (None, Some(InputFormat::Bi4)) => Some(2),
+            (None, _) => None,
+        },
         periodic: settings.periodic.map(|faces| (faces.0, surfacing)),
         spacing: length("spacing", settings.spacing_or_radius())?,
         cell,

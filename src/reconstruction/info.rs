@@ -27,7 +27,7 @@ use crate::system::memory::default_memory;
 
 use crate::settings::Settings;
 
-use super::{Cells, SamplingRequest, Slab, Source, SpacingSource};
+use super::{Cells, FoundWalls, SamplingRequest, Search, Slab, Source, SpacingSource};
 
 /// Contents of a file.
 #[derive(Debug, Clone, Serialize)]
@@ -85,6 +85,8 @@ pub struct ParticlesInfo {
     pub nearest_neighbours: Option<f64>,
     /// The slab that is meshed, where all particles lie in a plane.
     pub slab: Option<Slab>,
+    /// The walls that the scene and the ends of the particles show.
+    pub walls: Option<Box<FoundWalls>>,
     /// Bytes that reconstructing in memory takes by default.
     pub memory_bytes: Option<u64>,
 }
@@ -221,7 +223,11 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);
-    let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
+    let request = SamplingRequest {
+        invalid: InvalidParticles::Skip,
+        search: Search::Hint,
+        ..SamplingRequest::default()
+    };
     let source = Source { path: Some(path), spacing: file.spacing };
     let (cells, spacing_unknown) = match request.cells(particles, source) {
         Ok(cells) => (Some(cells), None),
@@ -256,6 +262,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
             | SpacingSource::Packed => "the file".to_owned(),
         }),
         slab: cells.as_ref().and_then(|cells| cells.slab),
+        walls: cells.as_ref().and_then(|cells| cells.walls.clone()).map(Box::new),
         spacing_doubts: cells
             .map_or(Vec::new(), |cells| cells.doubts.iter().map(ToString::to_string).collect()),
         spacing_unknown,

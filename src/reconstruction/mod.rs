@@ -38,7 +38,7 @@ mod warning;
 mod width;
 
 pub use builder::Reconstruction;
-pub use cells::{CellSize, Cells, Slab, Source};
+pub use cells::{CellSize, Cells, FoundWalls, Slab, Source};
 pub(crate) use checked::{Checked, Started};
 pub(crate) use draw::Drawn;
 pub use frame::Frame;
@@ -54,7 +54,7 @@ pub use output::{Output, Packed, PackedOutput};
 pub use particles::open_particles;
 pub use parts::{PartMade, PartShare, PartTakes, Parts, Planned};
 pub use report::Report;
-pub use request::{ChosenSampling, SamplingRequest};
+pub use request::{ChosenSampling, SamplingRequest, Search};
 pub use spacing::{Doubt, Mistake, SpacingSource};
 pub use surface::Surface;
 pub(crate) use surface::made_of;

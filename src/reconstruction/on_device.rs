@@ -1,9 +1,10 @@
 //! Requests for particles that are on a device already, from the settings that all requests have.
 
-use crate::error::{Conflict, Error};
+use crate::error::{Conflict, Error, Setting, Unfit};
 use crate::frame::Method;
 use crate::frame::resident::DeviceRequest;
 use crate::grid::units::positive_length;
+use crate::settings::Tank;
 
 use super::CellSize;
 use super::builder::Reconstruction;
@@ -38,6 +39,11 @@ impl Reconstruction {
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
         let settings = self.settings.without_default_method();
         refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
+        if settings.domain == Some(Tank::Auto) {
+            return Err(
+                Unfit { setting: Setting::named("domain"), with: Conflict::OnDevice }.into()
+            );
+        }
         let checked = self.checked()?;
         checked.refuse_of_indicator()?;
         let (request, surfacing) = (&checked.sampling, checked.surfacing);

@@ -1,5 +1,6 @@
 //! An input that was opened: what it holds, and its samples.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
@@ -14,7 +15,7 @@ use crate::system::timings::Timings;
 
 use super::checked::{Checked, Started};
 use super::frame::{Frame, Sampled};
-use super::{Cells, ChosenSampling, Source};
+use super::{Cells, ChosenSampling, FoundWalls, SamplingRequest, Search, Source};
 
 /// An input that was opened, and is not sampled yet.
 #[derive(Debug)]
@@ -22,6 +23,8 @@ pub struct Opened {
     path: PathBuf,
     pub(super) ready: Started,
     pub(super) input: Input,
+    /// Walls that were not asked for.
+    hint: Option<FoundWalls>,
     pub(super) timings: Timings,
 }
 
@@ -58,18 +61,35 @@ impl Started {
             let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
-            let chosen = checked.choose_and_plan(&file.particles, source);
+            let chosen = checked.hinted().choose_and_plan(&file.particles, source);
             let chosen = chosen.map_err(|error| error.of_file(path))?;
             timings.done(chosen.stage());
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         };
         let control = &checked.resources.control;
-        let input = self.threads.install(|| control.during(Stage::Reading, open))?;
-        Ok(Opened { path: path.to_owned(), ready: self, input, timings })
+        let mut input = self.threads.install(|| control.during(Stage::Reading, open))?;
+        let hint = match &mut input {
+            Input::Particles { chosen, .. } if checked.sampling.search != Search::Walls => {
+                chosen.cells.walls.take()
+            }
+            Input::Particles { .. } | Input::Packed(_) => None,
+        };
+        Ok(Opened { path: path.to_owned(), ready: self, input, hint, timings })
     }
 }
 
 impl Checked {
+    /// The request, that also looks for walls to tell of, where it does not say where the fluid ends.
+    fn hinted(&self) -> Cow<'_, Self> {
+        let request = &self.sampling;
+        if request.search != Search::Never || request.walls.is_some() || request.periodic.is_some()
+        {
+            return Cow::Borrowed(self);
+        }
+        let sampling = SamplingRequest { search: Search::Hint, ..request.clone() };
+        Cow::Owned(Self { sampling, ..self.clone() })
+    }
+
     /// Ends the work where the caller has asked for it.
     pub(crate) fn go_on(&self) -> Result<(), Error> {
         Ok(self.resources.control.cancel.go_on()?)
@@ -153,6 +173,15 @@ impl Opened {
         }
     }
 
+    /// The walls that were found, and whether the fluid is put in them, as it was asked for; else
+    /// they are a hint. `None` where none were looked for.
+    #[must_use]
+    pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
+        let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());
+        let hint = self.hint.as_ref().map(|walls| (walls, false));
+        asked_for.map(|walls| (walls, true)).or(hint)
+    }
+
     /// The indicator that makes the field; `None` for kernels.
     #[must_use]
     pub fn indicator(&self) -> Option<IndicatorKind> {
@@ -184,7 +213,7 @@ impl Opened {
     /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and
     /// [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
-        let Self { path, ready, input, mut timings } = self;
+        let Self { path, ready, input, mut timings, .. } = self;
         let checked = &ready.checked;
         let up = checked.settings.usual_up(&path);
         let sampled = ready.threads.install(|| match input {

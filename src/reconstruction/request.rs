@@ -11,15 +11,18 @@ use crate::field::spacing::{
     ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at,
     show_all,
 };
+use crate::field::walls::{Ends, Past, bounds_held, common, holding};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
-use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic};
-use crate::io::scene::spacing_beside;
+use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
+use crate::io::UpAxis;
+use crate::io::scene::{spacing_beside, tank_beside};
 use crate::particles::Particles;
 use crate::particles::mixture::mixture;
 
-use super::cells::{CellSize, Cells, Slab, Source};
+use super::cells::{CellSize, Cells, FoundWalls, Slab, Source};
 use super::lattice::on_sound_grid;
+use super::orientation::usual_up;
 use super::spacing::{Doubt, SpacingSource, is_suspicious};
 
 /// How particles are to be sampled, whatever they are.
@@ -33,8 +36,12 @@ pub struct SamplingRequest {
     /// lattice.
     pub origin: Option<DVec3>,
     /// The lowest and the highest corner of a tank; particles outside are not counted.
-    /// An axis without walls goes from -inf to inf.
+    /// Open sides are at -inf and inf.
     pub walls: Option<[DVec3; 2]>,
+    /// Whether walls are looked for where none are given.
+    pub search: Search,
+    /// The axis that points up, where that is known: 0, 1 or 2.
+    pub up: Option<usize>,
     /// The faces of a periodic box along each axis, where it is not open, and the surface that
     /// images beyond them have to do for.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
@@ -44,6 +51,18 @@ pub struct SamplingRequest {
     pub cell: Option<CellSize>,
 }
 
+/// Whether the walls of a tank are looked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Search {
+    /// No.
+    #[default]
+    Never,
+    /// To tell the caller of them.
+    Hint,
+    /// To put the fluid in them.
+    Walls,
+}
+
 impl Default for SamplingRequest {
     fn default() -> Self {
         Self {
@@ -51,6 +70,8 @@ impl Default for SamplingRequest {
             invalid: InvalidParticles::Refuse,
             origin: None,
             walls: None,
+            search: Search::Never,
+            up: None,
             periodic: None,
             spacing: None,
             cell: None,
@@ -77,6 +98,10 @@ impl ChosenSampling {
         if self.plan.is_some() { "count" } else { "spacing" }
     }
 }
+
+/// The particles of a frame, at the most, that is looked at for walls that were not asked for: it
+/// takes two readings.
+const MOST_HINTED: usize = 1 << 24;
 
 /// Something that looks at the positions of all particles, some at once, in no order.
 type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
@@ -129,9 +154,61 @@ impl SamplingRequest {
         request
     }
 
+    /// The request for a frame that was found to be in `walls`, if it asks for them.
+    #[must_use]
+    pub fn in_walls(&self, walls: Option<&Walls>) -> Self {
+        let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
+        Self { walls: walls.map(Walls::corners).or(self.walls), ..self.clone() }
+    }
+
+    /// The request for a frame in walls that were found on others, if it asks for them. Walls that
+    /// particles pass are moved or left out: says which.
+    #[must_use]
+    pub fn in_walls_around(
+        &self,
+        walls: Option<&Walls>,
+        particles: &(impl Particles + ?Sized),
+        spacing: Option<f64>,
+        grid: &Grid,
+    ) -> (Self, Vec<Past>) {
+        let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
+        let bounds = walls.and_then(|_| bounds_held(particles, grid));
+        match (walls, bounds) {
+            (Some(walls), Some(bounds)) => {
+                let (holding, past) =
+                    holding(walls, &bounds, spacing.unwrap_or_else(|| grid.cell_size()));
+                (self.in_walls(Some(&holding)), past)
+            }
+            _ => (self.in_walls(walls), Vec::new()),
+        }
+    }
+
+    /// The ends of a frame's particles, where they are to be looked at and their spacing is known.
+    pub fn ends(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        cells: &Cells,
+    ) -> Result<Option<Ends>, Error> {
+        let Some(spacing) = cells.spacing() else { return Ok(None) };
+        let flat = cells.slab.map(|slab| slab.axis);
+        Ok(Ends::of(particles, spacing, flat, &self.grid_of(cells)?))
+    }
+
+    /// The walls that some frames and the scene beside their files show.
+    pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
+        let scene = path.and_then(tank_beside);
+        let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
+        let known = scene.as_ref().map(|(walls, _)| walls);
+        let (mut walls, by_scene) = common(frames, known, self.up.or(usual));
+        if let Some((faces, _)) = self.periodic {
+            (0..3).filter(|&axis| faces[axis].is_some()).for_each(|axis| walls.0[axis] = [None; 2]);
+        }
+        FoundWalls { walls, scene: scene.map(|(_, path)| path).filter(|_| by_scene) }
+    }
+
     /// Whether the caller asked for nothing where the fluid ends along an axis.
     fn is_open(&self, axis: usize) -> bool {
-        self.walls.is_none_or(|[lo, _]| !lo[axis].is_finite())
+        self.walls.is_none_or(|[lo, hi]| !lo[axis].is_finite() && !hi[axis].is_finite())
             && self.periodic.is_none_or(|(faces, _)| faces[axis].is_none())
     }
 
@@ -171,6 +248,17 @@ impl SamplingRequest {
         let (mut cells, done) = self.cells_by(particles, from, read)?;
         if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
             cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
+        }
+        let is_sought = match self.search {
+            Search::Never => false,
+            Search::Hint => particles.len() <= MOST_HINTED,
+            Search::Walls => true,
+        };
+        if is_sought {
+            let ends = self.ends(particles, &cells)?;
+            let found = ends.map(|ends| self.walls_of(&[ends], from.path));
+            cells.walls =
+                found.filter(|found| self.search == Search::Walls || !found.walls.is_open());
         }
         Ok((cells, done))
     }
@@ -273,6 +361,7 @@ impl SamplingRequest {
             spacing: Some((spacing, source)),
             origin: self.origin_for(middle, size),
             slab,
+            walls: None,
             doubts: Vec::new(),
         })
     }
@@ -358,7 +447,8 @@ impl SamplingRequest {
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
-                return Ok(Cells { size, spacing: None, origin, slab: None, doubts: Vec::new() });
+                let (slab, walls) = (None, None);
+                return Ok(Cells { size, spacing: None, origin, slab, walls, doubts: Vec::new() });
             }
         }
         let estimate = estimate.map_err(|why| Error::NoSpacing {
@@ -409,9 +499,11 @@ impl SamplingRequest {
                 BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
             Some((grid, plan.ok()?))
         };
-        let (cells, counted) = match self.periodic {
-            None => self.cells_while(particles, from, count)?,
-            Some(_) => (self.cells(particles, from)?, None),
+        let is_settled = self.periodic.is_none() && self.search != Search::Walls;
+        let (cells, counted) = if is_settled {
+            self.cells_while(particles, from, count)?
+        } else {
+            (self.cells(particles, from)?, None)
         };
         let chosen = self.sampling_in(cells, particles, carried, resources)?;
         let unmoved = !chosen.moved && chosen.cells.slab.is_none();
@@ -427,7 +519,7 @@ impl SamplingRequest {
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
         let grid = self.grid_of(&cells)?;
-        let request = self.in_slab(cells.slab);
+        let request = self.in_walls(cells.found()).in_slab(cells.slab);
         let sampling =
             request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {

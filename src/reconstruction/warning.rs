@@ -5,6 +5,7 @@ use std::fmt;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
+use crate::field::walls::Past;
 use crate::frame::{Coincident, Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::LeftOut;
@@ -65,6 +66,8 @@ pub enum Warning {
         /// The lowest value deep in the fluid.
         lowest: f64,
     },
+    /// Particles are past a wall that was found on other frames.
+    PastWall(Past),
     /// Particles are in no surface.
     Lost {
         /// How many, at the least.
@@ -187,6 +190,14 @@ impl fmt::Display for Warning {
                 significant(*iso, 4),
                 significant(*lowest, 4)
             ),
+            Self::PastWall(Past { axis, wall, reach, moved }) => {
+                let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
+                let what = if moved.is_some() { "moved there" } else { "left out" };
+                write!(
+                    f,
+                    "particles reach {axis} = {reach}, past the wall that was found at {wall}: it is {what} in this frame"
+                )
+            }
             Self::Lost { lost, of, .. } => {
                 write!(f, "at least {lost} of {of} particles are in no surface")
             }

@@ -4,19 +4,14 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::grid::Walls;
+
 /// A box by both ends of each axis, `None` for an axis that is open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(into = "[Option<f64>; 6]", try_from = "[Option<f64>; 6]")]
 pub struct Faces(pub [Option<[f64; 2]>; 3]);
 
 impl Faces {
-    /// The lowest and the highest corner: an axis that is open goes from -inf to inf.
-    #[must_use]
-    pub fn corners(&self) -> [[f64; 3]; 2] {
-        let open = [f64::NEG_INFINITY, f64::INFINITY];
-        [0, 1].map(|end| self.0.map(|ends| ends.unwrap_or(open)[end]))
-    }
-
     /// A box by its corners, where -inf and inf leave an axis open.
     #[must_use]
     pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
@@ -53,16 +48,42 @@ impl FromStr for Faces {
 
     /// Reads six ends, of which both of an axis may be `-`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let end = |part: &str| match part {
-            "-" => Ok(None),
-            number => number.parse().map(Some).map_err(|e| format!("{number:?}: {e}")),
-        };
-        let ends: Vec<Option<f64>> = parts(text).map(end).collect::<Result<_, String>>()?;
-        let count = ends.len();
-        let ends: [_; 6] =
-            ends.try_into().map_err(|_| format!("6 numbers with commas between, not {count}"))?;
-        ends.try_into()
+        ends(text)?.try_into()
     }
+}
+
+/// A tank, as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tank {
+    /// Found by the scene file and the particles.
+    Auto,
+    /// Walls at these coordinates.
+    #[serde(untagged)]
+    Walls(Walls),
+}
+
+impl FromStr for Tank {
+    type Err = String;
+
+    /// Reads auto, or six coordinates of which any may be `-`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            _ => ends(text).map(|ends| Self::Walls(ends.into())),
+        }
+    }
+}
+
+/// Reads six ends, of which any may be `-`.
+pub(super) fn ends(text: &str) -> Result<[Option<f64>; 6], String> {
+    let end = |part: &str| match part {
+        "-" => Ok(None),
+        number => number.parse().map(Some).map_err(|e| format!("{number:?}: {e}")),
+    };
+    let ends: Vec<Option<f64>> = parts(text).map(end).collect::<Result<_, String>>()?;
+    let count = ends.len();
+    ends.try_into().map_err(|_| format!("6 numbers with commas between, not {count}"))
 }
 
 /// Reads three numbers.

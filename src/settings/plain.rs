@@ -1,6 +1,7 @@
 //! Values of settings as text or as numbers, for callers that have nothing else: C, files, forms.
 
 use super::{Faces, Source, Where, faces};
+use crate::grid::Walls;
 
 /// The largest count that is taken from a number of 64 bits: it holds all smaller ones exactly.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
@@ -13,6 +14,7 @@ mod expected {
     pub const TEXT: &str = "expected text";
     pub const POINT: &str = "expected 3 numbers: x, y, z";
     pub const FACES: &str = "expected 6 numbers: the lowest corner and the highest";
+    pub const WALLS: &str = "expected auto or 6 numbers: the lowest corner and the highest";
 
     pub fn one_of(words: &[&str]) -> String {
         format!("expected one of {}", words.join(", "))
@@ -62,6 +64,11 @@ impl Source for &str {
     fn faces(&self) -> Result<Faces, String> {
         self.parse()
             .map_err(|_: String| format!("{}, or - for both ends of an axis", expected::FACES))
+    }
+
+    fn walls(&self) -> Result<Walls, String> {
+        let ends = faces::ends(self);
+        ends.map(Walls::from).map_err(|_| format!("{}, or - for an open side", expected::WALLS))
     }
 
     fn conditions(&self) -> Result<Where, String> {
@@ -127,6 +134,13 @@ impl Source for &[f64] {
         }
     }
 
+    fn walls(&self) -> Result<Walls, String> {
+        match **self {
+            [x0, y0, z0, x1, y1, z1] => Ok(Walls::from_corners([[x0, y0, z0], [x1, y1, z1]])),
+            _ => Err(expected::WALLS.into()),
+        }
+    }
+
     fn conditions(&self) -> Result<Where, String> {
         Err(expected::TEXT.into())
     }
@@ -139,7 +153,7 @@ impl Source for &[f64] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::{Iso, Settings};
+    use crate::settings::{Iso, Settings, Tank};
 
     fn set<S: Source>(name: &str, source: S) -> Result<Settings, S::Error> {
         let mut settings = Settings::default();
@@ -165,6 +179,9 @@ mod tests {
         for list in ["0,-,1,2,-,3", "0 - 1 2 - 3"] {
             assert_eq!(text("domain", list), domain, "{list:?}");
         }
+        let open_above = numbers("domain", &[0.0, 0.0, 1.0, 2.0, hi, 3.0]);
+        assert_eq!(text("domain", "0,0,1,2,-,3"), open_above);
+        assert_eq!(text("domain", "auto").domain, Some(Tank::Auto));
         assert_eq!(text("attributes", "heat,age").attributes.unwrap(), ["heat", "age"]);
     }
 
@@ -182,7 +199,8 @@ mod tests {
             assert_eq!(set(name, text).unwrap_err(), expected, "{name} {text:?}");
         }
         assert!(set("origin", "1,2").unwrap_err().starts_with(expected::POINT));
-        assert!(set("domain", "0,-,1,2,3,4").unwrap_err().starts_with(expected::FACES));
+        assert!(set("domain", "Auto").unwrap_err().starts_with(expected::WALLS));
+        assert!(set("periodic", "0,-,1,2,3,4").unwrap_err().starts_with(expected::FACES));
         for (name, numbers, expected) in [
             ("spacing", &[][..], "expected a number"),
             ("smallest_drop", &[0.5], "expected a whole number from 0"),

@@ -4,9 +4,9 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::Faces;
+use super::{Faces, Tank};
 use crate::field::indicator::IndicatorKind;
-use crate::grid::PeriodicMesh;
+use crate::grid::{PeriodicMesh, Walls};
 use crate::io::input::InputFormat;
 use crate::particles::condition::Where;
 use crate::surface::mesh::up::UpAxis;
@@ -84,6 +84,8 @@ pub trait Source {
     fn point(&self) -> Result<[f64; 3], Self::Error>;
     /// Takes a box by its lowest and its highest corner.
     fn faces(&self) -> Result<Faces, Self::Error>;
+    /// Takes the coordinates of walls, of which any side may be open.
+    fn walls(&self) -> Result<Walls, Self::Error>;
     /// Takes conditions on particles.
     fn conditions(&self) -> Result<Where, Self::Error>;
     /// Whether it is this word, and no other value.
@@ -120,6 +122,12 @@ taken!(f64: number, u32: count, bool: switch, String: text, Vec<String>: names, 
 impl Taken for Vec<Where> {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
         Ok(vec![source.conditions()?])
+    }
+}
+
+impl Taken for Tank {
+    fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+        if source.is_word("auto") { Ok(Self::Auto) } else { source.walls().map(Self::Walls) }
     }
 }
 
@@ -185,6 +193,9 @@ mod tests {
             Err(())
         }
         fn faces(&self) -> Result<Faces, ()> {
+            Err(())
+        }
+        fn walls(&self) -> Result<Walls, ()> {
             Err(())
         }
         fn conditions(&self) -> Result<Where, ()> {

@@ -320,7 +320,8 @@ impl fmt::Display for Summary {
 
 impl fmt::Display for Frozen {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { spacing, spacing_source, cell_size, origin, slab, calibration, .. } = self;
+        let Self { spacing, spacing_source, cell_size, origin, slab, walls, calibration, .. } =
+            self;
         if let (Some(spacing), Some(source)) = (spacing, spacing_source) {
             write!(f, "spacing {} ({source}), ", shown(*spacing))?;
         }
@@ -330,6 +331,9 @@ impl fmt::Display for Frozen {
         }
         if let Some(slab) = slab {
             write!(f, "; {slab}")?;
+        }
+        if let Some(walls) = walls {
+            write!(f, ", {walls}")?;
         }
         if let Some(mean) = calibration.and_then(|known| known.mean()) {
             write!(f, ", mu0 {}", significant(mean.particles(), 4))?;

@@ -154,7 +154,7 @@ impl Setup<'_> {
         let carried =
             checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
-        let sampling = self.sampling(frozen, &file.particles, carried, resources.clone())?;
+        let (sampling, _) = self.sampling(frozen, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
         let counted = Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None)

@@ -4,6 +4,7 @@ use super::frame_file::FrameFile;
 use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
 use super::state::{State, Store};
 use crate::error::{Cause, Error};
+use crate::field::walls::Ends;
 use crate::frame::{FrameError, Resources};
 use crate::io::ParticleFile;
 use crate::io::ReadError;
@@ -11,7 +12,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
 use crate::particles::{AttributeKind, Particles};
-use crate::reconstruction::{self, Doubt, Slab};
+use crate::reconstruction::{self, Doubt, FoundWalls, Search, Slab};
 
 use super::event::Event;
 use super::setup::{POLL, Setup};
@@ -20,6 +21,9 @@ use super::watch::Watch;
 /// Frames that are looked at for one that is deep enough to measure: of those that are there the
 /// first, and some from all over the rest.
 const LOOKED_AT: usize = 64;
+
+/// Frames that are looked at for walls, from the first to the last.
+const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
 struct OneMeasured {
@@ -48,12 +52,52 @@ impl Setup<'_> {
     }
 
     /// Measures what holds for all frames on the first that can tell, whose particles may still be
-    /// open.
+    /// open, and finds the walls that some of them show, if walls are asked for.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(Frozen, Option<ParticleFile>), Error> {
+        let (frame, mut measured, file) = self.freeze_one(frames, resources)?;
+        if self.checked.sampling.search == Search::Walls && self.simulation.watch.is_none() {
+            measured.frozen.walls = self.common_walls(frames, &measured.frozen, resources)?;
+        }
+        self.tell_measured(&frame, &measured);
+        Ok((measured.frozen, file))
+    }
+
+    /// The walls that some frames from all over the simulation show; frames that cannot be read show
+    /// nothing here, and fail later.
+    fn common_walls(
+        &self,
+        frames: &[FrameFile],
+        frozen: &Frozen,
+        resources: &Resources,
+    ) -> Result<Option<FoundWalls>, Error> {
+        let Some(spacing) = frozen.spacing else { return Ok(None) };
+        let (grid, flat) = (frozen.grid()?, frozen.slab.map(|slab| slab.axis));
+        let numbers = (0..LOOKED_AT_FOR_WALLS as u128).map(|number| {
+            let last = frames.len().saturating_sub(1) as u128;
+            (number * last / (LOOKED_AT_FOR_WALLS as u128 - 1)) as usize
+        });
+        let mut numbers: Vec<usize> = numbers.collect();
+        numbers.dedup();
+        let mut ends = Vec::new();
+        for frame in numbers.into_iter().filter_map(|number| frames.get(number)) {
+            self.go_on()?;
+            let Ok(file) = self.open_particles(frame, resources) else { continue };
+            ends.extend(Ends::of(&file.particles, spacing, flat, &grid));
+        }
+        self.go_on()?;
+        let path = frames.first().map(|frame| &*frame.path);
+        Ok(Some(self.checked.sampling.walls_of(&ends, path)))
+    }
+
+    fn freeze_one(
+        &self,
+        frames: &[FrameFile],
+        resources: &Resources,
+    ) -> Result<(FrameFile, OneMeasured, Option<ParticleFile>), Error> {
         let idle = self.simulation.watch;
         let mut watch = idle.map(|idle| Watch::new(idle, self.simulation.selection));
         let mut best: Option<(FrameFile, OneMeasured)> = None;
@@ -77,8 +121,7 @@ impl Setup<'_> {
                 let lattice = lattice.map(|(_, known)| &known.frozen);
                 match self.measure_on(&frame, lattice, resources) {
                     Ok((found, file)) if found.trust == Trust::Sound => {
-                        self.tell_measured(&frame, &found);
-                        return Ok((found.frozen, file));
+                        return Ok((frame, found, file));
                     }
                     Ok((found, _)) => {
                         // Spray is farther apart than fluid, whose spacing would be estimated too
@@ -119,10 +162,7 @@ impl Setup<'_> {
             }
         }
         match (best, first_error) {
-            (Some((frame, found)), _) => {
-                self.tell_measured(&frame, &found);
-                Ok((found.frozen, None))
-            }
+            (Some((frame, found)), _) => Ok((frame, found, None)),
             (None, Some(error)) => Err(error),
             (None, None) => Err(self.sequence.no_frames().into()),
         }
@@ -196,7 +236,8 @@ impl Setup<'_> {
             self.checked.settings.refuse_of_others(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
-            let frozen = frozen(frame.number, input, sampled.facts.spacing, None, None, measured);
+            let spacing = sampled.facts.spacing;
+            let frozen = frozen(frame.number, input, spacing, None, (None, None), measured);
             return Ok((OneMeasured { frozen, trust: measured.trust, doubts: Vec::new() }, None));
         }
         let file = self.open_particles(frame, resources)?;
@@ -217,7 +258,8 @@ impl Setup<'_> {
         );
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
-        let mut frozen = frozen(frame.number, input, cells.spacing(), source, cells.slab, measured);
+        let tank = (cells.slab, cells.walls.clone());
+        let mut frozen = frozen(frame.number, input, cells.spacing(), source, tank, measured);
         // A frame without one of these attributes fails by itself.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
@@ -234,7 +276,7 @@ fn frozen(
     input: Stamp,
     spacing: Option<f64>,
     spacing_source: Option<String>,
-    slab: Option<Slab>,
+    (slab, walls): (Option<Slab>, Option<FoundWalls>),
     Measured { grid, calibration, .. }: Measured,
 ) -> Frozen {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
@@ -246,6 +288,7 @@ fn frozen(
         cell_size,
         origin,
         slab,
+        walls,
         calibration,
         kinds: Vec::new(),
     }

@@ -11,7 +11,9 @@ use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
 use crate::particles::kind::SettledKind;
-use crate::reconstruction::{Cells, Checked, Slab, as_numbers, moved, origin_for_lattice};
+use crate::reconstruction::{
+    Cells, Checked, FoundWalls, Slab, as_numbers, moved, origin_for_lattice,
+};
 use crate::system::timings::Timings;
 
 use super::frame_file::FrameFile;
@@ -34,6 +36,9 @@ pub struct Frozen {
     /// The slab that particles in a plane stand for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
+    /// The walls of the tank, where they were to be found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub walls: Option<FoundWalls>,
     /// Makes the frames alike; `None` for kernels, which have nothing to measure.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,
@@ -87,7 +92,7 @@ pub(super) fn measure_in(
         Some(known) => known,
         None => (request.grid_of(cells)?, request.method),
     };
-    let in_slab = request.in_slab(cells.slab);
+    let in_slab = request.in_walls(cells.found()).in_slab(cells.slab);
     let sampling = in_slab.sampling_on(grid, method, cells.spacing(), Vec::new(), resources)?;
     let is_settled = lattice.is_some() || request.origin.is_some();
     let origin = if is_settled { Origin::Given } else { Origin::Free };

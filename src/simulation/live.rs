@@ -6,7 +6,7 @@ use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
 use crate::frame::{FrameError, Method, Sampling};
-use crate::grid::Grid;
+use crate::grid::{Grid, Walls};
 use crate::io::UpAxis;
 use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::{Particles, carried_infos};
@@ -54,6 +54,7 @@ struct Known {
     method: Method,
     spacing: Option<f64>,
     slab: Option<Slab>,
+    walls: Option<Walls>,
     calibration: Option<Calibration>,
     trust: Trust,
 }
@@ -133,8 +134,16 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(&Known { grid, method, spacing, slab, calibration, ref kinds, .. }) =
-            known.as_ref()
+        let Some(&Known {
+            grid,
+            method,
+            spacing,
+            slab,
+            walls: ref known_walls,
+            calibration,
+            ref kinds,
+            ..
+        }) = known.as_ref()
         else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
@@ -142,14 +151,19 @@ impl LiveSimulation {
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let infos = known_of(carried_infos(particles.attributes(), &carried), kinds);
         let resources = checked.resources.clone();
-        let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
+        let request = &checked.sampling;
+        let (request, past) =
+            request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
+        let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
         let sampling = Sampling { kinds: kinds.clone(), ..sampling };
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn =
             checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
-        drawn.report.warnings.splice(0..0, doubts.into_iter().map(Warning::Spacing));
+        let past = past.into_iter().map(Warning::PastWall);
+        let first = doubts.into_iter().map(Warning::Spacing).chain(past);
+        drawn.report.warnings.splice(0..0, first);
         Ok(drawn)
     }
 
@@ -202,5 +216,6 @@ fn measured(
     let method = request.method.calibrated(calibration.as_ref());
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
-    Ok((Known { kinds, grid, method, spacing, slab, calibration, trust }, cells.doubts))
+    let walls = cells.found().copied();
+    Ok((Known { kinds, grid, method, spacing, slab, walls, calibration, trust }, cells.doubts))
 }

@@ -287,7 +287,8 @@ impl Conversion<'_> {
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
         let infos = known_of(infos, &frozen.kinds);
-        let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
+        let (mut sampling, past) =
+            self.setup.sampling(frozen, &file.particles, carried, opening)?;
         if let Some(spacing) =
             frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
         {
@@ -325,13 +326,8 @@ impl Conversion<'_> {
         };
         let left_out = LeftOut { unselected: file.unselected as u64, ..census.into() };
         let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
-        let warnings = file
-            .none_selected
-            .clone()
-            .map(Warning::NoneSelected)
-            .into_iter()
-            .chain(parts)
-            .collect();
+        let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
+        let warnings = past.into_iter().chain(none_selected).chain(parts).collect();
         Ok(Ready { frame, left_out, warnings, infos, time: file.time, permit })
     }
 

@@ -16,7 +16,7 @@ use crate::io::series::Series;
 use crate::io::stamp::Identity;
 use crate::io::{WriteError, WriteFault};
 use crate::particles::Particles;
-use crate::reconstruction::Checked;
+use crate::reconstruction::{Checked, Warning};
 use crate::surface::simplify::BYTES_A_THREAD;
 
 use super::builder::Simulation;
@@ -69,26 +69,25 @@ impl Setup<'_> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The way to sample a frame by what all have in common. A slab is only for frames that lie in
-    /// it: the first layer of an emitter does, and the second does not.
+    /// The way to sample a frame by what all have in common, and the walls that its particles pass,
+    /// which are moved or left out. A slab is only for frames that lie in it: the first layer of an
+    /// emitter does, and the second does not.
     pub(super) fn sampling(
         &self,
         frozen: &Frozen,
         particles: &(impl Particles + ?Sized),
         carried: Vec<usize>,
         resources: Resources,
-    ) -> Result<Sampling, Error> {
-        let request = &self.checked.sampling;
+    ) -> Result<(Sampling, Vec<Warning>), Error> {
+        let (request, grid) = (&self.checked.sampling, frozen.grid()?);
+        let walls = frozen.walls.as_ref().map(|found| &found.walls);
+        let (request, past) = request.in_walls_around(walls, particles, frozen.spacing, &grid);
         let method = request.method.calibrated(frozen.calibration.as_ref());
         let slab = frozen.slab.filter(|slab| slab.holds(particles));
-        let sampling = request.in_slab(slab).sampling_on(
-            frozen.grid()?,
-            method,
-            frozen.spacing,
-            carried,
-            resources,
-        )?;
-        Ok(Sampling { kinds: frozen.kinds.clone(), ..sampling })
+        let request = request.in_slab(slab);
+        let sampling = request.sampling_on(grid, method, frozen.spacing, carried, resources)?;
+        let sampling = Sampling { kinds: frozen.kinds.clone(), ..sampling };
+        Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
     }
 
     /// The division of the machine among so many frames.

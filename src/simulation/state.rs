@@ -232,6 +232,7 @@ mod tests {
             spacing_source: Some("a test".into()),
             cell_size: 0.1 + 0.7,
             slab: None,
+            walls: None,
             origin: [1e-17, -0.1, 1.0 / 3.0],
             calibration: Some(calibration),
             kinds: vec![SettledKind {

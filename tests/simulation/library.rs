@@ -523,3 +523,68 @@ fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
     assert_eq!(measured_on, Some(Some(1)), "{found:?}");
     assert!(found.iter().all(|warning| !warning.to_string().contains("--")), "{found:?}");
 }
+
+/// A tank from 0 to 24 along x and z that is open above, with waves.
+fn tank(frame: u64) -> Vec<[f32; 3]> {
+    let waves = move |x: f64| 12.0 + 2.0 * (x / 3.0 + frame as f64).sin();
+    let water = fill(12.0, 1.0, 0.3, 3 + frame, |_| true).into_iter();
+    let water = water.map(|p| p.map(|c| c + 12.0)).filter(|&[x, y, _]| y < waves(x));
+    water.map(|p| p.map(|c| c as f32)).collect()
+}
+
+#[test]
+fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_left_out() {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("sim")).unwrap();
+    // Looked at are 1, 3, 5, 7, 9, 11 and 13.
+    for frame in 1..=13 {
+        let mut water = tank(frame);
+        if frame == 6 {
+            water.push([-4.0, 3.0, 3.0]);
+        }
+        write(&folder.path().join(format!("sim/drop_{frame}.xyz")), &water);
+    }
+    let request = Reconstruction::new().spacing(1.0).find_domain();
+    let convert = |simulation: Simulation| {
+        let (mut frozen, mut done) = (None, BTreeMap::new());
+        let summary = simulation.reconstruction(request.clone()).run(|event| match event {
+            Event::Measured { frozen: found, .. } | Event::GoesOn { frozen: found, .. } => {
+                frozen = Some(found);
+            }
+            Event::Done(frame) => drop(done.insert(frame.frame, frame)),
+            _ => {}
+        });
+        assert!(summary.unwrap().iter().all(Summary::is_complete));
+        (frozen.unwrap().walls.unwrap(), done)
+    };
+    let (found, done) = convert(simulation(folder.path(), "mesh"));
+    let [lo, hi] = found.walls.corners();
+    for (at, expected) in [(lo.x, 0.0), (lo.y, 0.0), (lo.z, 0.0), (hi.x, 24.0), (hi.z, 24.0)] {
+        assert!((at - expected).abs() < 0.3, "{found}");
+    }
+    assert_eq!(hi.y, f64::INFINITY);
+    for (number, frame) in &done {
+        let facts = frame.report.as_ref().unwrap().facts;
+        let passed: Vec<_> = frame
+            .warnings
+            .iter()
+            .filter_map(|warning| match warning {
+                Warning::PastWall(past) => Some((past.axis, past.reach, past.moved)),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(facts.census.outside, 0, "frame {number}");
+        let walls = facts.domain.unwrap().walls();
+        if *number == 6 {
+            assert_eq!(passed, [('x', -4.0, None)]);
+            assert_eq!(walls[0].x, f64::NEG_INFINITY);
+        } else {
+            assert_eq!((passed.len(), walls), (0, [lo, hi]), "frame {number}");
+        }
+    }
+    // Gone on with, it has the same walls.
+    fs::remove_file(folder.path().join("mesh/drop_9.ply")).unwrap();
+    let (again, done) = convert(simulation(folder.path(), "mesh").resume());
+    assert_eq!((again, done.len()), (found, 1));
+    assert_eq!(done[&9].report.as_ref().unwrap().facts.domain.unwrap().walls(), [lo, hi]);
+}

@@ -79,6 +79,7 @@ fn describe(info: &Info) -> String {
             spacing_unknown,
             nearest_neighbours,
             slab,
+            walls,
             memory_bytes,
             ghosts,
             values,
@@ -133,6 +134,9 @@ fn describe(info: &Info) -> String {
             );
             spacing_doubts.iter().for_each(|doubt| line("", format!("warning: {doubt}")));
             slab.iter().for_each(|slab| line("plane", slab.to_string()));
+            if let Some(found) = walls.as_ref().filter(|found| !found.walls.is_open()) {
+                line("domain", format!("{found}, with --domain auto"));
+            }
             if let Some(bytes) = memory_bytes {
                 line("memory", format!("about {:.2} by default", ByteSize(*bytes)));
             }

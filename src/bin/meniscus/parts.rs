@@ -75,6 +75,7 @@ fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Erro
     let Planned { particles, format, cells, moved_to, indicator, .. } = &planned;
     notes.say(format!("{}: {particles} particles, {format}", options.inputs[0].display()));
     report_cells(cells, Some(*indicator), *moved_to, notes);
+    cells.walls.iter().for_each(|found| notes.say(found.to_string()));
     report_census(&planned.census, notes);
     print(&listed(&planned))?;
     report_stages(&planned.timings, notes);

@@ -38,6 +38,11 @@ pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
     }
+    match opened.walls() {
+        Some((found, true)) => notes.say(found.to_string()),
+        Some((_, false)) => notes.say("the particles end at planes: try --domain auto"),
+        None => {}
+    }
 }
 
 /// Says which cells were chosen, for which indicator, and where the grid was moved to.

@@ -32,9 +32,9 @@ use crate::work::{Work, with_progress};
 ///     Edge of a cell in spacings (0.5 by default, renders want 0.25), or as a length.
 /// origin : three floats, optional
 ///     A corner of the grid's cells.
-/// domain : six floats or None, or two corners, optional
-///     A tank, x0, y0, z0, x1, y1, z1, at whose walls the fluid ends exactly; None for both ends of an axis without walls.
-/// periodic : like domain, optional
+/// domain : six floats or None, or two corners, or "auto", optional
+///     A tank, x0, y0, z0, x1, y1, z1, at whose walls the fluid ends exactly; None for a side without a wall. "auto" finds the walls.
+/// periodic : six floats or None, or two corners, optional
 ///     A box that repeats itself; None for both ends of an axis that is open.
 /// periodic_mesh : "cut" or "overlap", optional
 ///     Where the mesh ends at the faces of a periodic box.

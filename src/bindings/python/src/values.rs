@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use bytesize::ByteSize;
-use meniscus::{Faces, Source, Where};
+use meniscus::{Faces, Source, Walls, Where};
 use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -71,6 +71,14 @@ impl<'py> Given<'_, 'py> {
         Ok(ends)
     }
 
+    /// Takes six numbers or two times three.
+    fn six_ends(&self) -> PyResult<[Option<f64>; 6]> {
+        self.ends()?.try_into().map_err(|_| {
+            let what = "six numbers are needed: x0, y0, z0, x1, y1, z1";
+            InputError::new_err(format!("{}: {what}", self.name))
+        })
+    }
+
     /// Takes bytes, or a size such as `"512MiB"`.
     pub fn bytes(&self) -> PyResult<u64> {
         if self.value.is_instance_of::<PyString>() {
@@ -135,12 +143,13 @@ impl Source for Given<'_, '_> {
 
     /// Takes six numbers or two times three, `None` for both ends of an axis that is open.
     fn faces(&self) -> PyResult<Faces> {
-        let refused = |what: &str| InputError::new_err(format!("{}: {what}", self.name));
-        let ends: [Option<f64>; 6] = self
-            .ends()?
-            .try_into()
-            .map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
-        ends.try_into().map_err(|what: String| refused(&what))
+        let refused = |what: String| InputError::new_err(format!("{}: {what}", self.name));
+        self.six_ends()?.try_into().map_err(refused)
+    }
+
+    /// Takes six numbers or two times three, `None` for an open side.
+    fn walls(&self) -> PyResult<Walls> {
+        self.six_ends().map(Walls::from)
     }
 
     /// Takes a text, or a list of texts whose conditions all hold.

@@ -148,7 +148,7 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         ({"spacing": 1.0, "radius": 0.5}, "^radius: spacing is given|^spacing: radius is given"),
         ({"cell": 0.5, "cell_size": 0.5}, "is given, and both say the same"),
         ({"domain": (0, 0, 0, 1, 1)}, "^domain: six numbers"),
-        ({"domain": (0, None, 0, 1, 1, 1)}, "^domain: both ends"),
+        ({"periodic": (0, None, 0, 1, 1, 1)}, "^periodic: both ends"),
         ({"domain": (5, 5, 5, 1, 1, 1)}, "corner"),
         ({"origin": (0, 0)}, "^origin: three numbers"),
         ({"indicator": "fog"}, "^indicator: \"fog\" is none of cloud, counting, symmetry"),

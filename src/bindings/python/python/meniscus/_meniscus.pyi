@@ -45,7 +45,7 @@ class _Sampling(TypedDict, total=False):
     cell: float | None
     cell_size: float | None
     origin: _Point | None
-    domain: _Box | None
+    domain: _Box | Literal["auto"] | None
     periodic: _Box | None
     indicator: Literal["cloud", "counting", "symmetry"] | None
     mu0: float | None

@@ -1,0 +1,591 @@
+//! Walls of a tank, found as the planes at which the particles end.
+//!
+//! Each side is judged on its own. The plane is where the outermost particle is. Behind it stand
+//! columns that are two spacings wide; those that are full of particles three spacings behind the
+//! plane are evidence. They show a wall if there are many of them, nearly all hold a particle within
+//! 0.6 spacings of the plane, the density behind the plane is that of full fluid at once, and the
+//! outermost particles of groups of columns lie in one plane: there a free surface with waves
+//! differs from a wall. A free surface that is level within 0.15 spacings cannot be told from a wall
+//! in one frame; in several frames only planes at the same place are walls.
+//!
+//! The outermost layer of a lattice is half a spacing inside of the wall, particles in disorder
+//! reach it. Both follow from the number n of particles in the outermost shell, per squared spacing,
+//! and their mean depth m below the plane: in fluid of one particle per cubed spacing whose end is
+//! the wall, whole layers as well as disorder have their mean n/2 spacings inside of the wall. Solvers
+//! push particles back that would leave, and more than fluid has pile up at the wall. Where there is
+//! no gap behind the outermost layer, which tells such a pile from a layer, n is that of full fluid
+//! at the most.
+//!
+//! All sums are of integers: neither the order of the particles nor threads matter.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::grid::{Grid, Walls};
+use crate::particles::{Bounds, Particles, finite_chunks};
+
+/// Edge of a column, in spacings.
+const COLUMN: f64 = 2.0;
+/// Depths between which a full column is full, in spacings.
+const BEHIND: [f64; 2] = [2.0, 4.0];
+/// The share of the particles of full fluid that a full column holds there, at the least.
+const FULL: f64 = 0.6;
+/// The depth of the nearest particle of a column that ends at the plane, in spacings.
+const NEAR: f64 = 0.6;
+/// The share of full columns that end at a wall, at the least.
+const ENDING: f64 = 0.8;
+/// The depth to which particles say where the wall is, in spacings.
+const SHELL: f64 = 1.5;
+/// Depths between which there is a gap behind the outermost layer of a lattice, in spacings, also of
+/// one that is jittered by 0.3 spacings.
+const GAP: std::ops::Range<f64> = 0.5..0.9;
+/// The density in such a gap, in particles per cubed spacing, at the most.
+const IN_GAP: f64 = 0.7;
+/// The density of the shell of fluid at a wall, in particles per cubed spacing.
+const DENSITY: std::ops::Range<f64> = 0.5..2.0;
+/// Edge of a group, in columns.
+const GROUP: u64 = 4;
+/// Columns of a group.
+const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
+/// Groups of a side that are looked at, at the most: some all over it where there are more.
+const MOST_GROUPS: u64 = 2048;
+/// How far the nearest particles of groups may lie from their median, in spacings.
+const LEVEL: f64 = 0.15;
+/// The share of groups that are no farther from it at a wall, at the least.
+const LEVEL_SHARE: f64 = 0.85;
+/// The wall's distance from the outermost particle, in spacings, at the most.
+const FARTHEST: f64 = 0.75;
+/// The distance of walls of several frames that are the same, and of particles past a wall that is
+/// moved for them, in spacings.
+const SAME: f64 = 0.5;
+/// Fluid keeps a distance from a scene's walls, in spacings: at the most this one.
+const KEPT: f64 = 2.0;
+/// Particles in the shell of drops that left the fluid, at the most.
+const FEW: u64 = 32;
+/// Fixed-point steps of a depth, per spacing.
+const STEPS: f64 = 1024.0;
+
+/// A side of the box around the particles, as one frame shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Side {
+    /// Too little fluid is behind it, or its end is not quite level.
+    Unclear,
+    /// Hardly any particles are there.
+    Stray,
+    /// The fluid ends far from a plane.
+    Ragged,
+    /// A plane, with a wall at this coordinate.
+    Plane(f64),
+}
+
+/// The ends of the particles of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ends {
+    /// The least and the greatest coordinate along each axis.
+    reach: [[f64; 2]; 3],
+    sides: [[Side; 2]; 3],
+    spacing: f64,
+    /// The axis across the plane that all particles lie in.
+    flat: Option<usize>,
+}
+
+/// Particles past a wall that was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Past {
+    /// x, y or z.
+    pub axis: char,
+    /// The coordinate of the wall.
+    pub wall: f64,
+    /// The coordinate that particles reach.
+    pub reach: f64,
+    /// The coordinate that the wall is moved to; `None` where the side is open instead.
+    pub moved: Option<f64>,
+}
+
+/// Counts of the particles in a column near a side.
+struct Column {
+    /// The least depth, in steps.
+    nearest: AtomicU32,
+    /// Particles of the shell.
+    shell: AtomicU32,
+    /// Particles where a lattice has a gap.
+    in_gap: AtomicU32,
+    /// Particles of the depths where full columns are full.
+    behind: AtomicU32,
+    /// The sum of the depths of the shell's particles, in steps.
+    depths: AtomicU64,
+}
+
+/// The columns behind one side.
+struct Columns {
+    axis: usize,
+    /// 1 for the upper side, and 0 for the lower one.
+    end: usize,
+    /// The coordinate of the outermost particle.
+    at: f64,
+    /// One group in so many is looked at, along both axes of the side.
+    stride: u64,
+    /// Groups that are looked at in a row.
+    row: u64,
+    columns: Vec<Column>,
+    /// The area of a column, in squared spacings.
+    area: f64,
+}
+
+impl Ends {
+    /// Looks at the ends of particles that the grid can hold; `None` where there are none, or a
+    /// frame of `spacing` cannot be told. Particles in a plane have no ends along the axis `flat`.
+    ///
+    /// The particles are read twice. The memory is some megabytes at the most.
+    #[must_use]
+    pub fn of(
+        particles: &(impl Particles + ?Sized),
+        spacing: f64,
+        flat: Option<usize>,
+        grid: &Grid,
+    ) -> Option<Self> {
+        let held = |position: &&[f64; 3]| grid.place(**position).is_ok();
+        let bounds = bounds_held(particles, grid)?;
+        let axes = (0..3).filter(|axis| flat != Some(*axis));
+        let sides: Vec<Columns> = axes
+            .flat_map(|axis| [0, 1].map(|end| Columns::of(axis, end, &bounds, spacing, flat)))
+            .collect();
+        let (lo, per_spacing) = (bounds.lo, 1.0 / spacing);
+        finite_chunks(particles).for_each(|chunk| {
+            for &position in chunk.iter().filter(held) {
+                sides.iter().for_each(|side| side.add(position.into(), lo, per_spacing));
+            }
+        });
+        let mut ends = Self {
+            reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
+            sides: [[Side::Unclear; 2]; 3],
+            spacing,
+            flat,
+        };
+        for side in sides {
+            ends.sides[side.axis][side.end] = side.judged(spacing);
+        }
+        Some(ends)
+    }
+}
+
+impl Columns {
+    fn of(axis: usize, end: usize, bounds: &Bounds, spacing: f64, flat: Option<usize>) -> Self {
+        let at = [bounds.lo, bounds.hi][end][axis];
+        let groups = |axis: usize| {
+            let columns = (bounds.hi[axis] - bounds.lo[axis]) / (COLUMN * spacing);
+            columns as u64 / GROUP + 1
+        };
+        let [u, v] = others(axis).map(groups);
+        let mut stride = 1;
+        while u.div_ceil(stride).saturating_mul(v.div_ceil(stride)) > MOST_GROUPS {
+            stride *= 2;
+        }
+        let (row, rows) = (u.div_ceil(stride), v.div_ceil(stride));
+        let columns = (0..row * rows * GROUP * GROUP).map(|_| Column::new()).collect();
+        let area = if flat.is_some() { COLUMN } else { COLUMN * COLUMN };
+        Self { axis, end, at, stride, row, columns, area }
+    }
+
+    /// Counts a particle.
+    #[inline(always)]
+    fn add(&self, position: DVec3, lo: DVec3, per_spacing: f64) {
+        let depth = (self.at - position[self.axis]).abs() * per_spacing;
+        if depth >= BEHIND[1] {
+            return;
+        }
+        let place = |axis: usize| ((position[axis] - lo[axis]) * per_spacing / COLUMN) as u64;
+        let [u, v] = others(self.axis).map(place);
+        let [group_u, group_v] = [u / GROUP, v / GROUP];
+        if group_u % self.stride != 0 || group_v % self.stride != 0 {
+            return;
+        }
+        let group = group_v / self.stride * self.row + group_u / self.stride;
+        let index = (group * GROUP + v % GROUP) * GROUP + u % GROUP;
+        let Some(column) = self.columns.get(index as usize) else { return };
+        let steps = (depth * STEPS) as u32;
+        column.nearest.fetch_min(steps, Relaxed);
+        if depth < SHELL {
+            column.shell.fetch_add(1, Relaxed);
+            column.depths.fetch_add(u64::from(steps), Relaxed);
+        }
+        if GAP.contains(&depth) {
+            column.in_gap.fetch_add(1, Relaxed);
+        }
+        if depth >= BEHIND[0] {
+            column.behind.fetch_add(1, Relaxed);
+        }
+    }
+
+    /// Whether the columns show a wall, and where.
+    fn judged(&self, spacing: f64) -> Side {
+        /// Full columns that say anything, and those of a group, by the area of a column: an area
+        /// of 120 squared spacings, and 24 spacings of particles in a plane.
+        const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
+        let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
+        let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
+        let is_full = |column: &&Column| f64::from(column.behind.load(Relaxed)) >= behind;
+        let nearest = |column: &Column| f64::from(column.nearest.load(Relaxed)) / STEPS;
+        let (mut full, mut shell, mut in_gap, mut depths) = (0, 0, 0, 0);
+        for column in self.columns.iter().filter(is_full) {
+            full += 1;
+            shell += u64::from(column.shell.load(Relaxed));
+            in_gap += u64::from(column.in_gap.load(Relaxed));
+            depths += column.depths.load(Relaxed);
+        }
+        let mut groups: Vec<f64> = self
+            .columns
+            .chunks(GROUP_COLUMNS)
+            .filter_map(|group| {
+                let full: Vec<f64> = group.iter().filter(is_full).map(nearest).collect();
+                (full.len() >= least_of_group).then(|| full.into_iter().fold(f64::MAX, f64::min))
+            })
+            .collect();
+        if full < least || groups.len() < 3 {
+            let all = self.columns.iter().map(|column| u64::from(column.shell.load(Relaxed)));
+            let is_stray = all.sum::<u64>().saturating_mul(self.stride.pow(2)) <= FEW;
+            return if is_stray { Side::Stray } else { Side::Unclear };
+        }
+        groups.sort_unstable_by(f64::total_cmp);
+        let median = groups[groups.len() / 2];
+        // A few particles may lie before the others: solvers let some in where they keep others out.
+        let end = median.min(NEAR) + NEAR;
+        let ending = self.columns.iter().filter(is_full).filter(|c| nearest(c) < end).count();
+        let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
+        let area = full as f64 * self.area;
+        let shell_per_area = shell as f64 / area;
+        if (ending as f64) < ENDING * full as f64 || !DENSITY.contains(&(shell_per_area / SHELL)) {
+            return Side::Ragged;
+        }
+        if (level as f64) < LEVEL_SHARE * groups.len() as f64 {
+            return Side::Unclear;
+        }
+        let has_gap = in_gap as f64 <= IN_GAP * area * (GAP.end - GAP.start);
+        let standing_for = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
+        let mean = depths as f64 / STEPS / shell.max(1) as f64;
+        let outside = (standing_for / 2.0 - mean).clamp(0.0, FARTHEST) * spacing;
+        Side::Plane(outward(self.end, self.at, outside))
+    }
+}
+
+impl Column {
+    fn new() -> Self {
+        let [nearest, shell, in_gap, behind] = [u32::MAX, 0, 0, 0].map(AtomicU32::new);
+        Self { nearest, shell, in_gap, behind, depths: AtomicU64::new(0) }
+    }
+}
+
+/// Bounds of the particles that a grid can hold; `None` where it holds none.
+#[must_use]
+pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option<Bounds> {
+    let of_chunk = |chunk: Vec<[f64; 3]>| {
+        let held = chunk.into_iter().filter(|&position| grid.place(position).is_ok());
+        held.map(DVec3::from).fold(Bounds::NONE, |b, p| Bounds {
+            lo: b.lo.min(p),
+            hi: b.hi.max(p),
+            finite: b.finite + 1,
+        })
+    };
+    let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
+    (bounds.finite > 0).then_some(bounds)
+}
+
+/// The axes across another.
+fn others(axis: usize) -> [usize; 2] {
+    [[1, 2], [0, 2], [0, 1]][axis]
+}
+
+/// A coordinate moved out of a box, at its lower end or at its upper one.
+fn outward(end: usize, at: f64, by: f64) -> f64 {
+    if end == 0 { at - by } else { at + by }
+}
+
+/// How far a coordinate is outside of another, at the lower or the upper end of a box.
+fn outside(end: usize, at: f64, of: f64) -> f64 {
+    if end == 0 { of - at } else { at - of }
+}
+
+/// A wall at a coordinate of few digits, moved out by a thousandth of the spacing at the most, so
+/// that it can be copied; particles that reach `reach` stay inside.
+fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
+    let digits = (3.0 - spacing.log10().floor()).clamp(0.0, 15.0) as usize;
+    let step = 10_f64.powi(-(digits as i32));
+    let short = |at: f64| format!("{at:.digits$}").parse().unwrap_or(wall);
+    let candidates = [0.0, 1.0, 2.0].map(|steps: f64| short(outward(end, wall, steps * step)));
+    let holds = |at: &f64| outside(end, *at, wall) >= 0.0 && outside(end, *at, reach) >= 0.0;
+    let of_few_digits = candidates.into_iter().find(holds).unwrap_or(wall);
+    // No zero with a sign.
+    if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
+}
+
+/// The walls that hold in all frames that were looked at, by the walls of a scene if one is known.
+///
+/// One frame alone shows its planes. Of several frames, two and a third of them at the least have to
+/// show a wall at the same place, and more than end there otherwise; in none more than some drops are
+/// farther out. The side that
+/// points up is free, unless a scene has a wall there: it is that of the axis `up` if that is known.
+/// Else it is that of y if y and z both have one. Says whether the scene is of these particles.
+#[must_use]
+pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
+    let fits = |scene: &&Walls| {
+        let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
+        let passed = sides.filter(|&(axis, end)| {
+            let passes = |wall: f64| frames.iter().any(|frame| frame.passes(axis, end, wall));
+            scene.0[axis][end].is_some_and(passes)
+        });
+        passed.count() <= 1
+    };
+    if let Some(scene) = scene.filter(fits) {
+        let walls = Walls([0, 1, 2].map(|axis| {
+            [0, 1].map(|end| {
+                let wall = scene.0[axis][end]?;
+                let near = |at: f64, spacing: f64| {
+                    (-SAME..=KEPT).contains(&(outside(end, wall, at) / spacing))
+                };
+                let shown = frames.iter().filter_map(|frame| frame.plane(axis, end));
+                let spacing = frames.first().map_or(0.0, |frame| frame.spacing);
+                let shown = shown.filter(|&at| near(at, spacing));
+                let shown = shown.reduce(|a, b| if outside(end, b, a) > 0.0 { b } else { a });
+                match shown {
+                    Some(at) => Some(rounded_for(frames, axis, end, at)),
+                    None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
+                    None => Some(wall),
+                }
+            })
+        }));
+        return (walls, true);
+    }
+    // In two dimensions it is the other one of y and z.
+    let in_plane = frames.first().and_then(|frame| frame.flat);
+    let up = up.or(in_plane.and_then(|flat| [None, Some(2), Some(1)][flat]));
+    let mut walls = Walls([0, 1, 2].map(|axis| [0, 1].map(|end| common_wall(frames, axis, end))));
+    match up {
+        Some(axis) => walls.0[axis][1] = None,
+        None if walls.0[1][1].is_some() && walls.0[2][1].is_some() => walls.0[1][1] = None,
+        None => {}
+    }
+    (walls, false)
+}
+
+fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
+    let needed = if frames.len() == 1 { 1 } else { frames.len().div_ceil(3).max(2) };
+    let spacing = frames.first()?.spacing;
+    let mut planes: Vec<f64> = frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
+    planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
+    // Whatever is inside of the outermost plane is passed there.
+    let wall = planes.into_iter().next()?;
+    let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
+    let (mut shown, mut against) = (0, 0);
+    for frame in frames {
+        match frame.sides[axis][end] {
+            Side::Plane(at) if is_same(at) => shown += 1,
+            Side::Stray => {}
+            _ if frame.passes(axis, end, wall) => return None,
+            Side::Ragged if is_same(frame.reach[axis][end]) => against += 1,
+            _ => {}
+        }
+    }
+    (shown >= needed && shown > against).then(|| rounded_for(frames, axis, end, wall))
+}
+
+/// A wall of few digits, that holds all particles of the frames that do not pass it by much.
+fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
+    let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacing));
+    let holding = reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME * spacing);
+    let reach =
+        holding.map(|(at, _)| at).fold(wall, |a, b| if outside(end, b, a) > 0.0 { b } else { a });
+    rounded(end, reach, reach, frames.first().map_or(1.0, |frame| frame.spacing))
+}
+
+impl Ends {
+    fn plane(&self, axis: usize, end: usize) -> Option<f64> {
+        match self.sides[axis][end] {
+            Side::Plane(at) => Some(at),
+            Side::Unclear | Side::Stray | Side::Ragged => None,
+        }
+    }
+
+    /// Whether particles are farther outside of a wall than it would be moved for them.
+    fn passes(&self, axis: usize, end: usize, wall: f64) -> bool {
+        outside(end, self.reach[axis][end], wall) > SAME * self.spacing
+    }
+}
+
+/// The walls for particles within some bounds, none of which is left outside: a wall that they pass
+/// is moved to them where they are near, else its side is open. Says which walls these are.
+#[must_use]
+pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<Past>) {
+    let (mut holding, mut past) = (*walls, Vec::new());
+    for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+        let (Some(wall), reach) = (walls.0[axis][end], [bounds.lo, bounds.hi][end][axis]) else {
+            continue;
+        };
+        let by = outside(end, reach, wall);
+        if by > 0.0 {
+            let moved = (by <= SAME * spacing).then_some(reach);
+            holding.0[axis][end] = moved;
+            past.push(Past { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
+        }
+    }
+    (holding, past)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Positions in a box of lattice cells, each moved by a number of its own from -1 to 1.
+    fn lattice(size: [i32; 3], moved_by: f64) -> Vec<[f64; 3]> {
+        let mut state = 1_u64;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        };
+        let mut positions = Vec::new();
+        for (x, y, z) in (0..size[0])
+            .flat_map(|x| (0..size[1]).flat_map(move |y| (0..size[2]).map(move |z| (x, y, z))))
+        {
+            positions.push([x, y, z].map(|c| f64::from(c) + 0.5 + moved_by * random()));
+        }
+        positions
+    }
+
+    fn ends(positions: &[[f64; 3]]) -> Ends {
+        let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
+        Ends::of(positions, 1.0, None, &grid).unwrap()
+    }
+
+    fn walls(positions: &[[f64; 3]]) -> Walls {
+        common(&[ends(positions)], None, Some(1)).0
+    }
+
+    fn waves([x, y, z]: &[f64; 3]) -> bool {
+        *y < 14.0 + 2.0 * (x / 6.0).sin() + 2.0 * (z / 5.0).cos()
+    }
+
+    #[test]
+    fn walls_of_tanks_are_found_within_0_3_spacings_and_hold_all_particles() {
+        // Moved by half a cell of the lattice, particles are anywhere in the tank.
+        for moved_by in [0.0, 0.1, 0.3, 0.5] {
+            let mut water = lattice([50, 20, 40], moved_by);
+            water.retain(waves);
+            let found = walls(&water);
+            let expected = [[Some(0.0), Some(50.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]];
+            for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+                let (found, expected) = (found.0[axis][end], expected[axis][end]);
+                match (found, expected) {
+                    (Some(found), Some(expected)) => {
+                        assert!((found - expected).abs() < 0.3, "{moved_by}: {found}, {expected}")
+                    }
+                    other => assert_eq!(other, (None, None), "{moved_by}, axis {axis}"),
+                }
+            }
+            let [lo, hi] = found.corners();
+            assert!(water.iter().all(|&p| DVec3::from(p).cmpge(lo).all()));
+            assert!(water.iter().all(|&p| DVec3::from(p).cmple(hi).all()));
+            water.reverse();
+            assert_eq!(walls(&water), found, "in another order");
+        }
+    }
+
+    #[test]
+    fn ends_that_are_no_planes_are_no_walls() {
+        let mut ball = lattice([48; 3], 0.4);
+        ball.retain(|p| DVec3::from(*p).distance(DVec3::splat(24.0)) < 24.0);
+        assert!(walls(&ball).is_open());
+        // A river flows in and out at ragged ends.
+        let mut river = lattice([90, 20, 30], 0.4);
+        river.retain(waves);
+        river.retain(|[x, y, z]| (4.0 + 3.0 * (z / 3.0).sin()..80.0 + 2.0 * y.cos()).contains(x));
+        let found = walls(&river);
+        assert_eq!(
+            found.0.map(|ends| ends.map(|end| end.is_some())),
+            [[false; 2], [true, false], [true; 2]]
+        );
+        // Particles past a wall leave it uncertain.
+        let mut leaking = lattice([50, 20, 40], 0.5);
+        leaking.retain(waves);
+        leaking.push([-3.0, 5.0, 5.0]);
+        assert_eq!(walls(&leaking).0[0][0], None);
+        assert!(walls(&leaking).0[0][1].is_some());
+    }
+
+    #[test]
+    fn the_free_face_of_a_dam_is_no_wall_of_the_frames_in_which_it_breaks() {
+        let dam = ends(&lattice([30, 30, 40], 0.0));
+        let mut broken = lattice([80, 20, 40], 0.3);
+        broken.retain(waves);
+        let broken = ends(&broken);
+        let frames = [dam.clone(), broken.clone(), broken.clone()];
+        let (found, _) = common(&frames, None, None);
+        let expected = [[0.0, 80.0], [0.0, f64::INFINITY], [0.0, 40.0]];
+        for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
+            let open = [f64::NEG_INFINITY, f64::INFINITY][end];
+            let at = found.0[axis][end].unwrap_or(open);
+            assert!(at == expected[axis][end] || (at - expected[axis][end]).abs() < 0.3, "{at}");
+        }
+        // More than drops are beyond it later.
+        assert_eq!(common(&[dam.clone(), dam, broken], None, None).0.0[0][1], None);
+    }
+
+    #[test]
+    fn a_wall_that_drops_have_passed_in_some_frames_is_the_wall_of_all() {
+        let mut water = lattice([50, 20, 40], 0.5);
+        water.retain(waves);
+        let tight = ends(&water);
+        water.extend([[-3.0, 5.0, 5.0], [-9.0, 5.0, 5.0]]);
+        let leaking = ends(&water);
+        let wall = |frames: &[&Ends]| {
+            let frames: Vec<Ends> = frames.iter().map(|&ends| ends.clone()).collect();
+            common(&frames, None, None).0.0[0][0]
+        };
+        let expected = wall(&[&tight]);
+        assert!(expected.is_some());
+        assert_eq!(wall(&[&tight, &leaking, &tight]), expected);
+        assert_eq!(wall(&[&tight, &leaking, &leaking]), None, "shown by one");
+    }
+
+    #[test]
+    fn a_scene_says_which_sides_are_walls_and_the_particles_where() {
+        let dam = ends(&lattice([30, 30, 40], 0.0));
+        // Fluid keeps a spacing from the boundary's particles.
+        let scene = Walls([[Some(-1.0), Some(90.0)], [Some(-1.0), None], [Some(-1.0), Some(41.0)]]);
+        let (found, is_of_these) = common(&[dam.clone()], Some(&scene), None);
+        assert!(is_of_these);
+        assert_eq!(
+            found,
+            Walls([[Some(0.0), Some(90.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]])
+        );
+        // Another simulation's.
+        let other = Walls([[Some(5.0), Some(20.0)], [Some(-1.0), None], [None, None]]);
+        assert!(!common(&[dam], Some(&other), None).1);
+    }
+
+    #[test]
+    fn walls_are_moved_for_particles_that_pass_them_by_little_and_left_out_for_others() {
+        let walls = Walls([[Some(0.0), Some(10.0)], [Some(0.0), None], [None, Some(5.0)]]);
+        let bounds =
+            Bounds { lo: DVec3::new(0.0, -0.25, -9.0), hi: DVec3::new(9.0, 90.0, 8.0), finite: 9 };
+        let (held, past) = holding(&walls, &bounds, 1.0);
+        assert_eq!(held, Walls([[Some(0.0), Some(10.0)], [Some(-0.25), None], [None, None]]));
+        let moved: Vec<_> = past.iter().map(|past| (past.axis, past.wall, past.moved)).collect();
+        assert_eq!(moved, [('y', 0.0, Some(-0.25)), ('z', 5.0, None)]);
+    }
+
+    #[test]
+    fn walls_have_few_digits_and_never_lose_the_outermost_particle() {
+        for (end, wall, reach, spacing) in [
+            (1, 1.234_567_891, 1.234_567_891, 0.05),
+            (0, -1.234_567_891, -1.234_567_891, 0.05),
+            (1, 0.1 + 0.2, 0.1 + 0.2, 1e-3),
+            (0, -7e9 / 3.0, -7e9 / 3.0, 3e8),
+            (1, 1e-12 / 3.0, 1e-12 / 3.0, 1e-13),
+        ] {
+            let rounded = rounded(end, wall, reach, spacing);
+            assert!(outside(end, rounded, reach) >= 0.0, "{rounded} loses {reach}");
+            assert!((rounded - wall).abs() <= 0.01 * spacing, "{rounded} for {wall}");
+        }
+    }
+}
