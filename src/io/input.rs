@@ -13,14 +13,14 @@ use super::input_format::extension;
 use super::pieces::keep_shared_attributes;
 use super::wanted::{Wanted, WantedPieces};
 use super::{
-    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz,
+    LeftOut, ParticleFile, Pieces, ReadError, ReadFault, bi4, collection, houdini, json, npy, npz,
     ply, text_format, vtk, vtp,
 };
 
 macro_rules! known {
     ($hdf5:literal, $vtkhdf:literal) => {
         concat!(
-            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, ",
+            ".bgeo, .bgeo.sc, .bhclassic, .bi4, .csv, .dat, .dump, .geo, ",
             $hdf5,
             ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
@@ -277,7 +277,7 @@ pub(super) fn no_hdf5() -> ReadFault {
 fn reader(format: InputFormat) -> Reader {
     use InputFormat::{Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz};
     match format {
-        Bgeo => Reader::OneFile(|bytes, _| bgeo::read_particles(bytes)),
+        Bgeo => Reader::Pieces(houdini::open_particles),
         Bi4 => Reader::Pieces(bi4::open_particles),
         Csv | Lammps | Xyz => Reader::Steps(text_format::open_particles),
         Hdf5 => Reader::Steps(HDF5),
