@@ -14,6 +14,10 @@ const LEAST_SPLIT: usize = 128;
 /// Distance of the farthest repetition that BloscLZ writes in 13 bits.
 const FARTHEST: usize = 8191;
 
+/// Bytes of a number and of a block that are written, as Houdini's are.
+const WRITTEN_TYPE: usize = 4;
+const WRITTEN_BLOCK: usize = 1 << 19;
+
 /// A reason why a chunk is not unpacked.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Fault {
@@ -135,6 +139,38 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), Fault> {
         }
     }
     Ok(())
+}
+
+/// Packs a chunk by LZ4, its bytes shuffled as those of numbers of 32 bits.
+pub fn pack(bytes: &[u8]) -> Vec<u8> {
+    let header = |flags: u8, length: usize| {
+        let mut header = vec![2, 1, flags, WRITTEN_TYPE as u8];
+        for number in [bytes.len(), WRITTEN_BLOCK.min(bytes.len()), length] {
+            header.extend((number as u32).to_le_bytes());
+        }
+        header
+    };
+    let blocks = bytes.len().div_ceil(WRITTEN_BLOCK);
+    let (mut starts, mut packed) = (Vec::new(), Vec::new());
+    let mut shuffled = Vec::new();
+    for block in bytes.chunks(WRITTEN_BLOCK) {
+        let start = HEADER + 4 * blocks + packed.len();
+        starts.extend((start as u32).to_le_bytes());
+        shuffled.clear();
+        let (numbers, rest) = block.as_chunks::<WRITTEN_TYPE>();
+        (0..WRITTEN_TYPE).for_each(|byte| shuffled.extend(numbers.iter().map(|n| n[byte])));
+        shuffled.extend(rest);
+        // Not split, so that blocks of any length are packed alike.
+        let small = lz4_flex::block::compress(&shuffled);
+        let small = if small.len() < shuffled.len() { &small } else { &shuffled };
+        packed.extend((small.len() as u32).to_le_bytes());
+        packed.extend_from_slice(small);
+    }
+    let length = HEADER + starts.len() + packed.len();
+    if length >= HEADER + bytes.len() {
+        return [&header(0x22, HEADER + bytes.len()), bytes].concat();
+    }
+    [header(0x31, length), starts, packed].concat()
 }
 
 fn unpack_block(header: &Header, mut packed: &[u8], out: &mut [u8]) -> Result<(), Fault> {

@@ -4,6 +4,8 @@
 //! from there, the bytes that every chunk but the last unpacks to, those of the last, the length of
 //! this index, and "1fcs". Numbers are of 64 bits and big endian.
 
+use std::io::{self, Write};
+
 use rayon::prelude::*;
 
 use crate::io::bytes::{Bytes, Kept, Unpacked, Unpacking, View, unpacked_limit};
@@ -21,6 +23,9 @@ const END: &[u8] = b"1fcs";
 const NUMBER: u64 = 8;
 /// Bytes that a chunk may unpack to: Houdini's are of 1 MiB.
 const LARGEST: u64 = 64 << 20;
+
+/// Bytes of a chunk that is written, as Houdini's are.
+const CHUNK: usize = 1 << 20;
 
 /// Chunks of a container, and what they unpack to.
 struct Chunks<'a> {
@@ -142,5 +147,75 @@ impl<'a> Chunks<'a> {
         // The first fault, on any number of threads.
         let results: Vec<Result<(), ReadFault>> = results.collect();
         results.into_iter().collect()
+    }
+}
+
+/// A container that is written: chunks are compressed on all threads, a few at once.
+pub struct Packing<'a> {
+    out: &'a mut dyn Write,
+    /// Bytes of chunks that are not compressed yet.
+    waiting: Vec<u8>,
+    at_once: usize,
+    /// Bytes of chunks that were written.
+    written: u64,
+    /// Where each chunk starts, from the first.
+    starts: Vec<u64>,
+    last: usize,
+}
+
+impl<'a> Packing<'a> {
+    /// Begins a container.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn new(out: &'a mut dyn Write) -> io::Result<Self> {
+        out.write_all(MAGIC)?;
+        out.write_all(&0_u64.to_be_bytes())?;
+        let at_once = 2 * rayon::current_num_threads() * CHUNK;
+        Ok(Self { out, waiting: Vec::new(), at_once, written: 0, starts: Vec::new(), last: 0 })
+    }
+
+    fn pack(&mut self) -> io::Result<()> {
+        let chunks: Vec<Vec<u8>> = self.waiting.par_chunks(CHUNK).map(blosc::pack).collect();
+        for chunk in &chunks {
+            self.starts.push(self.written);
+            self.out.write_all(chunk)?;
+            self.written += chunk.len() as u64;
+        }
+        if !self.waiting.is_empty() {
+            self.last = self.waiting.len() - (self.waiting.len() - 1) / CHUNK * CHUNK;
+        }
+        self.waiting.clear();
+        Ok(())
+    }
+
+    /// Writes the chunks that wait, and the index.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.pack()?;
+        let starts = self.starts.iter().skip(1).copied();
+        let index: Vec<u8> =
+            starts.chain([CHUNK as u64, self.last as u64]).flat_map(u64::to_be_bytes).collect();
+        self.out.write_all(&index)?;
+        self.out.write_all(&(index.len() as u64).to_be_bytes())?;
+        self.out.write_all(END)
+    }
+}
+
+impl Write for Packing<'_> {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let taken = buffer.len().min(self.at_once - self.waiting.len());
+        self.waiting.extend_from_slice(&buffer[..taken]);
+        if self.waiting.len() == self.at_once {
+            self.pack()?;
+        }
+        Ok(taken)
+    }
+
+    /// Chunks are written when they are full.
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
