@@ -299,12 +299,15 @@ mod tests {
     use crate::io::compression::EXTENSIONS;
 
     /// Extensions that are recognised to say what to do instead.
-    const ADVISED: [&str; 4] = ["sc", "h5", "h5part", "hdf5"];
+    const ADVISED: [&str; 3] = ["h5", "h5part", "hdf5"];
 
     #[test]
     fn the_extensions_that_messages_know_are_those_that_have_a_reader() {
-        let known: BTreeSet<&str> =
-            KNOWN.split(&[',', ' '][..]).filter_map(|word| word.strip_prefix('.')).collect();
+        let known: BTreeSet<&str> = KNOWN
+            .split(&[',', ' '][..])
+            .filter_map(|word| word.rsplit_once('.'))
+            .map(|(_, own)| own)
+            .collect();
         let (_, arms) =
             include_str!("input_format.rs").split_once("match extension(path)?").unwrap();
         let (arms, _) = arms.split_once("_ => return None").unwrap();

@@ -44,7 +44,7 @@ impl InputFormat {
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         Some(match extension(path)?.as_str() {
-            "bgeo" | "bgeosc" | "bhclassic" | "geo" | "sc" => Self::Bgeo,
+            "bgeo" | "bhclassic" | "geo" | "sc" => Self::Bgeo,
             "bi4" => Self::Bi4,
             "csv" | "dat" | "txt" => Self::Csv,
             "dump" | "lammpstrj" => Self::Lammps,
