@@ -278,7 +278,7 @@ fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     out[whole..].copy_from_slice(&shuffled[whole..]);
 }
 
-/// The same for a width that the compiler knows.
+/// Puts the bytes of numbers side by side, whose width the compiler knows.
 fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     let count = out.len() / N;
     if count == 0 {
@@ -294,7 +294,7 @@ fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
 /// numbers come first. Numbers that are no multiple of 8 were left as they are.
 fn restore_bits(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
-    if count % 8 != 0 {
+    if !count.is_multiple_of(8) {
         return out.copy_from_slice(shuffled);
     }
     let (whole, row) = (count * type_size, count / 8);

@@ -150,6 +150,7 @@ macro_rules! numbers {
     ($($scalar:ident $type:ident $number:ident),*) => {
         impl Storage {
             /// The number of an index among those that are stored.
+            #[allow(clippy::cast_lossless)] // One line for all types, u64 among them.
             fn number(self, stored: &[u8], index: usize, endian: Endian) -> Number {
                 match self {
                     Self::Bits => {

@@ -199,7 +199,7 @@ impl Opened {
         let mut free = bound;
         free.iter_mut().for_each(|word| *word = !*word);
         if let Some(last) = free.last_mut()
-            && points % 64 != 0
+            && !points.is_multiple_of(64)
         {
             *last &= (1 << (points % 64)) - 1;
         }

@@ -144,6 +144,9 @@ fn components(first: Column, values: &Values) -> Vec<Column> {
     (0..values.components as usize).map(|index| first.component(index)).collect()
 }
 
+/// A label, the column of its numbers, and the place among its texts for each number.
+type LabelColumn = (Label, (Column, Vec<u32>));
+
 /// Numbers that are unpacked, attribute after attribute.
 pub struct Columns<'a> {
     stores: Stores<'a>,
@@ -160,7 +163,7 @@ impl<'a> Columns<'a> {
         Self { stores, unpacked: Unpacked::new(unpacking), points, left }
     }
 
-    /// All of them.
+    /// The bytes of all columns.
     pub fn finish(self) -> Result<Kept, ReadFault> {
         self.unpacked.finish()
     }
@@ -205,10 +208,7 @@ impl<'a> Columns<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Malformed`] for a number that is no text's, and those of [`push`](Self::push).
-    pub fn push_texts(
-        &mut self,
-        attribute: &Attribute,
-    ) -> Result<Option<(Label, (Column, Vec<u32>))>, ReadFault> {
+    pub fn push_texts(&mut self, attribute: &Attribute) -> Result<Option<LabelColumn>, ReadFault> {
         let Attribute { name, values, texts } = attribute;
         let texts = texts.as_ref().filter(|texts| texts.len() <= MOST_TEXTS);
         let Some(texts) = texts.filter(|_| values.components == 1) else { return Ok(None) };

@@ -1,5 +1,5 @@
-//! What a Houdini geometry holds: its points' attributes, and the primitives that its points belong
-//! to.
+//! The contents of a Houdini geometry: the points' attributes, and the primitives that connect
+//! points.
 //!
 //! Lists alternate keys and values as maps do. Numbers that are short lists are gathered in a store
 //! of their own, and arrays of numbers stay where they are.

@@ -46,7 +46,7 @@ enum Type {
 }
 
 impl Type {
-    /// Its name, and its byte in binary JSON.
+    /// The name of the type, and the byte that stands for it in binary JSON.
     fn spelled(self) -> (&'static str, u8) {
         match self {
             Self::F32 => ("fpreal32", 0x19),
@@ -260,11 +260,11 @@ impl Tokens {
     fn length(&mut self, length: u64) -> &mut Self {
         match length {
             ..=0xf0 => self.0.push(length as u8),
-            ..=0xffff => {
+            0xf1..=0xffff => {
                 self.0.push(0xf2);
                 self.0.extend((length as u16).to_le_bytes());
             }
-            ..=0xffff_ffff => {
+            0x1_0000..=0xffff_ffff => {
                 self.0.push(0xf4);
                 self.0.extend((length as u32).to_le_bytes());
             }

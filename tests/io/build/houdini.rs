@@ -247,7 +247,7 @@ impl Binary {
     fn length(&mut self, length: usize) {
         match length {
             ..=0xf0 => self.out.push(length as u8),
-            ..=0xffff => {
+            0xf1..=0xffff => {
                 self.out.push(0xf2);
                 self.number((length as u16).to_le_bytes());
             }
