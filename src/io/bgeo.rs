@@ -20,12 +20,10 @@ const NUMBER: u64 = 4;
 /// w is not divided by: it is 1 for every point that is not part of a curve.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for Houdini's newer files and plain strings; [`ReadFault::Malformed`]
-/// and [`ReadFault::Truncated`] for a header that does not fit the file.
+/// [`ReadFault::Unsupported`] for plain strings; [`ReadFault::Malformed`] and
+/// [`ReadFault::Truncated`] for a header that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let view = bytes.view();
-    refuse_newer_formats(&view.read(0..view.len().min(5))?)?;
-    let mut cursor = Cursor::new(view, 0, Endian::Big);
+    let mut cursor = Cursor::new(bytes.view(), 0, Endian::Big);
     if cursor.take("the magic", 5)? != b"BgeoV" {
         return Err(malformed(0, "not a .bgeo file: it does not begin with \"BgeoV\""));
     }
@@ -72,19 +70,6 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let particles: ColumnStore =
         ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
     Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
-}
-
-fn refuse_newer_formats(start: &[u8]) -> Result<(), ReadFault> {
-    let newer = if start.starts_with(b"\x7fNSJ") || start.starts_with(b"[") {
-        "JSON .bgeo of Houdini 12 and later"
-    } else if start.starts_with(b"scf1") {
-        ".bgeo.sc, compressed by blosc"
-    } else {
-        return Ok(());
-    };
-    Err(ReadFault::Unsupported(format!(
-        "{newer}; save it as .bhclassic, or with HOUDINI_GEOMETRY_FORMAT=hclassic"
-    )))
 }
 
 /// The definition of a point attribute: its name and how it is stored.

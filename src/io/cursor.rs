@@ -65,7 +65,11 @@ impl<'a> Cursor<'a> {
         Ok(&self.window[start - self.window_at..][..count as usize])
     }
 
-    fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], ReadFault> {
+    /// The bytes of a number, the lowest first.
+    ///
+    /// # Errors
+    /// As [`take`](Self::take).
+    pub fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], ReadFault> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(what, N as u64)?);
         if self.endian == Endian::Big {

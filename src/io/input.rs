@@ -13,14 +13,14 @@ use super::pieces::join_files;
 use super::text_format::TextHint;
 use super::wanted::{Wanted, WantedPieces};
 use super::{
-    ParticleFile, Pieces, ReadError, ReadFault, bgeo, bi4, collection, json, npy, npz, ply,
+    ParticleFile, Pieces, ReadError, ReadFault, bi4, collection, houdini, json, npy, npz, ply,
     text_format, vtk, vtp,
 };
 
 macro_rules! known {
     ($hdf5:literal, $vtkhdf:literal) => {
         concat!(
-            ".bgeo, .bhclassic, .bi4, .csv, .dat, .dump, .extxyz, ",
+            ".bgeo, .bgeo.sc, .bhclassic, .bi4, .csv, .dat, .dump, .extxyz, .geo, ",
             $hdf5,
             ".json, .lammpstrj, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
             $vtkhdf,
@@ -265,7 +265,7 @@ fn reader(format: InputFormat) -> Reader {
         Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Tecplot, Vtk, Vtp, Xyz,
     };
     match format {
-        Bgeo => Reader::OneFile(|bytes, _| bgeo::read_particles(bytes)),
+        Bgeo => Reader::Pieces(houdini::open_particles),
         Bi4 => Reader::Pieces(bi4::open_particles),
         Csv | Lammps | Tecplot | Xyz => Reader::Text,
         Hdf5 => Reader::Steps(HDF5),
@@ -287,12 +287,15 @@ mod tests {
     use crate::io::compression::EXTENSIONS;
 
     /// Extensions that are recognised to say what to do instead.
-    const ADVISED: [&str; 5] = ["sc", "h5", "h5md", "h5part", "hdf5"];
+    const ADVISED: [&str; 4] = ["h5", "h5md", "h5part", "hdf5"];
 
     #[test]
     fn the_extensions_that_messages_know_are_those_that_have_a_reader() {
-        let known: BTreeSet<&str> =
-            KNOWN.split(&[',', ' '][..]).filter_map(|word| word.strip_prefix('.')).collect();
+        let known: BTreeSet<&str> = KNOWN
+            .split(&[',', ' '][..])
+            .filter_map(|word| word.rsplit_once('.'))
+            .map(|(_, own)| own)
+            .collect();
         let (_, arms) =
             include_str!("input_format.rs").split_once("match extension(path)?").unwrap();
         let (arms, _) = arms.split_once("_ => return None").unwrap();

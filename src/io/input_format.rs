@@ -11,7 +11,7 @@ use super::compression::plain_name;
 #[serde(rename_all = "lowercase")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum), value(rename_all = "lower"))]
 pub enum InputFormat {
-    /// Houdini's classic .bgeo.
+    /// Houdini's .bgeo, .bgeo.sc and .geo, of all versions.
     Bgeo,
     /// DualSPHysics' .bi4.
     Bi4,
@@ -46,8 +46,7 @@ impl InputFormat {
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         Some(match extension(path)?.as_str() {
-            // `.bgeo.sc` is recognised to say what to do instead.
-            "bgeo" | "bhclassic" | "sc" => Self::Bgeo,
+            "bgeo" | "bhclassic" | "geo" | "sc" => Self::Bgeo,
             "bi4" => Self::Bi4,
             "csv" | "dat" | "txt" => Self::Csv,
             "dump" | "lammpstrj" => Self::Lammps,

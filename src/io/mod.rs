@@ -19,6 +19,7 @@ mod ghosts;
 pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod h5;
+pub mod houdini;
 pub mod input;
 mod input_format;
 pub mod joined;
@@ -109,6 +110,13 @@ pub enum LeftOut {
         /// Contents of the block.
         holds: String,
     },
+    /// Polygons and other primitives among particles, with the points that they connect.
+    Primitives {
+        /// Each kind, and how many there are.
+        kinds: Vec<(String, u64)>,
+        /// The number of their points.
+        points: u64,
+    },
 }
 
 impl fmt::Display for LeftOut {
@@ -118,6 +126,11 @@ impl fmt::Display for LeftOut {
                 write!(f, "attribute {name} ({components}), which is not in all pieces")
             }
             Self::Block { name, holds } => write!(f, "block {name}, which holds {holds}"),
+            Self::Primitives { kinds, points } => {
+                let kinds = kinds.iter().map(|(kind, count)| format!("{count} {kind}"));
+                let kinds = kinds.collect::<Vec<_>>().join(", ");
+                write!(f, "{kinds} and their {points} points")
+            }
         }
     }
 }

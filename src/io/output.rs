@@ -13,7 +13,7 @@ use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
-use super::{glb, obj, ply, stl, usd, vtk, vtkhdf, vtp};
+use super::{glb, houdini, obj, ply, stl, usd, vtk, vtkhdf, vtp};
 
 /// The format of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +29,8 @@ pub enum MeshFormat {
     Stl,
     Usdc(UpAxis),
     Glb(glb::Layout),
+    /// Houdini's, compressed by Blosc.
+    BgeoSc,
 }
 
 impl fmt::Display for MeshFormat {
@@ -43,13 +45,14 @@ impl fmt::Display for MeshFormat {
             Self::Stl => ".stl",
             Self::Usdc(_) => ".usdc",
             Self::Glb(_) => ".glb",
+            Self::BgeoSc => ".bgeo.sc",
         })
     }
 }
 
 impl MeshFormat {
     /// All that there are.
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 10] = [
         Self::Ply,
         Self::Obj,
         Self::Vtk,
@@ -59,10 +62,12 @@ impl MeshFormat {
         Self::Stl,
         Self::Usdc(UpAxis::Y),
         Self::Glb(glb::Layout::PLAIN),
+        Self::BgeoSc,
     ];
 
     /// The extensions, for messages.
-    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc and .glb";
+    pub const KNOWN: &'static str =
+        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb and .bgeo.sc";
 
     /// By the extension, in upper or lower case.
     #[must_use]
@@ -77,6 +82,10 @@ impl MeshFormat {
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
             "glb" => Some(Self::Glb(glb::Layout::PLAIN)),
+            "sc" => {
+                let before = Path::new(path.file_stem()?).extension()?;
+                before.eq_ignore_ascii_case("bgeo").then_some(Self::BgeoSc)
+            }
             _ => None,
         }
     }
@@ -95,7 +104,7 @@ impl MeshFormat {
     /// Whether it is read as well as written.
     #[must_use]
     pub fn is_read(self) -> bool {
-        !matches!(self, Self::Usdc(_) | Self::Glb(_))
+        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc)
     }
 
     /// Whether it has a place for normals of vertices.
@@ -128,6 +137,7 @@ impl MeshFormat {
                 vtp::arrays::attribute_names(attributes, has_normals, str::to_owned)
             }
             Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
+            Self::BgeoSc => houdini::attribute_names(attributes, has_normals),
             Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
         };
         let both = attributes.iter().zip(names).filter(|(info, name)| info.name != *name);
@@ -139,6 +149,8 @@ impl MeshFormat {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
+            // Each array of the vertices by itself, where a colour may be two, and triangles.
+            Self::BgeoSc => arrays + 2,
             // Every array of the vertices by itself, and triangles.
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
             // Vertices and triangles first to put them in order.
@@ -173,7 +185,7 @@ impl MeshFormat {
             // Every triangle takes four of the numbers that are counted in an i32.
             Self::Vtk => [I32, I32 / 4],
             // The last triangle's end is three times their number.
-            Self::Vtp | Self::Pvtp | Self::VtkHdf => [I64, I64 / 3],
+            Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::BgeoSc => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Usdc(_) => [I32, u64::MAX / 3],
             // 4 GiB, of positions at 12 bytes a vertex and indices at 12 a triangle.
@@ -237,6 +249,7 @@ impl MeshFormat {
             Self::Stl => stl::write_mesh(out, mesh, width),
             Self::Usdc(up) => usd::write_mesh(out, mesh, up),
             Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
+            Self::BgeoSc => houdini::write_mesh(out, mesh, width),
         }
     }
 
@@ -253,7 +266,7 @@ impl MeshFormat {
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc(_) | Self::Glb(_) => {
+            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc => {
                 let what = format!(
                     "{self} meshes are written and not read; convert the particles to .ply as well"
                 );

@@ -126,7 +126,7 @@ impl Series {
             MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => {
                 vec![list, self.appended(".series")]
             }
-            MeshFormat::Obj | MeshFormat::Glb(_) => vec![list],
+            MeshFormat::Obj | MeshFormat::Glb(_) | MeshFormat::BgeoSc => vec![list],
             // What the stage names is there before it.
             MeshFormat::Usdc(_) => vec![list, self.clips(), self.simulation.with_extension("usda")],
         }

@@ -1,5 +1,8 @@
 //! Files of every binary layout, written byte by byte from the formats' descriptions.
 
+#[path = "build/houdini.rs"]
+pub mod houdini;
+
 use std::io::{Cursor, Write};
 
 use base64::Engine;

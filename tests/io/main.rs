@@ -9,6 +9,7 @@ mod ghost_cells;
 mod glb;
 #[cfg(feature = "hdf5")]
 mod hdf5;
+mod houdini;
 mod joined;
 mod memory;
 mod mesh_files;

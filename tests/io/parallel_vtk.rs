@@ -222,6 +222,7 @@ fn a_list_of_blocks_gives_its_particles_and_names_what_else_it_holds() {
     let named = |left_out: &LeftOut| match left_out {
         LeftOut::Block { name, .. } => name.clone(),
         LeftOut::Attribute(info) => info.name.clone(),
+        LeftOut::Primitives { .. } => panic!("{left_out}"),
     };
     assert_eq!(file.left_out.iter().map(named).collect::<Vec<_>>(), ["solid", "p/i.vti"]);
     set.write("a.vtm", &list(solid));

@@ -34,7 +34,7 @@ pub struct Options {
     pub together: bool,
     #[command(flatten)]
     pub settings: Settings,
-    /// The mesh: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc or .glb.
+    /// The mesh: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb or .bgeo.sc.
     ///
     /// Of a simulation: a name with {} or {:04} for the number, or a folder.
     #[arg(short, long, help_heading = "Output")]

@@ -123,8 +123,7 @@ impl Numbers {
 
         let [sheet, thread] = self.stretches;
         let power = ONE / 2 + threaded / 2;
-        let stretch =
-            sheet + (((thread - sheet) * threaded) >> BITS) - ((density * power) >> BITS);
+        let stretch = sheet + (((thread - sheet) * threaded) >> BITS) - ((density * power) >> BITS);
         let stretch = stretch.clamp(0, u16::MAX.into()) as u16;
         let passed = |share: u32, gate: u32| (share * gate) >> BITS;
         let certain = passed(

@@ -7,11 +7,14 @@ use meniscus::internals::io::input::InputFormat;
 use meniscus::internals::io::text_format::TextHint;
 use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
-    ParticleFile, ReadFault, bgeo, bi4, h5, json, npy, npz, ply, text_format, vtk, vtp,
+    ParticleFile, ReadFault, bgeo, bi4, h5, houdini, json, npy, npz, ply, text_format, vtk, vtp,
 };
 use meniscus::internals::particles::Particles;
 use zip::CompressionMethod;
 
+use super::build::houdini::{
+    Codec, Container, Form, Layout, Value, cloud, geometry, keyed, numeric, strings, text,
+};
 use super::build::{self, Bi4, VtkXml, tuples};
 use super::{Target, meshes};
 
@@ -26,6 +29,26 @@ pub fn targets() -> Vec<Target> {
             run: |data| read_through(bgeo::read_particles(own(data))),
             seeds: bgeos,
             words: &[],
+        },
+        Target {
+            name: "houdini",
+            runs: 20000,
+            run: |data| {
+                let all = WantedAttributes::All;
+                read_through(houdini::read_particles(own(data), all, memory()));
+            },
+            seeds: geometries,
+            words: GEOMETRY,
+        },
+        Target {
+            name: "blosc",
+            runs: 10000,
+            run: |data| {
+                let all = WantedAttributes::All;
+                read_through(houdini::read_particles(own(data), all, memory()));
+            },
+            seeds: containers,
+            words: &["scf1", "1fcs", "\u{2}\u{1}", "\u{21}\u{4}"],
         },
         Target {
             name: "bi4",
@@ -90,6 +113,40 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
+const GEOMETRY: &[&str] = &[
+    "\u{7f}NSJb",
+    "\u{7f}bJSN",
+    "pointcount",
+    "topology",
+    "pointref",
+    "indices",
+    "attributes",
+    "pointattributes",
+    "numeric",
+    "string",
+    "strings",
+    "values",
+    "storage",
+    "fpreal16",
+    "int64",
+    "size",
+    "pagesize",
+    "packing",
+    "constantpageflags",
+    "rawpagedata",
+    "tuples",
+    "arrays",
+    "primitives",
+    "type",
+    "run",
+    "n_p",
+    "vertex",
+    "Part",
+    "PackedGeometry",
+    "[]",
+    "1e308",
+    "18446744073709551615",
+];
 const BI4: &[&str] = &[
     "CaseNfixed",
     "CaseNmoving",
@@ -322,6 +379,35 @@ fn run_hdf5(data: &[u8]) {
 
 fn bgeos() -> Vec<Vec<u8>> {
     vec![build::bgeo(&tuples(3)), build::bgeo(&[])]
+}
+
+fn geometries() -> Vec<Vec<u8>> {
+    let position = |layout| numeric("P", "fpreal32", 4, &[0.5; 12], &layout);
+    let whole = geometry(
+        3,
+        vec![
+            position(Layout::Pages(2, vec![3, 1])),
+            numeric("v", "fpreal16", 3, tuples(3).as_flattened(), &Layout::Tuples),
+            strings("name", &["a", "b"], &[0.0, -1.0, 1.0], &Layout::Arrays),
+        ],
+        &[0.0, 1.0],
+        vec![Value::List(vec![
+            keyed(vec![("type", text("Poly"))]),
+            keyed(vec![("vertex", Value::Numbers("int32", vec![0.0, 1.0]))]),
+        ])],
+    );
+    let plain = cloud(3, vec![position(Layout::Arrays)]);
+    let documents = |value: Value| Form::ALL.map(|form| value.document(form));
+    [whole, plain].into_iter().flat_map(documents).collect()
+}
+
+fn containers() -> Vec<Vec<u8>> {
+    let p = numeric("P", "fpreal32", 3, tuples(60).as_flattened(), &Layout::Pages(64, vec![3]));
+    let document = cloud(60, vec![p]).document(Form::ALL[1]);
+    let packed = [Codec::Stored, Codec::Lz4, Codec::Zlib, Codec::Zstd].map(|codec| {
+        Container { codec, chunk: 800, block: 512, ..Container::USUAL }.pack(&document)
+    });
+    packed.to_vec()
 }
 
 fn bi4s() -> Vec<Vec<u8>> {

@@ -95,7 +95,7 @@ impl Values {
     }
 }
 
-/// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm, .ply, .npy, .npz,
+/// Reads the particles of a file: .bgeo, .bgeo.sc, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm, .ply, .npy, .npz,
 /// .csv, .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
 ///
 /// Parameters

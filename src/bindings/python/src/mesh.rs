@@ -198,7 +198,7 @@ impl Mesh {
     }
 
     /// Writes it to a file whose extension says the format: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf,
-    /// .stl, .usdc or .glb.
+    /// .stl, .usdc, .glb or .bgeo.sc.
     ///
     /// The file appears whole or not at all, and is, byte for byte, what the program writes for the
     /// same particles and options.

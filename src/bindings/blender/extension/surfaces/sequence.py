@@ -16,9 +16,9 @@ import meniscus
 
 #: Extensions of all files that hold particles or list such, of packed frames, and of compressed files.
 EXTENSIONS = (
-    ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".extxyz", ".h5", ".h5md", ".h5part", ".hdf", ".hdf5",
-    ".json", ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".series", ".txt", ".vtk",
-    ".vtkhdf", ".vtm", ".vtp", ".vtpc", ".vtpd", ".vtu", ".xyz",
+    ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".extxyz", ".geo", ".h5", ".h5md", ".h5part", ".hdf",
+    ".hdf5", ".json", ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".sc", ".series", ".txt",
+    ".vtk", ".vtkhdf", ".vtm", ".vtp", ".vtpc", ".vtpd", ".vtu", ".xyz",
     ".gz", ".xz", ".zst",
 )
 #: The last digits before the extensions that are no number themselves, with a sign where the dash is not of the name.

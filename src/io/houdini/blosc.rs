@@ -1,0 +1,312 @@
+//! Chunks of Blosc 1: blocks of bytes, shuffled so that the first bytes of all numbers are
+//! neighbours, and compressed by one of several methods.
+//!
+//! The format is that of c-blosc's README_HEADER.rst; numbers are little endian.
+
+use libdeflater::Decompressor;
+
+/// Bytes of a chunk's header.
+const HEADER: usize = 16;
+/// Widest numbers of which each byte is compressed by itself.
+const MOST_SPLITS: usize = 16;
+/// Numbers of a block that is split.
+const LEAST_SPLIT: usize = 128;
+/// Distance of the farthest repetition that BloscLZ writes in 13 bits.
+const FARTHEST: usize = 8191;
+
+/// Bytes of a number and of a block that are written, as Houdini's are.
+const WRITTEN_TYPE: usize = 4;
+const WRITTEN_BLOCK: usize = 1 << 19;
+
+/// A reason why a chunk is not unpacked.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// A method of compression that is not known.
+    Unknown(&'static str),
+    /// Damage.
+    Damaged(&'static str),
+}
+
+use Fault::Damaged;
+
+/// A method of compression.
+#[derive(Debug, Clone, Copy)]
+enum Codec {
+    BloscLz,
+    Lz4,
+    Zlib,
+    Zstd,
+}
+
+/// An order of bytes in a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Filter {
+    None,
+    /// The first bytes of all numbers, then the second ones, and so on.
+    Bytes,
+    /// The lowest bits of all numbers, then the next ones, and so on.
+    Bits,
+}
+
+/// A chunk's header.
+struct Header {
+    codec: Codec,
+    filter: Filter,
+    is_stored: bool,
+    may_split: bool,
+    type_size: usize,
+    block: usize,
+}
+
+impl Header {
+    fn of(chunk: &[u8], length: usize) -> Result<Self, Fault> {
+        let header: &[u8; HEADER] = chunk.first_chunk().ok_or(Damaged("it has no header"))?;
+        let number = |at: usize| {
+            u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]])
+                as usize
+        };
+        let (flags, type_size) = (header[2], usize::from(header[3]));
+        if header[0] == 0 || header[0] > 2 {
+            return Err(Damaged("its version is not 1 or 2"));
+        }
+        if number(4) != length {
+            return Err(Damaged("it unpacks to another length than the index says"));
+        }
+        if number(12) != chunk.len() {
+            return Err(Damaged("it is of another length than the index says"));
+        }
+        let block = number(8);
+        if type_size == 0 || (block == 0 && length > 0) {
+            return Err(Damaged("blocks or numbers without bytes"));
+        }
+        let codec = match flags >> 5 {
+            0 => Codec::BloscLz,
+            1 => Codec::Lz4,
+            2 => return Err(Fault::Unknown("Snappy")),
+            3 => Codec::Zlib,
+            4 => Codec::Zstd,
+            _ => return Err(Damaged("its compression has no name")),
+        };
+        let filter = match flags {
+            _ if flags & 4 != 0 => Filter::Bits,
+            _ if flags & 1 != 0 && type_size > 1 => Filter::Bytes,
+            _ => Filter::None,
+        };
+        let (is_stored, may_split) = (flags & 2 != 0, flags & 0x10 == 0);
+        Ok(Self { codec, filter, is_stored, may_split, type_size, block })
+    }
+
+    /// The streams that a block of so many bytes is compressed as.
+    fn streams(&self, bytes: usize) -> usize {
+        let is_split = self.may_split
+            && bytes == self.block
+            && self.type_size <= MOST_SPLITS
+            && bytes / self.type_size >= LEAST_SPLIT;
+        if is_split { self.type_size } else { 1 }
+    }
+}
+
+/// Unpacks a chunk that fills `out`.
+pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), Fault> {
+    let header = Header::of(chunk, out.len())?;
+    let rest = &chunk[HEADER..];
+    if header.is_stored {
+        if rest.len() != out.len() {
+            return Err(Damaged("its bytes are not as many as it says"));
+        }
+        out.copy_from_slice(rest);
+        return Ok(());
+    }
+    if out.is_empty() {
+        return Ok(());
+    }
+    let mut shuffled = Vec::new();
+    for (number, block) in out.chunks_mut(header.block).enumerate() {
+        let at = HEADER + 4 * number;
+        let at = chunk.get(at..at + 4).ok_or(Damaged("it ends within its blocks' offsets"))?;
+        let at = u32::from_le_bytes([at[0], at[1], at[2], at[3]]) as usize;
+        let packed = chunk.get(at..).filter(|_| at >= HEADER);
+        let packed = packed.ok_or(Damaged("a block is outside"))?;
+        if header.filter == Filter::None {
+            unpack_block(&header, packed, block)?;
+            continue;
+        }
+        shuffled.resize(block.len(), 0);
+        unpack_block(&header, packed, &mut shuffled)?;
+        match header.filter {
+            Filter::Bits => restore_bits(&shuffled, header.type_size, block),
+            _ => restore_bytes(&shuffled, header.type_size, block),
+        }
+    }
+    Ok(())
+}
+
+/// Packs a chunk by LZ4, its bytes shuffled as those of numbers of 32 bits.
+pub fn pack(bytes: &[u8]) -> Vec<u8> {
+    let header = |flags: u8, length: usize| {
+        let mut header = vec![2, 1, flags, WRITTEN_TYPE as u8];
+        for number in [bytes.len(), WRITTEN_BLOCK.min(bytes.len()), length] {
+            header.extend((number as u32).to_le_bytes());
+        }
+        header
+    };
+    let blocks = bytes.len().div_ceil(WRITTEN_BLOCK);
+    let (mut starts, mut packed) = (Vec::new(), Vec::new());
+    let mut shuffled = Vec::new();
+    for block in bytes.chunks(WRITTEN_BLOCK) {
+        let start = HEADER + 4 * blocks + packed.len();
+        starts.extend((start as u32).to_le_bytes());
+        shuffled.clear();
+        let (numbers, rest) = block.as_chunks::<WRITTEN_TYPE>();
+        (0..WRITTEN_TYPE).for_each(|byte| shuffled.extend(numbers.iter().map(|n| n[byte])));
+        shuffled.extend(rest);
+        // Not split, so that blocks of any length are packed alike.
+        let small = lz4_flex::block::compress(&shuffled);
+        let small = if small.len() < shuffled.len() { &small } else { &shuffled };
+        packed.extend((small.len() as u32).to_le_bytes());
+        packed.extend_from_slice(small);
+    }
+    let length = HEADER + starts.len() + packed.len();
+    if length >= HEADER + bytes.len() {
+        return [&header(0x22, HEADER + bytes.len()), bytes].concat();
+    }
+    [header(0x31, length), starts, packed].concat()
+}
+
+fn unpack_block(header: &Header, mut packed: &[u8], out: &mut [u8]) -> Result<(), Fault> {
+    let streams = header.streams(out.len());
+    // The bytes of a block that is split are a multiple of its streams; the last may be longer.
+    let each = out.len() / streams;
+    if each * streams != out.len() {
+        return Err(Damaged("a block is not of whole numbers"));
+    }
+    for stream in out.chunks_mut(each) {
+        let length;
+        let ends = Damaged("it ends within a block");
+        (length, packed) = packed.split_first_chunk::<4>().ok_or(ends)?;
+        let length = u32::from_le_bytes(*length) as usize;
+        if length > packed.len() {
+            return Err(Damaged("it ends within a block"));
+        }
+        let own;
+        (own, packed) = packed.split_at(length);
+        if length == stream.len() {
+            stream.copy_from_slice(own);
+        } else if decompress(header.codec, own, stream) != Some(stream.len()) {
+            return Err(Damaged("a block does not unpack"));
+        }
+    }
+    Ok(())
+}
+
+/// Decompresses, and returns how many bytes that gave.
+fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
+    match codec {
+        Codec::BloscLz => blosc_lz(packed, out),
+        Codec::Lz4 => lz4_flex::block::decompress_into(packed, out).ok(),
+        Codec::Zlib => Decompressor::new().zlib_decompress(packed, out).ok(),
+        Codec::Zstd => zstd::bulk::decompress_to_buffer(packed, out).ok(),
+    }
+}
+
+/// Decompresses BloscLZ: literals, and repetitions of what came before, as in FastLZ.
+fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
+    let mut at = 0;
+    // The first byte has no room for a repetition.
+    let mut control = next(&mut packed)? & 0x1f;
+    loop {
+        if control < 32 {
+            let (literal, rest) = packed.split_at_checked(control + 1)?;
+            let end = at + literal.len();
+            out.get_mut(at..end)?.copy_from_slice(literal);
+            (packed, at) = (rest, end);
+        } else {
+            let (mut length, high) = ((control >> 5) + 2, (control & 31) << 8);
+            if length == 9 {
+                loop {
+                    let more = next(&mut packed)?;
+                    length += more;
+                    if more != 255 {
+                        break;
+                    }
+                }
+            }
+            let low = next(&mut packed)?;
+            let mut distance = high + low + 1;
+            if high == 31 << 8 && low == 255 {
+                let (upper, lower) = (next(&mut packed)?, next(&mut packed)?);
+                distance = (upper << 8) + lower + FARTHEST + 1;
+            }
+            let from = at.checked_sub(distance)?;
+            let end = at + length;
+            if end > out.len() {
+                return None;
+            }
+            // It may repeat what it writes.
+            for to in at..end {
+                out[to] = out[from + (to - at)];
+            }
+            at = end;
+        }
+        match next(&mut packed) {
+            Some(next) => control = next,
+            None => return Some(at),
+        }
+    }
+}
+
+fn next(packed: &mut &[u8]) -> Option<usize> {
+    let first;
+    (first, *packed) = packed.split_first()?;
+    Some(usize::from(*first))
+}
+
+/// Puts the bytes of numbers side by side; those of no whole number are the last.
+fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
+    let count = out.len() / type_size;
+    let whole = count * type_size;
+    match type_size {
+        4 => restore::<4>(&shuffled[..whole], &mut out[..whole]),
+        8 => restore::<8>(&shuffled[..whole], &mut out[..whole]),
+        _ => {
+            for (byte, bytes) in shuffled[..whole].chunks_exact(count.max(1)).enumerate() {
+                let to = out[..whole].iter_mut().skip(byte).step_by(type_size);
+                to.zip(bytes).for_each(|(to, from)| *to = *from);
+            }
+        }
+    }
+    out[whole..].copy_from_slice(&shuffled[whole..]);
+}
+
+/// Puts the bytes of numbers side by side, whose width the compiler knows.
+fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
+    let count = out.len() / N;
+    if count == 0 {
+        return;
+    }
+    let bytes: [&[u8]; N] = std::array::from_fn(|byte| &shuffled[byte * count..][..count]);
+    for (at, number) in out.as_chunks_mut::<N>().0.iter_mut().enumerate() {
+        *number = std::array::from_fn(|byte| bytes[byte][at]);
+    }
+}
+
+/// Puts the bits of numbers side by side: of each byte of the numbers, the lowest bits of all
+/// numbers come first. Numbers that are no multiple of 8 were left as they are.
+fn restore_bits(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
+    let count = out.len() / type_size;
+    if !count.is_multiple_of(8) {
+        return out.copy_from_slice(shuffled);
+    }
+    let (whole, row) = (count * type_size, count / 8);
+    out.fill(0);
+    for (bit, bits) in shuffled[..whole].chunks_exact(row.max(1)).enumerate() {
+        let (byte, shift) = (bit / 8, bit % 8);
+        for (eight, bits) in bits.iter().enumerate() {
+            for number in 0..8 {
+                let to = (8 * eight + number) * type_size + byte;
+                out[to] |= (bits >> number & 1) << shift;
+            }
+        }
+    }
+    out[whole..].copy_from_slice(&shuffled[whole..]);
+}

@@ -1,0 +1,221 @@
+//! The container of `.bgeo.sc`: chunks of Blosc one after the other, and an index of where they are.
+//!
+//! "scf1", the length of metadata and these, the chunks, the offsets of all chunks but the first
+//! from there, the bytes that every chunk but the last unpacks to, those of the last, the length of
+//! this index, and "1fcs". Numbers are of 64 bits and big endian.
+
+use std::io::{self, Write};
+
+use rayon::prelude::*;
+
+use crate::io::bytes::{Bytes, Kept, Unpacked, Unpacking, View, unpacked_limit};
+use crate::io::columns::Endian;
+use crate::io::cursor::Cursor;
+use crate::io::{ReadFault, malformed};
+
+use super::blosc;
+
+/// Bytes that a container begins with.
+pub const MAGIC: &[u8] = b"scf1";
+/// Bytes that a container ends with.
+const END: &[u8] = b"1fcs";
+/// Bytes of a number.
+const NUMBER: u64 = 8;
+/// Bytes that a chunk may unpack to: Houdini's are of 1 MiB.
+const LARGEST: u64 = 64 << 20;
+
+/// Bytes of a chunk that is written, as Houdini's are.
+const CHUNK: usize = 1 << 20;
+
+/// Chunks of a container, and what they unpack to.
+struct Chunks<'a> {
+    view: View<'a>,
+    /// Where each chunk starts, and the last ends.
+    bounds: Vec<usize>,
+    each: u64,
+    last: u64,
+}
+
+/// Unpacks a container, several chunks at once and no more of them than memory has room for.
+///
+/// # Errors
+/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damage; [`ReadFault::Compression`] for
+/// what unpacks beyond all reason; [`ReadFault::Unsupported`] for a compression that is not known.
+pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
+    let view = bytes.view();
+    let chunks = Chunks::of(view)?;
+    let total = chunks.total();
+    let limit = unpacked_limit(view.len() as u64);
+    if total > limit {
+        let what = format!("{total} bytes in a file of {}; unpack it before", view.len());
+        return Err(ReadFault::Compression(what));
+    }
+    let unpacked = if total <= unpacking.in_memory {
+        let mut whole = vec![0; total as usize];
+        chunks.unpack(0, &mut whole, unpacking)?;
+        Kept::Owned(whole)
+    } else {
+        let mut unpacked = Unpacked::new(unpacking);
+        let count = chunks.bounds.len() - 1;
+        let room = (unpacking.in_memory / chunks.each.max(1)) as usize;
+        let at_once = room.clamp(1, 2 * rayon::current_num_threads());
+        let mut several = Vec::new();
+        for first in (0..count).step_by(at_once) {
+            let end = count.min(first + at_once);
+            several.resize(chunks.length(first..end) as usize, 0);
+            chunks.unpack(first, &mut several, unpacking)?;
+            unpacked.push(&several)?;
+        }
+        unpacked.finish()?
+    };
+    view.check()?;
+    Ok(unpacked)
+}
+
+impl<'a> Chunks<'a> {
+    fn of(view: View<'a>) -> Result<Self, ReadFault> {
+        let len = view.len() as u64;
+        let mut cursor = Cursor::new(view, MAGIC.len(), Endian::Big);
+        let metadata = cursor.u64("the container's start")?;
+        cursor.skip("the container's metadata", metadata, 1)?;
+        let start = cursor.at() as u64;
+        let truncated = |needed: u64| ReadFault::Truncated {
+            what: "the container's index".to_owned(),
+            needed,
+            have: len,
+        };
+        let tail = NUMBER + END.len() as u64;
+        if len < start + tail {
+            return Err(truncated(start + tail));
+        }
+        let tail_at = len - tail;
+        let mut cursor = Cursor::new(view, tail_at as usize, Endian::Big);
+        let index = cursor.u64("the index's length")?;
+        if cursor.take("the end", END.len() as u64)? != END {
+            let what = "the container does not end with \"1fcs\": it was cut off, or is damaged";
+            return Err(malformed(tail_at as usize, what));
+        }
+        if index % NUMBER != 0 || index < 2 * NUMBER || index > tail_at - start {
+            return Err(malformed(tail_at as usize, format!("an index of {index} bytes")));
+        }
+        let index_at = tail_at - index;
+        let count = index / NUMBER - 1;
+        let mut cursor = Cursor::new(view, index_at as usize, Endian::Big);
+        let mut bounds = vec![start as usize];
+        for chunk in 1..count {
+            let at = cursor.at();
+            let bound = cursor.u64("the index")?.checked_add(start).filter(|at| *at < index_at);
+            let bound =
+                bound.map(|bound| bound as usize).filter(|bound| *bound > bounds[bounds.len() - 1]);
+            bounds.push(bound.ok_or_else(|| malformed(at, format!("chunk {chunk} is outside")))?);
+        }
+        bounds.push(index_at as usize);
+        let at = cursor.at();
+        let (each, last) = (cursor.u64("the index")?, cursor.u64("the index")?);
+        if each == 0 || each > LARGEST || last > each {
+            return Err(malformed(at, format!("chunks of {each} bytes, the last of {last}")));
+        }
+        Ok(Self { view, bounds, each, last })
+    }
+
+    /// Bytes that some chunks unpack to.
+    fn length(&self, chunks: std::ops::Range<usize>) -> u64 {
+        let has_last = chunks.end == self.bounds.len() - 1;
+        let full = chunks.len() as u64 - u64::from(has_last);
+        full * self.each + if has_last { self.last } else { 0 }
+    }
+
+    fn total(&self) -> u64 {
+        self.length(0..self.bounds.len() - 1)
+    }
+
+    /// Unpacks chunks from `first` on to fill `out`.
+    fn unpack(&self, first: usize, out: &mut [u8], unpacking: Unpacking) -> Result<(), ReadFault> {
+        let pieces = out.par_chunks_mut(self.each as usize).zip(&self.bounds[first..]);
+        let pieces = pieces.zip(&self.bounds[first + 1..]);
+        let results = pieces.map(|((piece, &start), &end)| {
+            unpacking.go_on()?;
+            let packed = self.view.read(start..end)?;
+            self.view.release(start..end);
+            blosc::unpack(&packed, piece).map_err(|fault| match fault {
+                blosc::Fault::Unknown(name) => ReadFault::Unsupported(format!(
+                    "it is compressed by {name}; save it uncompressed as .bgeo"
+                )),
+                blosc::Fault::Damaged(what) => malformed(start, format!("chunk: {what}")),
+            })
+        });
+        // The first fault, on any number of threads.
+        let results: Vec<Result<(), ReadFault>> = results.collect();
+        results.into_iter().collect()
+    }
+}
+
+/// A container that is written: chunks are compressed on all threads, a few at once.
+pub struct Packing<'a> {
+    out: &'a mut dyn Write,
+    /// Bytes of chunks that are not compressed yet.
+    waiting: Vec<u8>,
+    at_once: usize,
+    /// Bytes of chunks that were written.
+    written: u64,
+    /// Where each chunk starts, from the first.
+    starts: Vec<u64>,
+    last: usize,
+}
+
+impl<'a> Packing<'a> {
+    /// Begins a container.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn new(out: &'a mut dyn Write) -> io::Result<Self> {
+        out.write_all(MAGIC)?;
+        out.write_all(&0_u64.to_be_bytes())?;
+        let at_once = 2 * rayon::current_num_threads() * CHUNK;
+        Ok(Self { out, waiting: Vec::new(), at_once, written: 0, starts: Vec::new(), last: 0 })
+    }
+
+    fn pack(&mut self) -> io::Result<()> {
+        let chunks: Vec<Vec<u8>> = self.waiting.par_chunks(CHUNK).map(blosc::pack).collect();
+        for chunk in &chunks {
+            self.starts.push(self.written);
+            self.out.write_all(chunk)?;
+            self.written += chunk.len() as u64;
+        }
+        if !self.waiting.is_empty() {
+            self.last = self.waiting.len() - (self.waiting.len() - 1) / CHUNK * CHUNK;
+        }
+        self.waiting.clear();
+        Ok(())
+    }
+
+    /// Writes the chunks that wait, and the index.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.pack()?;
+        let starts = self.starts.iter().skip(1).copied();
+        let index: Vec<u8> =
+            starts.chain([CHUNK as u64, self.last as u64]).flat_map(u64::to_be_bytes).collect();
+        self.out.write_all(&index)?;
+        self.out.write_all(&(index.len() as u64).to_be_bytes())?;
+        self.out.write_all(END)
+    }
+}
+
+impl Write for Packing<'_> {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let taken = buffer.len().min(self.at_once - self.waiting.len());
+        self.waiting.extend_from_slice(&buffer[..taken]);
+        if self.waiting.len() == self.at_once {
+            self.pack()?;
+        }
+        Ok(taken)
+    }
+
+    /// Chunks are written when they are full.
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,249 @@
+//! Events of Houdini's JSON, which its text and its binary form share.
+//!
+//! Neither form is read into a tree: a reader takes one event after the other, and long arrays of
+//! numbers stay where they are.
+
+use std::rc::Rc;
+
+use half::f16;
+
+use crate::io::ReadFault;
+use crate::io::bytes::View;
+use crate::io::columns::{Endian, Scalar};
+
+/// Lists and maps within each other. Packed geometry in packed geometry has about ten a level.
+const DEEPEST: usize = 1024;
+
+/// A step through a JSON document.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// The start of a list.
+    List,
+    /// The start of a map, in which keys and values alternate.
+    Map,
+    /// The end of the innermost list or map.
+    End,
+    Null,
+    Bool(bool),
+    Integer(i64),
+    Real(f64),
+    Text(Rc<str>),
+    /// A list of numbers of one type.
+    Numbers(Numbers),
+}
+
+/// A type of numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Storage {
+    /// Truths, 32 in a word.
+    Bits,
+    /// IEEE's floating-point numbers of 16 bits.
+    Half,
+    Scalar(Scalar),
+}
+
+impl Storage {
+    /// The type that numbers of this one are kept as.
+    pub fn scalar(self) -> Scalar {
+        match self {
+            Self::Scalar(scalar) => scalar,
+            Self::Half => Scalar::F32,
+            Self::Bits => Scalar::U8,
+        }
+    }
+
+    /// Bytes of `count` numbers.
+    pub fn bytes(self, count: u64) -> u64 {
+        match self {
+            Self::Bits => count.div_ceil(32).saturating_mul(4),
+            Self::Half => count.saturating_mul(2),
+            Self::Scalar(scalar) => count.saturating_mul(scalar.size() as u64),
+        }
+    }
+}
+
+/// Numbers that lie in the document's bytes, one after the other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Numbers {
+    /// Offset of the first.
+    pub at: usize,
+    pub storage: Storage,
+    pub count: u64,
+}
+
+/// A number of a list.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Number {
+    Integer(i64),
+    Real(f64),
+}
+
+/// A document that is read from its beginning to its end.
+pub trait Json {
+    /// The next event.
+    ///
+    /// # Errors
+    /// Damage of the document, and those of reading its bytes.
+    fn next(&mut self) -> Result<Event, ReadFault>;
+
+    /// A fault at the place that was read last.
+    fn fault(&self, what: String) -> ReadFault;
+
+    /// Makes sure that the document ends here.
+    ///
+    /// # Errors
+    /// For bytes that are left over.
+    fn end(&mut self) -> Result<(), ReadFault>;
+}
+
+/// The lists and maps that are open.
+#[derive(Debug, Default)]
+pub struct Nesting(Vec<Event>);
+
+impl Nesting {
+    pub fn begin(&mut self, event: Event) -> Result<Event, String> {
+        if self.0.len() == DEEPEST {
+            return Err(format!("lists in more than {DEEPEST} lists"));
+        }
+        self.0.push(event.clone());
+        Ok(event)
+    }
+
+    pub fn end(&mut self, begun: &Event) -> Result<Event, String> {
+        match self.0.pop() {
+            Some(open) if open == *begun => Ok(Event::End),
+            _ => Err("the end of a list or map that did not begin".to_owned()),
+        }
+    }
+}
+
+/// Numbers that are read at once.
+const AT_ONCE: u64 = 1 << 12;
+
+impl Numbers {
+    /// The numbers from `first` on, `count` of them.
+    pub fn part(self, first: u64, count: u64) -> Self {
+        Self { at: self.at + self.storage.bytes(first) as usize, count, ..self }
+    }
+
+    /// Passes each number to `take`, in order.
+    ///
+    /// # Errors
+    /// Those of `take` and of reading.
+    pub fn each(
+        self,
+        bytes: View,
+        endian: Endian,
+        mut take: impl FnMut(Number) -> Result<(), ReadFault>,
+    ) -> Result<(), ReadFault> {
+        for first in (0..self.count).step_by(AT_ONCE as usize) {
+            let part = self.part(first, AT_ONCE.min(self.count - first));
+            let end = part.at + part.storage.bytes(part.count) as usize;
+            let stored = bytes.read(part.at..end)?;
+            for index in 0..part.count as usize {
+                take(part.storage.number(&stored, index, endian))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+macro_rules! numbers {
+    ($($scalar:ident $type:ident $number:ident),*) => {
+        impl Storage {
+            /// The number of an index among those that are stored.
+            #[allow(clippy::cast_lossless)] // One line for all types, u64 among them.
+            fn number(self, stored: &[u8], index: usize, endian: Endian) -> Number {
+                match self {
+                    Self::Bits => {
+                        let word = u32::from_bytes(&stored[index / 32 * 4..], endian);
+                        Number::Integer(i64::from(word >> (index % 32) & 1))
+                    }
+                    Self::Half | Self::Scalar(Scalar::F16) => {
+                        let bits = u16::from_bytes(&stored[index * 2..], endian);
+                        Number::Real(f16::from_bits(bits).into())
+                    }
+                    $(Self::Scalar(Scalar::$scalar) => {
+                        let at = index * size_of::<$type>();
+                        Number::$number($type::from_bytes(&stored[at..], endian) as _)
+                    })*
+                }
+            }
+        }
+
+        $(impl Stored for $type {
+            fn from_bytes(bytes: &[u8], endian: Endian) -> Self {
+                let mut own = [0; size_of::<Self>()];
+                own.copy_from_slice(&bytes[..size_of::<Self>()]);
+                match endian {
+                    Endian::Little => Self::from_le_bytes(own),
+                    Endian::Big => Self::from_be_bytes(own),
+                }
+            }
+        })*
+
+        impl Number {
+            /// Appends the number as little-endian bytes, if the type holds it.
+            pub fn put(self, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
+                match scalar {
+                    $(Scalar::$scalar => {
+                        let stored = $type::of(self)?;
+                        out.extend_from_slice(&stored.to_le_bytes());
+                    })*
+                    // Half floats become f32.
+                    Scalar::F16 => return None,
+                }
+                Some(())
+            }
+        }
+    };
+}
+
+/// A type that numbers are stored as.
+trait Stored: Sized {
+    fn from_bytes(bytes: &[u8], endian: Endian) -> Self;
+}
+
+numbers!(
+    I8 i8 Integer, U8 u8 Integer, I16 i16 Integer, U16 u16 Integer, I32 i32 Integer,
+    U32 u32 Integer, I64 i64 Integer, U64 u64 Integer, F32 f32 Real, F64 f64 Real
+);
+
+/// A type that a number of text becomes.
+trait OfNumber: Sized {
+    fn of(number: Number) -> Option<Self>;
+}
+
+macro_rules! whole {
+    ($($type:ident),*) => {
+        $(impl OfNumber for $type {
+            fn of(number: Number) -> Option<Self> {
+                match number {
+                    Number::Integer(whole) => Self::try_from(whole).ok(),
+                    // As `1.0` or `1e3`.
+                    Number::Real(real) => {
+                        let whole = real as i64;
+                        (whole as f64 == real).then(|| Self::try_from(whole).ok())?
+                    }
+                }
+            }
+        })*
+    };
+}
+
+whole!(i8, u8, i16, u16, i32, u32, i64, u64);
+
+impl OfNumber for f32 {
+    fn of(number: Number) -> Option<Self> {
+        f64::of(number).map(|wide| wide as Self)
+    }
+}
+
+impl OfNumber for f64 {
+    fn of(number: Number) -> Option<Self> {
+        Some(match number {
+            Number::Integer(whole) => whole as Self,
+            Number::Real(real) => real,
+        })
+    }
+}

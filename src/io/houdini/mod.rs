@@ -1,0 +1,324 @@
+//! Houdini's geometry since version 12: `.geo` in text, `.bgeo` in binary, `.bgeo.sc` compressed by
+//! Blosc.
+//!
+//! The files tell themselves apart, whatever their extension says: a `.bgeo` may also be of the
+//! classic format. Points are particles unless they belong to a primitive that is no particle
+//! system.
+
+mod binary;
+mod blosc;
+mod container;
+mod json;
+mod points;
+mod schema;
+mod text;
+mod write;
+
+use std::path::Path;
+
+use crate::particles::AttributeInfo;
+use crate::particles::sieve::Sieve;
+
+use super::bytes::{Bytes, Kept, Unpacked, Unpacking, View, unpacked_limit};
+use super::columns::{Column, ColumnStore, Endian, Rows};
+use super::wanted::{Wanted, WantedAttributes};
+use super::windows::Source;
+use super::{LeftOut, ParticleFile, ReadError, ReadFault, bgeo, malformed};
+use binary::Binary;
+use json::Number;
+use points::{Columns, Stores};
+use schema::{Attribute, Geometry, Place};
+use text::Text;
+pub use write::{attribute_names, write_mesh};
+
+/// Bytes by which formats are told apart.
+const HEAD: usize = 64;
+/// Bytes of a position.
+const POSITION: u64 = 12;
+
+/// A form of a geometry.
+enum Form {
+    Classic,
+    Binary(Endian),
+    Text,
+    Container,
+}
+
+impl Form {
+    fn of(view: View) -> Result<Self, ReadFault> {
+        let head = view.read(0..view.len().min(HEAD))?;
+        if head.starts_with(b"BgeoV") {
+            return Ok(Self::Classic);
+        }
+        if head.starts_with(container::MAGIC) {
+            return Ok(Self::Container);
+        }
+        if let Some(endian) = binary::byte_order(&head) {
+            return Ok(Self::Binary(endian));
+        }
+        let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&head).trim_ascii_start();
+        if text.starts_with(b"[") || text.starts_with(b"{") {
+            return Ok(Self::Text);
+        }
+        if text.starts_with(b"PGEOMETRY") {
+            let what = "Houdini's classic .geo in text; save it as .bgeo.sc";
+            return Err(ReadFault::Unsupported(what.to_owned()));
+        }
+        Err(malformed(0, "no geometry of Houdini: it begins neither with \"BgeoV\" nor as JSON"))
+    }
+}
+
+/// Opens a geometry of any version of Houdini.
+///
+/// # Errors
+/// As [`read_particles`].
+pub(super) fn open_particles(
+    path: &Path,
+    bytes: Bytes,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    read_particles(bytes, wanted.attributes, unpacking).map_err(|fault| ReadError::new(path, fault))
+}
+
+/// Reads the particles of a geometry of any version of Houdini.
+///
+/// # Errors
+/// Damage, by its place; [`ReadFault::Unsupported`] where all points belong to polygons, packed
+/// geometry or other primitives; [`ReadFault::Scratch`] where the scratch file fails.
+pub fn read_particles(
+    bytes: Bytes,
+    wanted: WantedAttributes,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
+    match Form::of(bytes.view())? {
+        Form::Classic => bgeo::read_particles(bytes),
+        form => {
+            let opened = Opened::of(bytes, form, unpacking)?;
+            let loose = opened.loose()?;
+            opened.arrange(loose, wanted, unpacking)
+        }
+    }
+}
+
+/// Reads all points of a geometry since version 12, those of polygons and other primitives too.
+///
+/// # Errors
+/// As [`read_particles`], for damage and where the scratch file fails.
+pub fn read_points(
+    bytes: Bytes,
+    wanted: WantedAttributes,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
+    let form = Form::of(bytes.view())?;
+    Opened::of(bytes, form, unpacking)?.arrange(None, wanted, unpacking)
+}
+
+/// A geometry, and the stores that its numbers lie in.
+struct Opened {
+    geometry: Geometry,
+    bytes: Bytes,
+    endian: Endian,
+    gathered: Kept,
+    /// The format, in the words of `info`.
+    format: &'static str,
+}
+
+impl Opened {
+    fn of(bytes: Bytes, form: Form, unpacking: Unpacking) -> Result<Self, ReadFault> {
+        let (bytes, form, format) = match form {
+            Form::Container => {
+                let unpacked = Bytes::Kept(container::unpack(bytes, unpacking)?);
+                let form = Form::of(unpacked.view())?;
+                (unpacked, form, "Houdini .bgeo.sc")
+            }
+            // A text is read through, and no other program may change it meanwhile.
+            Form::Text => (Bytes::Kept(bytes.read_whole(unpacking)?), form, "Houdini .geo"),
+            form => (bytes, form, "Houdini .bgeo"),
+        };
+        let mut gathered = Unpacked::new(unpacking);
+        let view = bytes.view();
+        let (geometry, endian) = match form {
+            Form::Text => {
+                let document = (view, Endian::Little);
+                (schema::read(&mut Text::new(view.kept()?), document, &mut gathered)?, document.1)
+            }
+            Form::Binary(endian) => {
+                let document = (view, endian);
+                let mut json = Binary::new(view, endian);
+                (schema::read(&mut json, document, &mut gathered)?, endian)
+            }
+            Form::Classic | Form::Container => {
+                return Err(malformed(0, "it contains no geometry since version 12"));
+            }
+        };
+        view.check()?;
+        // Pages of one value announce any number of points.
+        if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
+            let what = format!("{} points in {} bytes", geometry.points, view.len());
+            return Err(ReadFault::Compression(what));
+        }
+        let gathered = gathered.finish()?;
+        Ok(Self { geometry, bytes, endian, gathered, format })
+    }
+
+    fn stores(&self) -> Stores<'_> {
+        Stores { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
+    }
+
+    /// The points that belong to no primitive, or to a particle system; None where all do not.
+    ///
+    /// # Errors
+    /// [`ReadFault::Unsupported`] where there are points and all belong to primitives.
+    fn loose(&self) -> Result<Option<Sieve>, ReadFault> {
+        let geometry = &self.geometry;
+        if geometry.kinds.is_empty() {
+            return Ok(None);
+        }
+        let points = geometry.points;
+        let run = geometry.vertex_points;
+        // A vertex names a point, so that the file is as large as this.
+        let mut bound = Sieve::none(points as usize);
+        let mut vertex = 0;
+        let (bytes, endian) = self.stores().of(run.place);
+        run.numbers.each(bytes, endian, |number| {
+            let point = match number {
+                Number::Integer(point) => u64::try_from(point).ok().filter(|point| *point < points),
+                Number::Real(_) => None,
+            };
+            let point = point.ok_or_else(|| {
+                run.fault(format!("vertex {vertex} names point {number:?} of {points}"))
+            })?;
+            let word = geometry.particle_vertices.get(vertex / 64).copied().unwrap_or_default();
+            if word >> (vertex % 64) & 1 == 0 {
+                Sieve::set(&mut bound, point as usize);
+            }
+            vertex += 1;
+            Ok(())
+        })?;
+        let mut free = bound;
+        free.iter_mut().for_each(|word| *word = !*word);
+        if let Some(last) = free.last_mut()
+            && !points.is_multiple_of(64)
+        {
+            *last &= (1 << (points % 64)) - 1;
+        }
+        let sieve = Sieve::new(free);
+        if sieve.count() == 0 && points > 0 {
+            return Err(no_particles(geometry));
+        }
+        Ok(Some(sieve).filter(|sieve| (sieve.count() as u64) < points))
+    }
+
+    /// The points that are selected, or all, with the attributes that are wanted.
+    fn arrange(
+        self,
+        selected: Option<Sieve>,
+        wanted: WantedAttributes,
+        unpacking: Unpacking,
+    ) -> Result<ParticleFile, ReadFault> {
+        let stores = self.stores();
+        let Geometry { points, attributes, time, .. } = &self.geometry;
+        let is_position = |a: &&Attribute| &*a.name == "P" && a.texts.is_none();
+        let position = attributes.iter().find(is_position).ok_or_else(|| {
+            ReadFault::Unsupported("there is no point attribute P, the position".to_owned())
+        })?;
+        if !matches!(position.values.components, 3 | 4) {
+            let what = format!("P has {} components, not 3 or 4", position.values.components);
+            return Err(ReadFault::Unsupported(what));
+        }
+        let others = || attributes.iter().filter(|a| &*a.name != "P");
+        let numeric: Vec<&Attribute> = others().filter(|a| a.texts.is_none()).collect();
+        let info = |a: &&Attribute| AttributeInfo::new(&*a.name, a.values.components as usize);
+        let infos: Vec<_> = numeric.iter().map(info).collect();
+        let is_read = wanted.among(&infos);
+        let read: Vec<&Attribute> =
+            numeric.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(*a)).collect();
+        let labels = others().filter(|a| a.texts.is_some() && wanted.hold_label(&a.name));
+        let labels: Vec<&Attribute> = labels.collect();
+
+        let found = |attribute: &&Attribute| stores.columns(&attribute.values);
+        let in_place: Option<Vec<_>> = [position].iter().chain(&read).map(found).collect();
+        let in_place = in_place.filter(|found| {
+            labels.is_empty() && found.iter().all(|(place, _)| *place == found[0].0)
+        });
+        let (columns, unpacked, label_columns) = match in_place {
+            Some(found) => {
+                let place = found[0].0;
+                (found.into_iter().map(|(_, columns)| columns).collect(), Err(place), Vec::new())
+            }
+            None => {
+                let mut columns = Columns::new(stores, *points, unpacking);
+                let all = [position].into_iter().chain(read.iter().copied());
+                let numbers: Vec<Vec<Column>> =
+                    all.map(|attribute| columns.push(attribute)).collect::<Result<_, _>>()?;
+                let mut found = Vec::new();
+                for label in labels {
+                    found.extend(columns.push_texts(label)?);
+                }
+                stores.document.check()?;
+                (numbers, Ok(columns.finish()?), found)
+            }
+        };
+        let source: Source = match unpacked {
+            Ok(unpacked) => unpacked.into(),
+            Err(Place::Gathered) => self.gathered.into(),
+            Err(Place::Document) => self.bytes.into(),
+        };
+        let mut columns = columns.into_iter();
+        let position = columns.next().expect("the position is the first");
+        let position = [position[0], position[1], position[2]];
+        let infos_read = read.iter().map(info);
+        let attributes = infos_read.zip(columns).collect();
+        let (rows, left_out) = match selected {
+            None => (Rows::All(*points as usize), None),
+            Some(sieve) => {
+                let count = *points - sieve.count() as u64;
+                (Rows::Selected(sieve), Some(left_out(&self.geometry, count)))
+            }
+        };
+        let store: ColumnStore = ColumnStore::new(source, rows, position, attributes);
+        let store = store.with_labels(label_columns);
+        let unread = infos.into_iter().zip(is_read).filter(|(_, read)| !read);
+        let unread = unread.map(|(info, _)| info).collect();
+        let left_out = left_out.into_iter().collect();
+        Ok(ParticleFile { time: *time, unread, left_out, ..ParticleFile::new(store, self.format) })
+    }
+}
+
+/// The number of primitives of each kind.
+fn counted(geometry: &Geometry) -> Vec<(String, u64)> {
+    let named = geometry.kinds.iter().map(|(kind, count)| {
+        let known = match &**kind {
+            "Poly" | "p_r" | "Polygon_run" => "polygons",
+            "c_r" | "PolygonCurve_run" => "curves",
+            other => other,
+        };
+        (known.to_owned(), *count)
+    });
+    let mut all: Vec<(String, u64)> = Vec::new();
+    for (kind, count) in named {
+        match all.iter_mut().find(|(other, _)| *other == kind) {
+            Some((_, sum)) => *sum = sum.saturating_add(count),
+            None => all.push((kind, count)),
+        }
+    }
+    all
+}
+
+fn left_out(geometry: &Geometry, points: u64) -> LeftOut {
+    LeftOut::Primitives { kinds: counted(geometry), points }
+}
+
+fn no_particles(geometry: &Geometry) -> ReadFault {
+    let primitives = left_out(geometry, geometry.points);
+    let is_packed = |kind: &str| kind.starts_with("Packed") || kind == "AlembicRef";
+    let remedy = match geometry.kinds.keys().any(|kind| is_packed(kind)) {
+        true => "unpack it with an Unpack SOP before saving",
+        false => {
+            "to use these points as particles, delete the primitives and keep the points, as an Add \
+             SOP does"
+        }
+    };
+    ReadFault::Unsupported(format!("it holds {primitives}, and no other points; {remedy}"))
+}

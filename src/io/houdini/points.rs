@@ -1,0 +1,278 @@
+//! Columns of a geometry's points: where the file has them, or unpacked from its pages.
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::rc::Rc;
+
+use crate::io::ReadFault;
+use crate::io::bytes::{Kept, Unpacked, Unpacking, View, unpacked_limit};
+use crate::io::columns::{Column, Endian, Scalar};
+use crate::particles::Label;
+
+use super::json::{Number, Numbers, Storage};
+use super::schema::{Attribute, Data, MOST_TEXTS, Pages, Place, Run, Values};
+
+/// Points of a page that are unpacked at once.
+const ROWS: u64 = 1 << 13;
+
+/// The stores that numbers lie in.
+#[derive(Clone, Copy)]
+pub struct Stores<'a> {
+    pub document: View<'a>,
+    pub endian: Endian,
+    pub gathered: &'a Kept,
+}
+
+impl<'a> Stores<'a> {
+    /// A store, and the byte order in it.
+    pub fn of(&self, place: Place) -> (View<'a>, Endian) {
+        match place {
+            Place::Document => (self.document, self.endian),
+            Place::Gathered => (self.gathered.view(), Endian::Little),
+        }
+    }
+
+    /// The columns of an attribute, if its numbers lie in one store as columns do.
+    pub fn columns(&self, values: &Values) -> Option<(Place, Vec<Column>)> {
+        let column = |run: Run, components: u64| {
+            let Storage::Scalar(scalar) = run.numbers.storage else { return None };
+            let stride = components as usize * scalar.size();
+            let endian = self.of(run.place).1;
+            Some(Column { offset: run.numbers.at, stride, scalar, endian })
+        };
+        let tuples = |run: Run| {
+            let first = column(run, values.components)?;
+            Some((run.place, components(first, values)))
+        };
+        match &values.data {
+            Data::Tuples(run) => tuples(*run),
+            Data::Pages(Pages { run, groups, .. }) => match &groups[..] {
+                [only] if !only.has_constants() => tuples(*run),
+                _ => None,
+            },
+            Data::Arrays(runs) => {
+                let place = runs.first()?.place;
+                let alike = runs.iter().all(|run| run.place == place);
+                let columns = runs.iter().map(|&run| column(run, 1)).collect::<Option<_>>()?;
+                alike.then_some((place, columns))
+            }
+        }
+    }
+
+    /// Some numbers as they are stored, those of 16 bits widened to 32.
+    fn stored(&self, run: Run) -> Result<Cow<'a, [u8]>, ReadFault> {
+        let Run { place, numbers } = run;
+        let (bytes, endian) = self.of(place);
+        let end = numbers.at + numbers.storage.bytes(numbers.count) as usize;
+        if let Storage::Scalar(_) = numbers.storage {
+            return bytes.read(numbers.at..end);
+        }
+        let mut wide = Vec::with_capacity(numbers.count as usize * size_of::<f32>());
+        numbers.each(bytes, endian, |number| {
+            let Number::Real(real) = number else { return Ok(()) };
+            wide.extend_from_slice(&match endian {
+                Endian::Little => (real as f32).to_le_bytes(),
+                Endian::Big => (real as f32).to_be_bytes(),
+            });
+            Ok(())
+        })?;
+        Ok(Cow::Owned(wide))
+    }
+
+    /// Passes the numbers of a run to `take`, some at once.
+    fn each(&self, run: Run, take: &mut Take) -> Result<(), ReadFault> {
+        let Run { place, numbers } = run;
+        for first in (0..numbers.count).step_by(ROWS as usize) {
+            let part = numbers.part(first, ROWS.min(numbers.count - first));
+            take(&self.stored(Run { place, numbers: part })?)?;
+        }
+        let end = numbers.at + numbers.storage.bytes(numbers.count) as usize;
+        self.of(place).0.release(numbers.at..end);
+        Ok(())
+    }
+
+    /// Passes the tuples of all pages to `take`, some at once.
+    fn each_of_pages(&self, pages: &Pages, points: u64, take: &mut Take) -> Result<(), ReadFault> {
+        let Run { place, numbers } = pages.run;
+        let width = numbers.storage.scalar().size();
+        let stride =
+            width * pages.groups.iter().map(|group| group.components as usize).sum::<usize>();
+        let mut tuples = Vec::new();
+        // The first number of the page.
+        let mut at = 0;
+        for page in 0..points.div_ceil(pages.size) {
+            let rows = pages.size.min(points - page * pages.size);
+            for first in (0..rows).step_by(ROWS as usize) {
+                let count = ROWS.min(rows - first);
+                tuples.clear();
+                tuples.resize(count as usize * stride, 0);
+                let (mut group_at, mut within) = (at, 0);
+                for group in &pages.groups {
+                    let components = group.components;
+                    let own = components as usize * width;
+                    let is_constant = group.is_constant(page);
+                    let (from, read) = if is_constant { (0, 1) } else { (first, count) };
+                    let part = numbers.part(group_at + from * components, read * components);
+                    let stored = self.stored(Run { place, numbers: part })?;
+                    let mut values = stored.chunks_exact(own).cycle();
+                    for tuple in tuples.chunks_exact_mut(stride) {
+                        tuple[within..within + own]
+                            .copy_from_slice(values.next().unwrap_or_default());
+                    }
+                    within += own;
+                    group_at += if is_constant { components } else { rows * components };
+                }
+                take(&tuples)?;
+            }
+            let stored = pages
+                .groups
+                .iter()
+                .map(|group| group.components * if group.is_constant(page) { 1 } else { rows });
+            at += stored.sum::<u64>();
+        }
+        let end = numbers.at + numbers.storage.bytes(numbers.count) as usize;
+        self.of(place).0.release(numbers.at..end);
+        Ok(())
+    }
+}
+
+/// Takes stored bytes.
+type Take<'a> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 'a;
+
+/// A column for each component of an attribute whose first column is this one.
+fn components(first: Column, values: &Values) -> Vec<Column> {
+    (0..values.components as usize).map(|index| first.component(index)).collect()
+}
+
+/// A label, the column of its numbers, and the place among its texts for each number.
+type LabelColumn = (Label, (Column, Vec<u32>));
+
+/// Numbers that are unpacked, attribute after attribute.
+pub struct Columns<'a> {
+    stores: Stores<'a>,
+    unpacked: Unpacked<'a>,
+    points: u64,
+    /// Bytes that further numbers may take.
+    left: u64,
+}
+
+impl<'a> Columns<'a> {
+    /// Starts without any, for a number of points.
+    pub fn new(stores: Stores<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
+        let left = unpacked_limit(stores.document.len() as u64);
+        Self { stores, unpacked: Unpacked::new(unpacking), points, left }
+    }
+
+    /// The bytes of all columns.
+    pub fn finish(self) -> Result<Kept, ReadFault> {
+        self.unpacked.finish()
+    }
+
+    /// Unpacks an attribute.
+    ///
+    /// # Errors
+    /// [`ReadFault::Compression`] for more than a file of this size may unpack to, and those of
+    /// reading and of the scratch file.
+    pub fn push(&mut self, attribute: &Attribute) -> Result<Vec<Column>, ReadFault> {
+        let Attribute { name, values, .. } = attribute;
+        let run = match &values.data {
+            Data::Tuples(run) => run,
+            Data::Pages(pages) => &pages.run,
+            Data::Arrays(runs) => {
+                // There may be none where there are no points.
+                let none = self.start(name, Scalar::F64, Endian::Little, 1)?;
+                let mut columns = vec![none; values.components as usize];
+                for (column, run) in columns.iter_mut().zip(runs) {
+                    let endian = self.stores.of(run.place).1;
+                    *column = self.start(name, run.numbers.storage.scalar(), endian, 1)?;
+                    self.stores.each(*run, &mut |stored| self.unpacked.push(stored))?;
+                }
+                return Ok(columns);
+            }
+        };
+        let endian = self.stores.of(run.place).1;
+        let scalar = run.numbers.storage.scalar();
+        let first = self.start(name, scalar, endian, values.components as usize)?;
+        let mut take = |stored: &[u8]| self.unpacked.push(stored);
+        match &values.data {
+            Data::Pages(pages) => self.stores.each_of_pages(pages, self.points, &mut take)?,
+            _ => self.stores.each(*run, &mut take)?,
+        }
+        Ok(components(first, values))
+    }
+
+    /// Unpacks an attribute of texts: one more than each text's number in the file, as that is -1
+    /// for no text. Also returns its label, and the place among the label's texts for each number.
+    ///
+    /// `None` where the texts are too many to select by, or several for a point.
+    ///
+    /// # Errors
+    /// [`ReadFault::Malformed`] for a number that is no text's, and those of [`push`](Self::push).
+    pub fn push_texts(&mut self, attribute: &Attribute) -> Result<Option<LabelColumn>, ReadFault> {
+        let Attribute { name, values, texts } = attribute;
+        let texts = texts.as_ref().filter(|texts| texts.len() <= MOST_TEXTS);
+        let Some(texts) = texts.filter(|_| values.components == 1) else { return Ok(None) };
+        let column = self.start(name, Scalar::U32, Endian::Little, 1)?;
+        let (run, pages) = match &values.data {
+            Data::Tuples(run) => (*run, None),
+            Data::Pages(pages) => (pages.run, Some(pages)),
+            Data::Arrays(runs) => match &runs[..] {
+                [only] => (*only, None),
+                _ => return Ok(None),
+            },
+        };
+        let endian = self.stores.of(run.place).1;
+        let scalar = run.numbers.storage.scalar();
+        let mut numbers = Vec::new();
+        let mut take = |stored: &[u8]| {
+            numbers.clear();
+            let count = (stored.len() / scalar.size()) as u64;
+            let part = Numbers { at: 0, storage: Storage::Scalar(scalar), count };
+            part.each(stored.into(), endian, |number| {
+                let Number::Integer(number @ -1..) = number else {
+                    let what = format!("attribute {name}: {number:?} is no text's number");
+                    return Err(run.fault(what));
+                };
+                if number >= texts.len() as i64 {
+                    let what = format!("attribute {name} names text {number} of {}", texts.len());
+                    return Err(run.fault(what));
+                }
+                numbers.extend_from_slice(&((number + 1) as u32).to_le_bytes());
+                Ok(())
+            })?;
+            self.unpacked.push(&numbers)
+        };
+        match pages {
+            Some(pages) => self.stores.each_of_pages(pages, self.points, &mut take)?,
+            None => self.stores.each(run, &mut take)?,
+        }
+        let none: Rc<str> = "".into();
+        let unique: BTreeSet<&str> = texts.iter().chain([&none]).map(|text| &**text).collect();
+        let unique: Vec<&str> = unique.into_iter().collect();
+        let place = |text: &Rc<str>| unique.partition_point(|other| *other < &**text) as u32;
+        let places = [&none].into_iter().chain(texts).map(place).collect();
+        let texts = unique.into_iter().map(str::to_owned).collect();
+        Ok(Some((Label { name: (**name).to_owned(), texts }, (column, places))))
+    }
+
+    /// Makes sure that there is room for an attribute, which starts here.
+    fn start(
+        &mut self,
+        name: &str,
+        scalar: Scalar,
+        endian: Endian,
+        components: usize,
+    ) -> Result<Column, ReadFault> {
+        let stride = components * scalar.size();
+        let needed = self.points.checked_mul(stride as u64).filter(|bytes| *bytes <= self.left);
+        self.left -= needed.ok_or_else(|| {
+            let what = format!(
+                "attribute {name} of {} points is larger than a file of {} bytes unpacks to",
+                self.points,
+                self.stores.document.len()
+            );
+            ReadFault::Compression(what)
+        })?;
+        Ok(Column { offset: self.unpacked.len() as usize, stride, scalar, endian })
+    }
+}

@@ -1,0 +1,846 @@
+//! The contents of a Houdini geometry: the points' attributes, and the primitives that connect
+//! points.
+//!
+//! Lists alternate keys and values as maps do. Numbers that are short lists are gathered in a store
+//! of their own, and arrays of numbers stay where they are.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use crate::io::bytes::{Unpacked, View};
+use crate::io::columns::{Endian, Scalar};
+use crate::io::{ReadFault, malformed};
+use crate::particles::sieve::Sieve;
+
+use super::json::{Event, Json, Number, Numbers, Storage};
+
+/// Attributes of a file: production files have a few hundred.
+const MOST_ATTRIBUTES: usize = 1 << 16;
+/// Bytes of an attribute's name.
+const LONGEST_NAME: usize = 1 << 10;
+/// Components of an attribute: more are a spectrum.
+pub const MOST_COMPONENTS: u64 = 64;
+/// Texts of an attribute that can be selected by.
+pub const MOST_TEXTS: usize = 4096;
+/// Kinds of primitives that are told apart.
+const MOST_KINDS: usize = 64;
+/// Words of flags of constant pages, of all attributes: those of 10^11 points.
+const MOST_FLAGS: usize = 1 << 20;
+/// Numbers that are gathered at once.
+const CHUNK: usize = 1 << 13;
+
+/// A geometry, whose attributes are as long as it says.
+#[derive(Debug)]
+pub struct Geometry {
+    pub points: u64,
+    pub attributes: Vec<Attribute>,
+    /// The number of primitives of each kind, in the file's spelling, without particle systems.
+    pub kinds: BTreeMap<Rc<str>, u64>,
+    /// The point of each vertex.
+    pub vertex_points: Run,
+    /// A bit for each vertex of a particle system; none where there is none.
+    pub particle_vertices: Vec<u64>,
+    /// The time in seconds.
+    pub time: Option<f64>,
+}
+
+/// A value of every point.
+#[derive(Debug)]
+pub struct Attribute {
+    pub name: Rc<str>,
+    pub values: Values,
+    /// The texts that the values are the numbers of, where they are; empty where those are too
+    /// many.
+    pub texts: Option<Vec<Rc<str>>>,
+}
+
+/// Numbers of points.
+#[derive(Debug)]
+pub struct Values {
+    /// Numbers of a point.
+    pub components: u64,
+    pub data: Data,
+}
+
+/// How numbers are arranged.
+#[derive(Debug)]
+pub enum Data {
+    /// Point after point.
+    Tuples(Run),
+    /// Component after component.
+    Arrays(Vec<Run>),
+    /// Page after page of points.
+    Pages(Pages),
+}
+
+/// Pages of points, each divided into groups of components.
+#[derive(Debug)]
+pub struct Pages {
+    pub run: Run,
+    /// Points of a page.
+    pub size: u64,
+    pub groups: Vec<Group>,
+}
+
+/// Components that are stored together.
+#[derive(Debug)]
+pub struct Group {
+    pub components: u64,
+    /// A bit for each page that stores one tuple for all of its points; none where no page does.
+    constant: Vec<u64>,
+}
+
+impl Group {
+    /// Whether a page stores one tuple for all points.
+    pub fn is_constant(&self, page: u64) -> bool {
+        let word = self.constant.get((page / 64) as usize).copied().unwrap_or_default();
+        word >> (page % 64) & 1 != 0
+    }
+
+    pub fn has_constants(&self) -> bool {
+        self.constant.iter().any(|&word| word != 0)
+    }
+}
+
+impl Pages {
+    /// Numbers that pages of so many points store; `None` where they are more than can be.
+    fn count(&self, points: u64) -> Option<u64> {
+        let counted = self.groups.iter().map(|group| {
+            let constant: u64 =
+                group.constant.iter().map(|word| u64::from(word.count_ones())).sum();
+            let pages = points.div_ceil(self.size);
+            let last = pages.checked_sub(1).map_or(0, |last| points - last * self.size);
+            let has_last = pages > 0 && group.is_constant(pages - 1);
+            let full = constant - u64::from(has_last);
+            let left_out = full * (self.size - 1) + if has_last { last - 1 } else { 0 };
+            (points - left_out).checked_mul(group.components)
+        });
+        counted.sum()
+    }
+}
+
+/// Where numbers are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// In the document.
+    Document,
+    /// Gathered from lists.
+    Gathered,
+}
+
+/// Numbers one after the other.
+#[derive(Debug, Clone, Copy)]
+pub struct Run {
+    pub place: Place,
+    pub numbers: Numbers,
+}
+
+impl Run {
+    /// A fault of a number in it: gathered ones have no place of their own.
+    pub fn fault(self, what: String) -> ReadFault {
+        match self.place {
+            Place::Document => malformed(self.numbers.at, what),
+            Place::Gathered => ReadFault::Unsupported(what),
+        }
+    }
+
+    const NONE: Self = Self {
+        place: Place::Document,
+        numbers: Numbers { at: 0, storage: Storage::Scalar(Scalar::I32), count: 0 },
+    };
+}
+
+/// Reads the geometry of a document.
+///
+/// # Errors
+/// Damage, by its place.
+pub fn read(
+    json: &mut dyn Json,
+    document: (View, Endian),
+    gathered: &mut Unpacked,
+) -> Result<Geometry, ReadFault> {
+    let mut reader = Reader { json, document, gathered, flag_words: 0 };
+    let mut head = Head::default();
+    reader.entries("a geometry", |reader, key| reader.part(key, &mut head))?;
+    reader.json.end()?;
+    let missing = |what: &str| reader.json.fault(format!("the geometry has no {what}"));
+    let points = head.points.ok_or_else(|| missing("pointcount"))?;
+    Ok(Geometry {
+        points,
+        attributes: head.attributes.ok_or_else(|| missing("point attributes"))?,
+        kinds: head.kinds,
+        vertex_points: head.vertex_points.unwrap_or(Run::NONE),
+        particle_vertices: head.particle_vertices,
+        time: head.time,
+    })
+}
+
+/// The parts of a geometry that were read so far.
+#[derive(Default)]
+struct Head {
+    points: Option<u64>,
+    vertex_points: Option<Run>,
+    attributes: Option<Vec<Attribute>>,
+    kinds: BTreeMap<Rc<str>, u64>,
+    particle_vertices: Vec<u64>,
+    time: Option<f64>,
+}
+
+struct Reader<'j, 'v, 'u> {
+    json: &'j mut dyn Json,
+    document: (View<'v>, Endian),
+    gathered: &'j mut Unpacked<'u>,
+    flag_words: usize,
+}
+
+impl Reader<'_, '_, '_> {
+    fn part(&mut self, key: &str, head: &mut Head) -> Result<(), ReadFault> {
+        match key {
+            "pointcount" => head.points = Some(self.count("pointcount")?),
+            "info" => {
+                // Of no matter to anything but the time.
+                let first = self.json.next()?;
+                if matches!(first, Event::List | Event::Map) {
+                    self.entries_within(|reader, key| match (key, reader.json.next()?) {
+                        ("time", Event::Real(time)) => {
+                            head.time = Some(time).filter(|time| time.is_finite());
+                            Ok(())
+                        }
+                        ("time", Event::Integer(time)) => {
+                            head.time = Some(time as f64);
+                            Ok(())
+                        }
+                        (_, other) => reader.skip(other),
+                    })?;
+                }
+            }
+            "topology" => self.entries("the topology", |reader, key| match key {
+                "pointref" => reader.entries("pointref", |reader, key| match key {
+                    "indices" => {
+                        let run = reader.numbers("indices", Storage::Scalar(Scalar::I64))?;
+                        head.vertex_points = Some(run);
+                        Ok(())
+                    }
+                    _ => reader.skip_value(),
+                }),
+                _ => reader.skip_value(),
+            })?,
+            "attributes" => {
+                let points = head.points;
+                let points = points.ok_or_else(|| {
+                    self.json.fault("attributes come before pointcount".to_owned())
+                })?;
+                self.entries("the attributes", |reader, key| match key {
+                    "pointattributes" => {
+                        head.attributes = Some(reader.attributes(points)?);
+                        Ok(())
+                    }
+                    _ => reader.skip_value(),
+                })?;
+            }
+            "primitives" => self.primitives(head)?,
+            _ => self.skip_value()?,
+        }
+        Ok(())
+    }
+
+    /// Passes the key and value of each entry to `take`, which reads the value.
+    fn entries(
+        &mut self,
+        what: &str,
+        take: impl FnMut(&mut Self, &str) -> Result<(), ReadFault>,
+    ) -> Result<(), ReadFault> {
+        match self.json.next()? {
+            Event::List | Event::Map => self.entries_within(take),
+            // As some writers spell an empty list.
+            Event::Numbers(Numbers { count: 0, .. }) => Ok(()),
+            _ => Err(self.json.fault(format!("expected {what} as a list of keys and values"))),
+        }
+    }
+
+    /// The rest of a list whose start was read.
+    fn entries_within(
+        &mut self,
+        mut take: impl FnMut(&mut Self, &str) -> Result<(), ReadFault>,
+    ) -> Result<(), ReadFault> {
+        loop {
+            match self.json.next()? {
+                Event::End => return Ok(()),
+                Event::Text(key) => take(self, &key)?,
+                _ => return Err(self.json.fault("expected a key".to_owned())),
+            }
+        }
+    }
+
+    fn skip_value(&mut self) -> Result<(), ReadFault> {
+        let first = self.json.next()?;
+        self.skip(first)
+    }
+
+    /// Passes the rest of a value that begins with an event.
+    fn skip(&mut self, first: Event) -> Result<(), ReadFault> {
+        let mut event = first;
+        let mut depth = 0_usize;
+        loop {
+            match event {
+                Event::List | Event::Map => depth += 1,
+                Event::End if depth == 0 => {
+                    return Err(self.json.fault("a list ends where a value should be".to_owned()));
+                }
+                Event::End => depth -= 1,
+                _ => {}
+            }
+            if depth == 0 {
+                return Ok(());
+            }
+            event = self.json.next()?;
+        }
+    }
+
+    fn count(&mut self, what: &str) -> Result<u64, ReadFault> {
+        match self.json.next()? {
+            Event::Integer(count @ 0..) => Ok(count as u64),
+            other => Err(self.json.fault(format!("{what} is {}", shown(&other)))),
+        }
+    }
+
+    fn text(&mut self, what: &str) -> Result<Rc<str>, ReadFault> {
+        match self.json.next()? {
+            Event::Text(text) => Ok(text),
+            other => Err(self.json.fault(format!("{what} is {}", shown(&other)))),
+        }
+    }
+
+    /// A list of numbers; those of a list are gathered as `storage`.
+    fn numbers(&mut self, what: &str, storage: Storage) -> Result<Run, ReadFault> {
+        let first = self.json.next()?;
+        self.numbers_from(first, what, storage)
+    }
+
+    fn numbers_from(
+        &mut self,
+        first: Event,
+        what: &str,
+        storage: Storage,
+    ) -> Result<Run, ReadFault> {
+        match first {
+            Event::Numbers(Numbers { storage: Storage::Bits, .. }) => {
+                return Err(self.json.fault(format!("{what} is an array of truths")));
+            }
+            Event::Numbers(numbers) => return Ok(Run { place: Place::Document, numbers }),
+            Event::List => {}
+            other => {
+                return Err(self
+                    .json
+                    .fault(format!("expected {what} as numbers, found {}", shown(&other))));
+            }
+        }
+        let scalar = storage.scalar();
+        let (at, mut count) = (self.gathered.len() as usize, 0);
+        let mut chunk = Vec::new();
+        loop {
+            let number = match self.json.next()? {
+                Event::End => break,
+                Event::Integer(whole) => Number::Integer(whole),
+                Event::Real(real) => Number::Real(real),
+                Event::Bool(truth) => Number::Integer(truth.into()),
+                other => {
+                    return Err(self
+                        .json
+                        .fault(format!("{} among the numbers of {what}", shown(&other))));
+                }
+            };
+            number.put(scalar, &mut chunk).ok_or_else(|| {
+                self.json.fault(format!("a number of {what} does not fit its type"))
+            })?;
+            count += 1;
+            if chunk.len() >= CHUNK {
+                self.gathered.push(&chunk)?;
+                chunk.clear();
+            }
+        }
+        self.gathered.push(&chunk)?;
+        let numbers = Numbers { at, storage: Storage::Scalar(scalar), count };
+        Ok(Run { place: Place::Gathered, numbers })
+    }
+
+    /// Gathers numbers of the document, as one of several lists.
+    fn gather(&mut self, numbers: Numbers) -> Result<Run, ReadFault> {
+        let (bytes, endian) = self.document;
+        let scalar = numbers.storage.scalar();
+        let at = self.gathered.len() as usize;
+        let mut chunk = Vec::new();
+        numbers.each(bytes, endian, |number| {
+            number.put(scalar, &mut chunk).expect("it was of this type");
+            if chunk.len() >= CHUNK {
+                self.gathered.push(&chunk)?;
+                chunk.clear();
+            }
+            Ok(())
+        })?;
+        self.gathered.push(&chunk)?;
+        let numbers = Numbers { at, storage: Storage::Scalar(scalar), ..numbers };
+        Ok(Run { place: Place::Gathered, numbers })
+    }
+
+    /// Passes each number of a list, or the only one, to `take`.
+    fn each(&mut self, mut take: impl FnMut(Number)) -> Result<(), ReadFault> {
+        let (bytes, endian) = self.document;
+        match self.json.next()? {
+            Event::Numbers(numbers) => {
+                return numbers.each(bytes, endian, |number| {
+                    take(number);
+                    Ok(())
+                });
+            }
+            Event::Integer(whole) => {
+                take(Number::Integer(whole));
+                return Ok(());
+            }
+            Event::List => {}
+            other => {
+                return Err(self.json.fault(format!("expected numbers, found {}", shown(&other))));
+            }
+        }
+        loop {
+            match self.json.next()? {
+                Event::End => return Ok(()),
+                Event::Integer(whole) => take(Number::Integer(whole)),
+                Event::Real(real) => take(Number::Real(real)),
+                Event::Bool(truth) => take(Number::Integer(truth.into())),
+                other => self.skip(other)?,
+            }
+        }
+    }
+
+    /// Definitions of attributes, each with its data.
+    fn attributes(&mut self, points: u64) -> Result<Vec<Attribute>, ReadFault> {
+        let mut attributes = Vec::new();
+        self.pairs("the point attributes", |reader| {
+            let (mut kind, mut name) = (None, None);
+            reader.entries("an attribute's definition", |reader, key| {
+                match key {
+                    "type" => kind = Some(reader.text("an attribute's type")?),
+                    "name" => name = Some(reader.text("an attribute's name")?),
+                    _ => reader.skip_value()?,
+                }
+                Ok(())
+            })?;
+            let missing = || reader.json.fault("an attribute without a name or type".to_owned());
+            let (kind, name) = kind.zip(name).ok_or_else(missing)?;
+            if name.len() > LONGEST_NAME {
+                let what = format!("the name of an attribute is {} bytes long", name.len());
+                return Err(reader.json.fault(what));
+            }
+            let attribute = match &*kind {
+                "numeric" => reader.numeric(name, points)?,
+                "string" => reader.strings(name, points)?,
+                // Lists of any length, and dictionaries.
+                _ => return reader.skip_value(),
+            };
+            attributes.extend(attribute);
+            if attributes.len() > MOST_ATTRIBUTES {
+                return Err(reader.json.fault(format!("more than {MOST_ATTRIBUTES} attributes")));
+            }
+            Ok(())
+        })?;
+        Ok(attributes)
+    }
+
+    /// Passes over lists of two values, of which `take` reads both.
+    fn pairs(
+        &mut self,
+        what: &str,
+        mut take: impl FnMut(&mut Self) -> Result<(), ReadFault>,
+    ) -> Result<(), ReadFault> {
+        match self.json.next()? {
+            Event::List => {}
+            Event::Numbers(Numbers { count: 0, .. }) => return Ok(()),
+            other => {
+                return Err(self.json.fault(format!("expected {what}, found {}", shown(&other))));
+            }
+        }
+        loop {
+            match self.json.next()? {
+                Event::End => return Ok(()),
+                Event::List => take(self)?,
+                other => return Err(self.json.fault(format!("{} among {what}", shown(&other)))),
+            }
+            match self.json.next()? {
+                Event::End => {}
+                other => {
+                    return Err(self.json.fault(format!("{} in a pair of {what}", shown(&other))));
+                }
+            }
+        }
+    }
+
+    fn numeric(&mut self, name: Rc<str>, points: u64) -> Result<Option<Attribute>, ReadFault> {
+        let mut values = None;
+        self.entries("an attribute's data", |reader, key| match key {
+            "values" => {
+                values = reader.values(&name, points)?;
+                Ok(())
+            }
+            _ => reader.skip_value(),
+        })?;
+        Ok(values.map(|values| Attribute { name, values, texts: None }))
+    }
+
+    fn strings(&mut self, name: Rc<str>, points: u64) -> Result<Option<Attribute>, ReadFault> {
+        let (mut values, mut texts) = (None, Vec::new());
+        self.entries("an attribute's data", |reader, key| match key {
+            "indices" => {
+                values = reader.values(&name, points)?;
+                Ok(())
+            }
+            "strings" => reader.texts(&mut texts),
+            _ => reader.skip_value(),
+        })?;
+        Ok(values.map(|values| Attribute { name, values, texts: Some(texts) }))
+    }
+
+    fn texts(&mut self, texts: &mut Vec<Rc<str>>) -> Result<(), ReadFault> {
+        match self.json.next()? {
+            Event::List => {}
+            Event::Numbers(Numbers { count: 0, .. }) => return Ok(()),
+            other => {
+                return Err(self.json.fault(format!("expected texts, found {}", shown(&other))));
+            }
+        }
+        loop {
+            match self.json.next()? {
+                Event::End => break,
+                // One more says that they are too many.
+                Event::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
+                Event::Text(_) => {}
+                other => return Err(self.json.fault(format!("{} among texts", shown(&other)))),
+            }
+        }
+        Ok(())
+    }
+
+    /// The values of an attribute, of which there is one for each point. `None` for what is no
+    /// attribute of numbers of a point.
+    fn values(&mut self, name: &str, points: u64) -> Result<Option<Values>, ReadFault> {
+        let (mut components, mut page) = (None, None);
+        let mut storage = Storage::Scalar(Scalar::F64);
+        let (mut packing, mut flags) = (Vec::new(), Vec::new());
+        let (mut tuples, mut arrays, mut raw) = (None, None, None);
+        self.entries("values", |reader, key| {
+            match key {
+                "size" => components = Some(reader.count("an attribute's size")?),
+                "storage" => storage = reader.storage(name)?,
+                "pagesize" => page = Some(reader.count("pagesize")?),
+                "packing" => reader.each(|number| {
+                    // What is negative or too long is refused below.
+                    if let Number::Integer(count) = number
+                        && packing.len() <= MOST_COMPONENTS as usize
+                    {
+                        packing.push(u64::try_from(count).unwrap_or(u64::MAX));
+                    }
+                })?,
+                "constantpageflags" => flags = reader.page_flags()?,
+                "rawpagedata" => raw = Some(reader.numbers(name, storage)?),
+                "tuples" => tuples = Some(reader.tuples(name, storage)?),
+                "arrays" => arrays = Some(reader.arrays(name, storage)?),
+                _ => reader.skip_value()?,
+            }
+            Ok(())
+        })?;
+        let given = tuples.as_ref().map(|(components, _)| *components);
+        let Some(components) = components.or(given) else { return Ok(None) };
+        if !(1..=MOST_COMPONENTS).contains(&components) {
+            return Ok(None);
+        }
+        let fault = |what: String| self.json.fault(format!("attribute {name}: {what}"));
+        let wrong_count = |found: u64, expected: Option<u64>| {
+            let expected =
+                expected.map_or("more than can be".to_owned(), |count| count.to_string());
+            fault(format!("{found} numbers for {points} points, which take {expected}"))
+        };
+        let all = points.checked_mul(components);
+        let data = match (tuples, arrays, raw) {
+            (Some((own, run)), None, None) => {
+                // There is no tuple to be seen where there are no points.
+                if own != components && points > 0 {
+                    return Err(fault(format!("tuples of {own} numbers, not of {components}")));
+                }
+                if Some(run.numbers.count) != all {
+                    return Err(wrong_count(run.numbers.count, all));
+                }
+                Data::Tuples(run)
+            }
+            (None, Some(arrays), None) => {
+                // There may be no array where there are no points.
+                if arrays.len() as u64 != components && !(arrays.is_empty() && points == 0) {
+                    return Err(fault(format!("{} arrays for {components} numbers", arrays.len())));
+                }
+                if let Some(run) = arrays.iter().find(|run| run.numbers.count != points) {
+                    return Err(wrong_count(run.numbers.count, Some(points)));
+                }
+                Data::Arrays(arrays)
+            }
+            (None, None, Some(run)) => {
+                if packing.is_empty() {
+                    packing.push(components);
+                }
+                if packing.iter().try_fold(0_u64, |sum, &count| sum.checked_add(count))
+                    != Some(components)
+                    || packing.contains(&0)
+                {
+                    return Err(fault(format!("packing of {packing:?} for {components} numbers")));
+                }
+                let Some(size) = page.filter(|&size| size > 0) else {
+                    return Err(fault("pages without a pagesize".to_owned()));
+                };
+                if flags.is_empty() {
+                    flags.resize_with(packing.len(), || (0, Vec::new()));
+                }
+                let pages = points.div_ceil(size);
+                if flags.len() != packing.len()
+                    || flags.iter().any(|(count, _)| *count != 0 && *count != pages)
+                {
+                    let counts: Vec<u64> = flags.iter().map(|(count, _)| *count).collect();
+                    return Err(fault(format!(
+                        "constant flags of {counts:?} pages, not of {pages}"
+                    )));
+                }
+                let groups = packing.into_iter().zip(flags);
+                let groups =
+                    groups.map(|(components, (_, constant))| Group { components, constant });
+                let pages = Pages { run, size, groups: groups.collect() };
+                let expected = pages.count(points);
+                if Some(run.numbers.count) != expected {
+                    return Err(wrong_count(run.numbers.count, expected));
+                }
+                Data::Pages(pages)
+            }
+            (None, None, None) => return Ok(None),
+            _ => return Err(fault("several arrangements of its values".to_owned())),
+        };
+        Ok(Some(Values { components, data }))
+    }
+
+    fn storage(&mut self, name: &str) -> Result<Storage, ReadFault> {
+        let storage = self.text("an attribute's storage")?;
+        Ok(match &*storage {
+            "fpreal16" => Storage::Half,
+            "fpreal32" => Storage::Scalar(Scalar::F32),
+            "fpreal64" => Storage::Scalar(Scalar::F64),
+            "int8" => Storage::Scalar(Scalar::I8),
+            "int16" => Storage::Scalar(Scalar::I16),
+            "int32" => Storage::Scalar(Scalar::I32),
+            "int64" => Storage::Scalar(Scalar::I64),
+            "uint8" | "bool" => Storage::Scalar(Scalar::U8),
+            "uint16" => Storage::Scalar(Scalar::U16),
+            other => {
+                let what = format!("attribute {name} has the unknown storage {other:?}");
+                return Err(self.json.fault(what));
+            }
+        })
+    }
+
+    /// For each group of components, the number of flags and their bits.
+    fn page_flags(&mut self) -> Result<Vec<(u64, Vec<u64>)>, ReadFault> {
+        match self.json.next()? {
+            Event::List => {}
+            Event::Numbers(Numbers { count: 0, .. }) => return Ok(Vec::new()),
+            other => {
+                let what = format!("expected constantpageflags, found {}", shown(&other));
+                return Err(self.json.fault(what));
+            }
+        }
+        let (bytes, endian) = self.document;
+        let mut groups = Vec::new();
+        loop {
+            let (mut count, mut bits) = (0_u64, Vec::new());
+            let left = MOST_FLAGS - self.flag_words;
+            let mut take = |number: Number| {
+                let word = (count / 64) as usize;
+                if word < left {
+                    if word == bits.len() {
+                        bits.push(0);
+                    }
+                    let truth = number != Number::Integer(0);
+                    bits[word] |= u64::from(truth) << (count % 64);
+                }
+                count += 1;
+            };
+            match self.json.next()? {
+                Event::End => return Ok(groups),
+                Event::Numbers(numbers) => numbers.each(bytes, endian, |number| {
+                    take(number);
+                    Ok(())
+                })?,
+                Event::List => loop {
+                    match self.json.next()? {
+                        Event::End => break,
+                        Event::Bool(truth) => take(Number::Integer(truth.into())),
+                        Event::Integer(whole) => take(Number::Integer(whole)),
+                        other => {
+                            let what = format!("{} among constantpageflags", shown(&other));
+                            return Err(self.json.fault(what));
+                        }
+                    }
+                },
+                other => {
+                    let what = format!("{} among constantpageflags", shown(&other));
+                    return Err(self.json.fault(what));
+                }
+            }
+            self.flag_words += bits.len();
+            if count.div_ceil(64) > bits.len() as u64 || groups.len() as u64 == MOST_COMPONENTS {
+                return Err(self.json.fault("too many constantpageflags".to_owned()));
+            }
+            groups.push((count, bits));
+        }
+    }
+
+    /// Lists of one number for each component, and how many these are.
+    fn tuples(&mut self, name: &str, storage: Storage) -> Result<(u64, Run), ReadFault> {
+        if self.json.next()? != Event::List {
+            return Err(self.json.fault(format!("attribute {name}: expected a list of tuples")));
+        }
+        let mut all: Option<(u64, Run)> = None;
+        loop {
+            let first = match self.json.next()? {
+                Event::End => {
+                    return Ok(all.unwrap_or((0, Run { place: Place::Gathered, ..Run::NONE })));
+                }
+                first => first,
+            };
+            let Run { place, numbers } = match self.numbers_from(first, name, storage)? {
+                Run { place: Place::Document, numbers } => self.gather(numbers)?,
+                gathered => gathered,
+            };
+            match &mut all {
+                None => all = Some((numbers.count, Run { place, numbers })),
+                Some((components, run)) => {
+                    let own = run.numbers;
+                    let end = own.part(own.count, 0).at;
+                    if numbers.at != end
+                        || numbers.storage != own.storage
+                        || numbers.count != *components
+                    {
+                        let what = format!("attribute {name}: tuples that are not alike");
+                        return Err(self.json.fault(what));
+                    }
+                    run.numbers.count += numbers.count;
+                }
+            }
+        }
+    }
+
+    /// A list of numbers for each component.
+    fn arrays(&mut self, name: &str, storage: Storage) -> Result<Vec<Run>, ReadFault> {
+        let mut arrays = Vec::new();
+        match self.json.next()? {
+            Event::List => {}
+            Event::Numbers(Numbers { count: 0, .. }) => return Ok(arrays),
+            _ => {
+                return Err(self
+                    .json
+                    .fault(format!("attribute {name}: expected a list of arrays")));
+            }
+        }
+        loop {
+            let first = match self.json.next()? {
+                Event::End => return Ok(arrays),
+                _ if arrays.len() as u64 == MOST_COMPONENTS => {
+                    return Err(self.json.fault(format!("attribute {name}: too many arrays")));
+                }
+                first => first,
+            };
+            arrays.push(self.numbers_from(first, name, storage)?);
+        }
+    }
+
+    /// Counts primitives by their kinds, and marks the vertices of particle systems.
+    fn primitives(&mut self, head: &mut Head) -> Result<(), ReadFault> {
+        let vertices = head.vertex_points.map_or(0, |run| run.numbers.count);
+        self.pairs("the primitives", |reader| {
+            let (mut kind, mut of_run) = (None, None);
+            reader.entries("a primitive's kind", |reader, key| {
+                match key {
+                    "type" => kind = Some(reader.text("a primitive's type")?),
+                    "runtype" => of_run = Some(reader.text("a primitive's type")?),
+                    _ => reader.skip_value()?,
+                }
+                Ok(())
+            })?;
+            let kind =
+                kind.ok_or_else(|| reader.json.fault("a primitive without a type".to_owned()))?;
+            let mut count = 1;
+            let (kind, is_run) = match of_run {
+                Some(of_run) if &*kind == "run" => (of_run, true),
+                _ => (kind, false),
+            };
+            let is_particles = &*kind == "Part";
+            let mut mark = |number: Number| {
+                if let Number::Integer(vertex) = number
+                    && let Ok(vertex) = u64::try_from(vertex)
+                    && vertex < vertices
+                {
+                    if head.particle_vertices.is_empty() {
+                        head.particle_vertices = Sieve::none(vertices as usize);
+                    }
+                    Sieve::set(&mut head.particle_vertices, vertex as usize);
+                }
+            };
+            if is_run {
+                count = reader.items()?;
+            } else {
+                reader.entries("a primitive", |reader, key| match key {
+                    "n_p" | "nprimitives" => {
+                        count = reader.count(key)?;
+                        Ok(())
+                    }
+                    "vertex" if is_particles => reader.each(&mut mark),
+                    _ => reader.skip_value(),
+                })?;
+            }
+            if !is_particles {
+                let is_known = head.kinds.len() < MOST_KINDS || head.kinds.contains_key(&kind);
+                let kind = if is_known { kind } else { "other".into() };
+                let all = head.kinds.entry(kind).or_default();
+                *all = all.saturating_add(count);
+            }
+            Ok(())
+        })
+    }
+
+    /// The number of values in a list, which are passed over.
+    fn items(&mut self) -> Result<u64, ReadFault> {
+        match self.json.next()? {
+            Event::Numbers(numbers) => return Ok(numbers.count),
+            Event::List => {}
+            other => {
+                return Err(self.json.fault(format!("expected a list, found {}", shown(&other))));
+            }
+        }
+        let mut count = 0;
+        loop {
+            match self.json.next()? {
+                Event::End => return Ok(count),
+                other => self.skip(other)?,
+            }
+            count += 1;
+        }
+    }
+}
+
+/// An event, in the words of a message.
+fn shown(event: &Event) -> String {
+    match event {
+        Event::List => "a list".to_owned(),
+        Event::Map => "a map".to_owned(),
+        Event::End => "the end of a list".to_owned(),
+        Event::Null => "null".to_owned(),
+        Event::Bool(truth) => truth.to_string(),
+        Event::Integer(whole) => whole.to_string(),
+        Event::Real(real) => real.to_string(),
+        Event::Text(text) => format!("{:?}", text.chars().take(40).collect::<String>()),
+        Event::Numbers(numbers) => format!("an array of {} numbers", numbers.count),
+    }
+}

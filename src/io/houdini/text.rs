@@ -1,0 +1,124 @@
+//! Houdini's JSON in text.
+
+use std::rc::Rc;
+
+use crate::io::ReadFault;
+use crate::io::bytes::Slice;
+use crate::io::number::Number as _;
+
+use super::json::{Event, Json, Nesting};
+
+/// Bytes that are passed before their memory is given back.
+const PASSED: usize = 1 << 20;
+
+/// A document in text.
+pub struct Text<'a> {
+    store: Slice<'a>,
+    at: usize,
+    /// Offset from which on memory was not given back.
+    held: usize,
+    /// Start of the value that was read last.
+    value_at: usize,
+    nesting: Nesting,
+}
+
+impl<'a> Text<'a> {
+    /// At the start of a text.
+    pub fn new(store: Slice<'a>) -> Self {
+        let at = if store.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
+        Self { store, at, held: at, value_at: at, nesting: Nesting::default() }
+    }
+
+    fn rest(&self) -> &'a [u8] {
+        &self.store.bytes()[self.at..]
+    }
+
+    /// Passes blanks, and separators: keys and values alternate without them in lists.
+    fn skip_blanks(&mut self) {
+        let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
+        self.at += self.rest().iter().take_while(is_blank).count();
+        if self.at - self.held >= PASSED {
+            self.store.release(self.held..self.at);
+            self.held = self.at;
+        }
+    }
+
+    /// A text in quotes.
+    fn quoted(&mut self) -> Result<Rc<str>, ReadFault> {
+        let rest = self.rest();
+        let mut escaped = false;
+        let end = rest.iter().skip(1).position(|&byte| {
+            let ends = byte == b'"' && !escaped;
+            escaped = byte == b'\\' && !escaped;
+            ends
+        });
+        let end = end.ok_or_else(|| self.fault("a text without an end".to_owned()))? + 2;
+        self.at += end;
+        let quoted = &rest[..end];
+        if !quoted.contains(&b'\\') {
+            return Ok(String::from_utf8_lossy(&quoted[1..end - 1]).into());
+        }
+        serde_json::from_slice::<String>(quoted)
+            .map(Rc::from)
+            .map_err(|fault| self.fault(format!("a text that is no JSON: {fault}")))
+    }
+
+    fn word(&mut self) -> Result<Event, ReadFault> {
+        let rest = self.rest();
+        let is_part = |byte: &&u8| {
+            byte.is_ascii_alphanumeric()
+                || matches!(byte, b'+' | b'-' | b'.' | b'#' | b'(' | b')' | b'_')
+        };
+        let length = rest.iter().take_while(is_part).count();
+        self.at += length;
+        let word = &rest[..length];
+        Ok(match word {
+            b"true" => Event::Bool(true),
+            b"false" => Event::Bool(false),
+            b"null" => Event::Null,
+            _ => match (i64::of(word), f64::of(word)) {
+                (Some(whole), _) => Event::Integer(whole),
+                (None, Some(real)) => Event::Real(real),
+                (None, None) => {
+                    let found = &rest[..length.clamp(1, 40)];
+                    let found = String::from_utf8_lossy(found);
+                    return Err(self.fault(format!("{found:?} stands where a value should")));
+                }
+            },
+        })
+    }
+}
+
+impl Json for Text<'_> {
+    fn next(&mut self) -> Result<Event, ReadFault> {
+        self.skip_blanks();
+        self.value_at = self.at;
+        let Some(first) = self.rest().first() else {
+            return Err(self.fault("the file ends within the geometry".to_owned()));
+        };
+        let nested = match first {
+            b'"' => return self.quoted().map(Event::Text),
+            b'[' => self.nesting.begin(Event::List),
+            b'{' => self.nesting.begin(Event::Map),
+            b']' => self.nesting.end(&Event::List),
+            b'}' => self.nesting.end(&Event::Map),
+            _ => return self.word(),
+        };
+        self.at += 1;
+        nested.map_err(|what| self.fault(what))
+    }
+
+    fn fault(&self, what: String) -> ReadFault {
+        let above = self.store.bytes()[..self.value_at].iter().filter(|&&byte| byte == b'\n');
+        ReadFault::Line { line: 1 + above.count() as u64, what }
+    }
+
+    fn end(&mut self) -> Result<(), ReadFault> {
+        self.at += self.rest().iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+        self.value_at = self.at;
+        match self.rest() {
+            [] => Ok(()),
+            _ => Err(self.fault("more stands behind the geometry".to_owned())),
+        }
+    }
+}

@@ -1,0 +1,530 @@
+//! Geometries of Houdini: every point is what was put in, in whatever form and arrangement, and
+//! damage is refused.
+
+use std::path::Path;
+
+use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
+use meniscus::internals::io::input;
+use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
+use meniscus::internals::io::{CoordinateWidth, LeftOut, ParticleFile, ReadFault, houdini};
+use meniscus::internals::particles::{AttributeKind, Particles, Unread};
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
+
+use crate::build::houdini::{
+    Codec, Container, Form, Layout, STORAGES, Shuffle, Value, cloud, definition, geometry, keyed,
+    numeric, strings, text,
+};
+use crate::build::{gzip, tuples};
+use crate::common::particle_files::{attribute, positions};
+use crate::common::shapes::sphere;
+use crate::memory;
+
+fn read(bytes: Vec<u8>) -> Result<ParticleFile, ReadFault> {
+    houdini::read_particles(bytes.into(), WantedAttributes::All, Unpacking::in_memory())
+}
+
+/// Numbers that every storage holds exactly; those of the second thousand of points are alike.
+fn numbers(points: usize, components: usize) -> Vec<f64> {
+    let number = |point: usize, component: usize| match point {
+        1024..2048 => component as f64,
+        _ => ((7 * point + component) % 100) as f64,
+    };
+    (0..points).flat_map(|point| (0..components).map(move |c| number(point, c))).collect()
+}
+
+/// A label's text for each particle.
+fn texts(file: &ParticleFile, name: &str) -> Vec<String> {
+    let labels = file.particles.labels();
+    let index = labels.iter().position(|label| label.name == name).expect(name);
+    let mut places = vec![0; file.particles.len()];
+    file.particles.label(index, 0, &mut places);
+    places.iter().map(|&place| labels[index].texts[place as usize].clone()).collect()
+}
+
+/// A position in f32, one page.
+fn position(points: usize) -> Value {
+    let layout = Layout::Pages(1024, vec![3]);
+    numeric("P", "fpreal32", 3, tuples(points).as_flattened(), &layout)
+}
+
+#[test]
+fn every_storage_reads_back_in_every_form_and_arrangement() {
+    let mut files = 0;
+    let layouts = |components: usize| {
+        let pages = |size| move |packing| Layout::Pages(size, packing);
+        let packings = match components {
+            4 => vec![vec![4], vec![3, 1], vec![1; 4]],
+            _ => vec![vec![components]],
+        };
+        let paged = [1024, 100].map(|size| packings.clone().into_iter().map(pages(size)));
+        [Layout::Tuples, Layout::Arrays].into_iter().chain(paged.into_iter().flatten())
+    };
+    for form in Form::ALL {
+        for (storage, ..) in STORAGES {
+            for points in [0, 1, 1024, 1025, 2100] {
+                // Each file has all arrangements, each in an attribute.
+                let mut attributes = vec![position(points)];
+                let mut expected = Vec::new();
+                for components in [1, 2, 4] {
+                    for (number, layout) in layouts(components).enumerate() {
+                        let name = format!("a{components}_{number}");
+                        let values = numbers(points, components);
+                        attributes.push(numeric(&name, storage, components, &values, &layout));
+                        expected.push((name, values));
+                    }
+                }
+                let document = cloud(points, attributes).document(form);
+                for bytes in [document.clone(), Container::USUAL.pack(&document)] {
+                    let file = read(bytes).unwrap_or_else(|fault| {
+                        panic!("{form:?} {storage} {points}: {fault}");
+                    });
+                    assert_eq!(positions(&file), tuples(points));
+                    assert_eq!(file.particles.attributes().len(), expected.len());
+                    for (name, values) in &expected {
+                        let values: Vec<f32> = values.iter().map(|&value| value as f32).collect();
+                        assert!(attribute(&file, name) == values, "{form:?} {storage} {name}");
+                    }
+                    files += 1;
+                }
+            }
+        }
+    }
+    assert_eq!(files, 4 * 9 * 5 * 2);
+}
+
+#[test]
+fn positions_of_every_storage_and_arrangement_read_back_in_place_or_not() {
+    for form in Form::ALL {
+        for storage in ["fpreal16", "fpreal32", "fpreal64"] {
+            for (size, layout) in [
+                (3, Layout::Tuples),
+                (3, Layout::Arrays),
+                (3, Layout::Pages(1024, vec![3])),
+                (3, Layout::Pages(1024, vec![1, 1, 1])),
+                (4, Layout::Pages(1024, vec![3, 1])),
+                (4, Layout::Pages(512, vec![4])),
+            ] {
+                let values = numbers(2100, size);
+                let expected: Vec<[f64; 3]> =
+                    values.chunks(size).map(|p| [p[0], p[1], p[2]]).collect();
+                let p = numeric("P", storage, size, &values, &layout);
+                let file = read(cloud(2100, vec![p]).document(form)).unwrap();
+                assert!(positions(&file) == expected, "{form:?} {storage} {layout:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_container_unpacks_in_memory_and_within_a_budget() {
+    let document = cloud(5000, vec![position(5000)]).document(Form::ALL[1]);
+    let folder = tempfile::tempdir().unwrap();
+    for codec in [Codec::Stored, Codec::Lz4, Codec::Zlib, Codec::Zstd] {
+        for shuffle in [Shuffle::None, Shuffle::Bytes, Shuffle::Bits] {
+            for type_size in [1, 2, 4, 7, 8, 24] {
+                for split in [false, true] {
+                    let chunk = 10_000;
+                    let block = 256 * type_size;
+                    let container = Container { codec, shuffle, type_size, chunk, block, split };
+                    let packed = container.pack(&document);
+                    for in_memory in [0, 30_000, 1 << 40] {
+                        let unpacking =
+                            Unpacking { in_memory, scratch: folder.path(), control: None };
+                        let bytes = Bytes::from(packed.clone());
+                        let file = houdini::read_particles(bytes, WantedAttributes::All, unpacking);
+                        let file = file.unwrap_or_else(|fault| panic!("{container:?}: {fault}"));
+                        assert!(positions(&file) == tuples(5000), "{container:?}");
+                        let is_scratch = file.particles.scratch_bytes() > 0;
+                        assert_eq!(is_scratch, in_memory < document.len() as u64);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn kinds_follow_the_names_and_storages() {
+    let values = numbers(10, 3);
+    let layout = Layout::Pages(1024, vec![3]);
+    let one = Layout::Pages(1024, vec![1]);
+    let attributes = vec![
+        position(10),
+        numeric("Cd", "fpreal32", 3, &vec![0.5; 30], &layout),
+        numeric("v", "fpreal32", 3, &values, &layout),
+        numeric("id", "int32", 1, &numbers(10, 1), &one),
+        numeric("big", "int64", 1, &[(1_i64 << 52) as f64; 10], &one),
+    ];
+    for form in Form::ALL {
+        let file = read(cloud(10, attributes.clone()).document(form)).unwrap();
+        let kind = |name: &str| {
+            let infos = file.particles.attributes();
+            infos.iter().find(|info| info.name == name).expect(name).kind
+        };
+        assert!(kind("Cd").is_colour());
+        assert_eq!(kind("v"), AttributeKind::Number);
+        assert_eq!(kind("id"), AttributeKind::Signed);
+        assert_eq!(kind("big"), AttributeKind::Wide);
+    }
+}
+
+#[test]
+fn texts_are_labels_and_none_is_an_empty_text() {
+    let known = ["water", "foam", "", "water"];
+    let indices: Vec<f64> =
+        (0..2100).map(|i| if i < 1100 { 1.0 } else { (i % 5) as f64 - 1.0 }).collect();
+    let expected: Vec<&str> =
+        indices.iter().map(|&index| if index < 0.0 { "" } else { known[index as usize] }).collect();
+    for form in Form::ALL {
+        for layout in [Layout::Arrays, Layout::Tuples, Layout::Pages(1024, vec![1])] {
+            let names = strings("name", &known, &indices, &layout);
+            let file = read(cloud(2100, vec![position(2100), names]).document(form)).unwrap();
+            assert!(texts(&file, "name") == expected, "{form:?} {layout:?}");
+            assert_eq!(positions(&file), tuples(2100));
+        }
+    }
+    for beyond in [-2.0, 4.0, 1e6] {
+        let indices = [0.0, beyond, 0.0];
+        let names = strings("name", &known, &indices, &Layout::Pages(1024, vec![1]));
+        let fault = read(cloud(3, vec![position(3), names]).document(Form::ALL[1])).unwrap_err();
+        assert!(matches!(fault, ReadFault::Malformed { .. }), "{fault}");
+    }
+}
+
+#[test]
+fn attributes_that_nobody_wants_are_not_read_and_named() {
+    let layout = Layout::Pages(1024, vec![1]);
+    let damaged = strings("path", &["a"], &[7.0; 10], &layout);
+    let attributes = vec![
+        position(10),
+        numeric("age", "fpreal32", 1, &numbers(10, 1), &layout),
+        numeric("v", "fpreal32", 3, &numbers(10, 3), &Layout::Tuples),
+        damaged,
+    ];
+    let bytes = cloud(10, attributes).document(Form::ALL[1]);
+    let wanted = WantedAttributes::Only { names: None, conditions: &[] };
+    let file = houdini::read_particles(bytes.into(), wanted, Unpacking::in_memory()).unwrap();
+    let names = |infos: &[meniscus::internals::particles::AttributeInfo]| -> Vec<String> {
+        infos.iter().map(|info| info.name.clone()).collect()
+    };
+    assert_eq!(names(file.particles.attributes()), ["v"]);
+    assert_eq!(names(&file.unread), ["age"]);
+}
+
+fn primitive(kind: &str, data: Vec<(&str, Value)>) -> Value {
+    Value::List(vec![keyed(vec![("type", text(kind))]), keyed(data)])
+}
+
+#[test]
+fn points_of_primitives_are_left_out_and_counted_by_kind() {
+    let polygons = primitive(
+        "p_r",
+        vec![
+            ("s_v", Value::Integer(0)),
+            ("n_p", Value::Integer(2)),
+            ("r_v", Value::Numbers("uint8", vec![3.0, 2.0])),
+        ],
+    );
+    let sphere = primitive("Sphere", vec![("vertex", Value::Integer(6))]);
+    let particles = primitive("Part", vec![("vertex", Value::Numbers("int32", vec![7.0, 8.0]))]);
+    let run = Value::List(vec![
+        keyed(vec![("type", text("run")), ("runtype", text("Poly"))]),
+        Value::List(vec![Value::List(vec![Value::Numbers("int32", vec![0.0, 1.0, 2.0])])]),
+    ]);
+    // Two triangles of points 0 to 3, a sphere at 5, a particle system of 6 and 8.
+    let vertices = [0.0, 1.0, 2.0, 2.0, 1.0, 3.0, 5.0, 6.0, 8.0];
+    let primitives = vec![polygons.clone(), sphere.clone(), particles.clone(), run];
+    for form in Form::ALL {
+        let whole = geometry(10, vec![position(10)], &vertices, primitives.clone());
+        let file = read(whole.document(form)).unwrap();
+        let all = tuples(10);
+        assert_eq!(positions(&file), [all[4], all[6], all[7], all[8], all[9]]);
+        let kinds = vec![("Sphere".to_owned(), 1), ("polygons".to_owned(), 3)];
+        let [LeftOut::Primitives { kinds: found, points: 5 }] = &file.left_out[..] else {
+            panic!("{:?}", file.left_out);
+        };
+        let mut found = found.clone();
+        found.sort();
+        assert_eq!(found, kinds);
+        // All points belong to the system, which is no matter.
+        let system = geometry(10, vec![position(10)], &vertices, vec![particles.clone()]);
+        let file = read(system.document(form)).unwrap();
+        assert_eq!((positions(&file), file.left_out.len()), (tuples(10), 0));
+    }
+    let bound: Vec<f64> = (0..10).map(f64::from).collect();
+    for (kind, words) in [("p_r", "polygons"), ("PackedGeometry", "Unpack"), ("Volume", "Volume")] {
+        let all = primitive(kind, vec![("n_p", Value::Integer(4))]);
+        let whole = geometry(10, vec![position(10)], &bound, vec![all]);
+        let fault = read(whole.document(Form::ALL[0])).unwrap_err();
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+        assert!(fault.to_string().contains(words), "{fault}");
+    }
+}
+
+#[test]
+fn what_is_no_number_of_a_point_is_passed_over() {
+    let lists = Value::List(vec![
+        definition("lists", "arraynumeric"),
+        keyed(vec![("sizerepeat", Value::Numbers("int32", vec![1.0, 2.0]))]),
+    ]);
+    for form in Form::ALL {
+        let file = read(cloud(5, vec![lists.clone(), position(5)]).document(form)).unwrap();
+        assert_eq!(positions(&file), tuples(5));
+    }
+}
+
+#[test]
+fn text_holds_numbers_that_are_none() {
+    let document = cloud(3, vec![numeric("P", "fpreal32", 3, &[1.0; 9], &Layout::Tuples)]);
+    let document = String::from_utf8(document.document(Form::Text)).unwrap();
+    let document = document.replacen("[1,1,1", "[nan,-inf,1e1", 1);
+    let file = read(document.into_bytes()).unwrap();
+    let [first, ..] = positions(&file)[..] else { panic!() };
+    assert!(first[0].is_nan() && first[1] == f64::NEG_INFINITY && first[2] == 10.0);
+}
+
+#[test]
+fn the_extension_is_no_matter() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = |form: Form| cloud(7, vec![position(7)]).document(form);
+    let binary = document(Form::ALL[1]);
+    let forms = [
+        document(Form::Text),
+        binary.clone(),
+        gzip(&binary),
+        Container::USUAL.pack(&binary),
+        gzip(&document(Form::Text)),
+        crate::build::bgeo(&tuples(7)),
+    ];
+    for bytes in forms {
+        for extension in ["bgeo", "geo", "bgeo.sc", "BGEO", "bgeo.gz", "bhclassic"] {
+            let path = folder.path().join(format!("frame.{extension}"));
+            std::fs::write(&path, &bytes).unwrap();
+            let file = input::open_wanted(&path, Wanted::default(), Unpacking::in_memory());
+            assert_eq!(positions(&file.unwrap()), tuples(7), "{extension}");
+        }
+    }
+}
+
+/// One small file of each form, with an attribute of each arrangement.
+fn samples() -> Vec<Vec<u8>> {
+    let mut files = Vec::new();
+    for form in Form::ALL {
+        let attributes = vec![
+            position(7),
+            numeric("a", "fpreal32", 4, &numbers(7, 4), &Layout::Pages(4, vec![3, 1])),
+            numeric("c", "int32", 1, &[5.0; 7], &Layout::Pages(4, vec![1])),
+            strings("name", &["x", "y"], &[0.0, 1.0, -1.0, 0.0, 0.0, 1.0, 1.0], &Layout::Arrays),
+        ];
+        let document = cloud(7, attributes).document(form);
+        files.push(Container { chunk: 300, block: 128, ..Container::USUAL }.pack(&document));
+        files.push(document);
+    }
+    files
+}
+
+#[test]
+fn every_prefix_is_refused() {
+    for (number, bytes) in samples().into_iter().enumerate() {
+        for end in 1..bytes.len() {
+            let cut = read(bytes[..end].to_vec());
+            assert!(cut.is_err(), "file {number} cut at {end} of {}", bytes.len());
+        }
+    }
+}
+
+#[test]
+fn flipped_bytes_are_errors_or_other_numbers_and_never_more_particles() {
+    for bytes in samples() {
+        for at in 0..bytes.len() {
+            for flip in [0x01, 0xff] {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= flip;
+                if let Ok(file) = read(damaged) {
+                    assert!(positions(&file).len() <= 7);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
+    let mut cases = Vec::new();
+    let pages = |size: i64, points: i64| {
+        keyed(vec![
+            ("size", Value::Integer(3)),
+            ("storage", text("fpreal32")),
+            ("pagesize", Value::Integer(size)),
+            ("constantpageflags", Value::List(vec![Value::Bits(vec![true])])),
+            ("rawpagedata", Value::Numbers("fpreal32", vec![0.0; 3])),
+            ("points", Value::Integer(points)),
+        ])
+    };
+    for (size, points) in
+        [(i64::MAX, i64::MAX), (1 << 40, 1 << 40), (1 << 40, 1 << 50), (0, 5), (-1, 5)]
+    {
+        let p = keyed(vec![("values", pages(size, points))]);
+        let p = Value::List(vec![definition("P", "numeric"), p]);
+        cases.push(cloud(points as usize, vec![p]));
+    }
+    cases.push(cloud(usize::MAX >> 1, vec![position(7)]));
+    cases.push(cloud(8, vec![position(7)]));
+    for form in Form::ALL {
+        for case in &cases {
+            let bytes = case.document(form);
+            let (result, largest) = memory::largest_allocation(|| read(bytes));
+            let fault = result.expect_err("refused");
+            assert!(largest < 1 << 20, "{largest} bytes: {fault}");
+        }
+    }
+    // Lengths in binary, and those of a container.
+    for length in [vec![0xf4, 0xff, 0xff, 0xff, 0xff], [&[0xf8][..], &[0xff; 8]].concat()] {
+        for kind in [0x27, 0x26, 0x40] {
+            let mut bytes = b"\x7fNSJb\x5b".to_vec();
+            bytes.push(kind);
+            bytes.extend(if kind == 0x40 { vec![0x1a] } else { Vec::new() });
+            bytes.extend(&length);
+            let (result, largest) = memory::largest_allocation(|| read(bytes));
+            assert!(result.is_err() && largest < 1 << 20);
+        }
+    }
+    let packed = Container::USUAL.pack(&cloud(7, vec![position(7)]).document(Form::ALL[1]));
+    let length = packed.len();
+    // Metadata, the header's lengths, bytes of chunks, and the index's length.
+    for (at, bytes) in [
+        (4, 8),
+        (12 + 16 + 4, 4),
+        (12 + 16 + 8, 4),
+        (length - 28, 8),
+        (length - 20, 8),
+        (length - 12, 8),
+    ] {
+        let mut damaged = packed.clone();
+        damaged[at..at + bytes].fill(0x7f);
+        let (result, largest) = memory::largest_allocation(|| read(damaged));
+        assert!(result.is_err() && largest < 1 << 20, "{at}: {largest}");
+    }
+}
+
+#[test]
+fn lists_in_lists_are_refused_before_they_fill_the_stack() {
+    for bytes in [b"[".repeat(1 << 20), [b"\x7fNSJb".to_vec(), vec![0x5b; 1 << 20]].concat()] {
+        assert!(read(bytes).is_err());
+    }
+}
+
+#[test]
+fn a_file_that_changes_is_found_out() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, bytes) in samples().into_iter().enumerate() {
+        for left in (1..bytes.len()).step_by(37) {
+            let path = folder.path().join(format!("{number}.{left}"));
+            std::fs::write(&path, &bytes).unwrap();
+            let opened = open_bytes(&path).unwrap();
+            let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+            file.set_len(left as u64).unwrap();
+            match houdini::read_particles(opened, WantedAttributes::All, Unpacking::in_memory()) {
+                Err(ReadFault::Changed) => {}
+                Ok(file) => assert_eq!(file.particles.check(), Err(Unread::Changed)),
+                Err(fault) => panic!("{number} cut to {left}: {fault}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn other_files_are_refused_by_what_they_are() {
+    for (bytes, words) in [
+        (&b"PGEOMETRY V5\nNPoints 3"[..], "classic"),
+        (b"Point(1) = {0, 0, 0, 1.0};", "no geometry"),
+        (b"[1, 2, 3]", "key"),
+    ] {
+        let fault = read(bytes.to_vec()).unwrap_err().to_string();
+        assert!(fault.contains(words), "{fault}");
+    }
+    let no_position = cloud(1, vec![numeric("v", "fpreal32", 3, &[0.0; 3], &Layout::Tuples)]);
+    for form in Form::ALL {
+        let fault = read(no_position.document(form)).unwrap_err();
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+    }
+    let missing = input::open_particles(Path::new("none.bgeo.sc"), Unpacking::in_memory());
+    assert!(matches!(missing.unwrap_err().fault, ReadFault::Io(_)));
+}
+
+/// A mesh of more than a chunk, with a value of each kind.
+fn dressed() -> Mesh {
+    let mut mesh = sphere(0.7, 6);
+    let count = mesh.positions.len();
+    let values = |size: usize| numbers(count, size).into_iter().map(|x| x as f32 / 100.0);
+    mesh.normals =
+        Some(values(3).collect::<Vec<_>>().chunks(3).map(|n| [n[0], n[1], n[2]]).collect());
+    let whole = |name: &str, kind, whole: i64| {
+        let whole = vec![whole; count];
+        let values = whole.iter().map(|&whole| whole as f32).collect();
+        VertexAttribute { kind, whole, ..VertexAttribute::new(name, 1, values) }
+    };
+    mesh.attributes = vec![
+        VertexAttribute::new("velocity", 3, values(3).collect()),
+        VertexAttribute::new("Cd", 4, values(4).collect()),
+        whole("id", AttributeKind::Signed, -7),
+        whole("flags", AttributeKind::Unsigned, 4_000_000_000),
+        VertexAttribute::new("rest density", 1, values(1).collect()),
+        VertexAttribute::new("P", 2, values(2).collect()),
+    ];
+    mesh
+}
+
+#[test]
+fn a_written_mesh_holds_points_with_all_values() {
+    let mesh = dressed();
+    for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
+        let mut bytes = Vec::new();
+        MeshFormat::BgeoSc.write(&mut bytes, &mesh, width).unwrap();
+        let opened = Bytes::from(bytes.clone());
+        let all = WantedAttributes::All;
+        let file = houdini::read_points(opened, all, Unpacking::in_memory()).unwrap();
+        let expected: Vec<[f64; 3]> = match width {
+            CoordinateWidth::F64 => mesh.positions.clone(),
+            CoordinateWidth::F32 => {
+                mesh.positions.iter().map(|p| p.map(|x| f64::from(x as f32))).collect()
+            }
+        };
+        assert!(positions(&file) == expected);
+        let names: Vec<&str> = file.particles.attributes().iter().map(|a| &*a.name).collect();
+        assert_eq!(names, ["N", "v", "Cd", "Alpha", "id", "flags", "rest_density", "P_"]);
+        assert!(attribute(&file, "N") == mesh.normals.clone().unwrap().as_flattened());
+        assert!(attribute(&file, "v") == mesh.attributes[0].values);
+        let colours = mesh.attributes[1].values.chunks(4);
+        let (rgb, alpha): (Vec<_>, Vec<_>) = colours.map(|c| ([c[0], c[1], c[2]], c[3])).unzip();
+        assert!(attribute(&file, "Cd") == rgb.as_flattened() && attribute(&file, "Alpha") == alpha);
+        assert!(attribute(&file, "id").iter().all(|&id| id == -7.0));
+        assert!(attribute(&file, "flags").iter().all(|&flags| flags == 4e9));
+        assert!(attribute(&file, "rest_density") == mesh.attributes[4].values);
+        // A mesh is not taken for particles.
+        let fault = read(bytes).unwrap_err();
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+    }
+}
+
+#[test]
+fn written_bytes_are_the_same_on_any_number_of_threads() {
+    let mesh = dressed();
+    let written = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut bytes = Vec::new();
+        pool.install(|| {
+            MeshFormat::BgeoSc.write(&mut bytes, &mesh, CoordinateWidth::F32).unwrap();
+        });
+        bytes
+    };
+    assert!(written(1) == written(3));
+}
+
+#[test]
+fn an_empty_mesh_is_written() {
+    let mut bytes = Vec::new();
+    MeshFormat::BgeoSc.write(&mut bytes, &Mesh::default(), CoordinateWidth::F32).unwrap();
+    assert!(read(bytes).unwrap().particles.is_empty());
+}
