@@ -453,6 +453,36 @@ pub struct SettlePush {
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
+pub struct SheetsPush {
+    pub walls_lo: [i32; 3],
+    pub step: i32,
+    pub walls_hi: [i32; 3],
+    pub slope: i32,
+    pub bend: i32,
+    pub plateau: i32,
+    pub most_more: i32,
+    pub sheet_size: i32,
+    pub thread_size: i32,
+    pub drop_size: i32,
+    pub least_size: i32,
+    pub sheet_stretch: i32,
+    pub thread_stretch: i32,
+    pub share: i32,
+    pub by_directions: i32,
+    pub by_size: i32,
+    pub by_distance: i32,
+    pub torn_begin: u32,
+    pub torn_range: u32,
+    pub impure_begin: u32,
+    pub impure_range: u32,
+    pub thin_begin: u32,
+    pub thin_range: u32,
+    pub round_begin: u32,
+    pub round_range: u32,
+}
+
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
 pub struct SignsPush {
     pub walls_lo: [i32; 3],
     pub threshold: u32,
@@ -489,7 +519,3 @@ pub struct VerticesPush {
     pub first_word: u32,
     pub threshold: u32,
 }
-
-#[derive(Debug, Clone, Copy, Pod, Zeroable)]
-#[repr(C)]
-pub struct SheetsPush { pub walls_lo: [i32; 3], pub step: i32, pub walls_hi: [i32; 3], pub slope: i32, pub bend: i32, pub plateau: i32, pub most_more: i32, pub sheet_size: i32, pub thread_size: i32, pub drop_size: i32, pub least_size: i32, pub sheet_stretch: i32, pub thread_stretch: i32, pub share: i32, pub by_directions: i32, pub by_size: i32, pub by_distance: i32, pub torn_begin: u32, pub torn_range: u32, pub impure_begin: u32, pub impure_range: u32, pub thin_begin: u32, pub thin_range: u32, pub round_begin: u32, pub round_range: u32 }
