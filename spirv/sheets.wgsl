@@ -31,6 +31,8 @@ struct SheetsPush {
     thin_range: u32,
     round_begin: u32,
     round_range: u32,
+    beyond_begin: u32,
+    beyond_range: u32,
 }
 
 var<immediate> push: SheetsPush;
@@ -136,7 +138,8 @@ fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
     let along = times(b, g);
     let middle = held(2 * along - times(b, along), MOST_BEND);
     let away = product(middle, middle);
-    let more = clamp((4 * product(g, g) - 3 * product(g, along)) >> 1u, 0, push.most_more);
+    let beyond = clamp((4 * product(g, g) - 3 * product(g, along)) >> 1u, 0, 65535);
+    let more = min(beyond, push.most_more);
     let thick = centre + ((more * LOG2_E) >> SHEET_BITS) - push.plateau;
 
     let sheet_stretch = push.sheet_stretch + (((push.thread_stretch - push.sheet_stretch) * threaded) >> SHEET_BITS);
@@ -145,7 +148,8 @@ fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
     let pure_share = 4096u - passed(impure, gate_of(push.impure_begin, push.impure_range));
     let thin = passed(u32(directions), gate_of(push.thin_begin, push.thin_range));
     let stretched = 4096u - passed(u32(directions), gate_of(push.round_begin, push.round_range));
-    let certain = (((whole * pure_share) >> 12u) * ((thin * stretched) >> 12u)) >> 12u;
+    let here = 4096u - passed(u32(beyond), gate_of(push.beyond_begin, push.beyond_range));
+    let certain = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
     if certain == 0u {
         return drop;
     }

@@ -479,6 +479,8 @@ pub struct SheetsPush {
     pub thin_range: u32,
     pub round_begin: u32,
     pub round_range: u32,
+    pub beyond_begin: u32,
+    pub beyond_range: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

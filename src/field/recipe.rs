@@ -224,6 +224,7 @@ pub fn joined<F: Fields>(
     let clouds = fields.samples(*drops_level, distances.drops_halo())?;
     let sheets = sheets.as_ref().filter(|sheets| fields.may_hold(sheets, &clouds));
     let density = sheets.map(|sheets| fields.blur(clouds.clone(), &sheets.around)).transpose()?;
+    let clouds = fields.nearer(clouds, *drops_level, drops.halo());
     let around = fields.blur(clouds.clone(), &drops.around)?;
     let shares = fields.quotient(clouds, around, drops.bits)?;
     let mut shares = fields.blur(shares, &drops.spread)?;
@@ -319,6 +320,9 @@ pub trait Fields {
 
     /// Whether clouds can hold a sheet, as far as can be told before they are smoothed.
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
+
+    /// The part of samples that is within a smaller halo, if the rest is in the way.
+    fn nearer(&mut self, field: Self::Field, level: u32, halo: i32) -> Self::Field;
 
     /// Shares in which drops have given way to sheets, by the smoothed density.
     fn sheets(

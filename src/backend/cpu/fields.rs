@@ -334,6 +334,14 @@ impl Fields for Blocks<'_> {
         holds_any(sheets, &clouds.block)
     }
 
+    fn nearer(&mut self, field: Field, level: u32, halo: i32) -> Field {
+        let cells = wide_cells(level, self.wanted).grown(halo, halo);
+        if cells == field.block.cells() {
+            return field;
+        }
+        Field { block: Rc::new(field.block.part(cells)), level: field.level }
+    }
+
     fn sheets(&mut self, by: &Sheets, density: Field, shares: Field) -> Result<Field, Stopped> {
         Ok(self.field(sheets(&by.numbers, &density.block, &shares.block), shares.level))
     }

@@ -259,6 +259,10 @@ impl Fields for PaddedFields<'_> {
         true
     }
 
+    fn nearer(&mut self, field: Rc<Padded>, _: u32, _: i32) -> Rc<Padded> {
+        field
+    }
+
     fn sheets(
         &mut self,
         sheets: &Sheets,

@@ -205,8 +205,7 @@ impl Distances {
     /// How far beyond the cells that they are made in those decide the drops.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
-        let of_drops = self.drops.around.reach() + self.drops.spread.reach();
-        self.sheets.as_ref().map_or(0, Sheets::halo).max(of_drops)
+        self.sheets.as_ref().map_or(0, Sheets::halo).max(self.drops.halo())
     }
 
     /// How far from a cell particles decide its field, in cells: by clouds, in wide cells that are
@@ -283,6 +282,12 @@ fn scale(plateau: f64) -> u32 {
 }
 
 impl Drops {
+    /// How far beyond the cells that they are made in those decide them.
+    #[must_use]
+    pub fn halo(&self) -> i32 {
+        self.around.reach() + self.spread.reach()
+    }
+
     /// For particles `spacing` cells apart, in cells 2^`level` times as wide.
     fn new(spacing: f64, level: u32) -> (Self, DropShape) {
         let spacing = spacing / f64::from(1 << level);

@@ -5,7 +5,7 @@ use glam::IVec3;
 use crate::brick::Block;
 use crate::grid::CellBox;
 
-use super::logarithm::{exp2, log2};
+use super::logarithm::{LOGARITHMS, exp2};
 use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheets};
 
 /// The greatest g, B and distance from the middle.
@@ -29,22 +29,29 @@ pub fn sheets(numbers: &Numbers, density: &Block, drops: &Block) -> Block {
     let step = numbers.step;
     let cells = drops.cells().intersection(&density.cells().grown(-step, -step));
     let mut shares = drops.part(cells);
-    let logarithms: Vec<i32> = density.samples().iter().map(|&sample| log2(sample)).collect();
+    let of_samples: &[u16; 1 << 16] = LOGARITHMS.as_ref().try_into().expect("one for each sample");
+    let logarithms: Vec<u16> =
+        density.samples().iter().map(|&sample| of_samples[usize::from(sample)]).collect();
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
     let width = cells.size().x as usize;
     for row in shares.cells().rows_along_x() {
         let first = density.index(row);
         let centres = &logarithms[first..first + width];
-        if centres.iter().all(|&centre| centre < numbers.least) {
+        if centres.iter().all(|&centre| i32::from(centre) < numbers.least) {
             continue;
         }
         let to = shares.index(row);
         for i in 0..width {
-            if centres[i] < numbers.least {
+            if i32::from(centres[i]) < numbers.least {
                 continue;
             }
-            let at = |offset: isize| logarithms[(first + i).wrapping_add_signed(offset)];
+            let at = |offset: isize| i32::from(logarithms[(first + i).wrapping_add_signed(offset)]);
+            // Thick fluid is told by the axes alone.
+            let across = 6 * at(0) - at(-x) - at(x) - at(-y) - at(y) - at(-z) - at(z);
+            if across <= numbers.least_across {
+                continue;
+            }
             let taps = Taps {
                 centre: at(0),
                 below: [at(-x), at(-y), at(-z)],
@@ -118,7 +125,8 @@ impl Numbers {
         let middle =
             [0, 1, 2].map(|i: usize| (2 * along[i] - twice[i]).clamp(-MOST_BEND, MOST_BEND));
         let away = dot(middle, middle);
-        let more = ((4 * dot(g, g) - 3 * dot(g, along)) >> 1).clamp(0, self.most_more);
+        let beyond = ((4 * dot(g, g) - 3 * dot(g, along)) >> 1).clamp(0, u16::MAX.into());
+        let more = beyond.min(self.most_more);
         let density = taps.centre + ((more * LOG2_OF_E) >> BITS) - self.plateau;
 
         let [sheet, thread] = self.stretches;
@@ -128,7 +136,10 @@ impl Numbers {
         let passed = |share: u32, gate: u32| (share * gate) >> BITS;
         let certain = passed(
             passed(4096 - self.torn.of(stretch), 4096 - self.impure.of(impure)),
-            passed(self.thin.of(directions as u16), 4096 - self.round.of(directions as u16)),
+            passed(
+                passed(self.thin.of(directions as u16), 4096 - self.round.of(directions as u16)),
+                4096 - self.beyond.of(beyond as u16),
+            ),
         );
         if certain == 0 {
             return drop;

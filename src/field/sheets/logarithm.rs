@@ -1,5 +1,7 @@
 //! Logarithms and powers of 2 in integers, as polynomials that shaders compute alike.
 
+use std::sync::LazyLock;
+
 use super::BITS;
 
 /// Fraction bits of a mantissa.
@@ -29,6 +31,10 @@ pub fn log2(sample: u16) -> i32 {
     let x = ((sample << (MANTISSA - power)) & ((1 << MANTISSA) - 1)) as i32;
     ((power as i32) << BITS) + ((x + between(&LOG2, x)) >> (MANTISSA - BITS))
 }
+
+/// The logarithm of every sample.
+pub static LOGARITHMS: LazyLock<Box<[u16]>> =
+    LazyLock::new(|| (0..=u16::MAX).map(|sample| log2(sample) as u16).collect());
 
 /// 2 to a power from -16 up to less than 3, in 32768ths.
 #[inline(always)]

@@ -68,6 +68,8 @@ const IMPURE: [f64; 2] = [0.06, 0.095];
 /// more.
 const THICK: [f64; 2] = [0.4, 0.7];
 const ROUND: [f64; 2] = [2.6, 2.9];
+/// From which to which it is so much more that the middle is not near.
+const BEYOND: [f64; 2] = [0.45, 0.7];
 /// The most that the density at the middle is more than it is here, as a logarithm to base e.
 const MOST_MORE: f64 = 0.7;
 
@@ -93,6 +95,8 @@ pub struct Numbers {
     pub bend: i32,
     /// The least logarithm of a sample that can belong to a sheet.
     pub least: i32,
+    /// The most that second differences along the axes sum to in thick fluid.
+    pub least_across: i32,
     /// The logarithm of a plateau's sample.
     pub plateau: i32,
     /// The most that the logarithm at the middle is greater.
@@ -119,6 +123,8 @@ pub struct Numbers {
     pub thin: Gate,
     /// By T.
     pub round: Gate,
+    /// By how much more the density's logarithm is at the middle.
+    pub beyond: Gate,
 }
 
 /// A number with the fraction bits of all.
@@ -179,6 +185,8 @@ impl Sheets {
             least: fixed(plateau.log2() + least_density - MOST_MORE * LOG2_E - 0.02),
             slope: fixed(LN_2 * apart / 2.0),
             bend: fixed(LN_2 * apart * apart),
+            // Less by what rounding each axis takes.
+            least_across: (THICK[0] * f64::from(ONE) / (LN_2 * apart * apart)) as i32 - 4,
             plateau: fixed(plateau.log2()),
             most_more: fixed(MOST_MORE),
             sizes: [
@@ -196,6 +204,7 @@ impl Sheets {
             impure: gate(IMPURE),
             thin: gate(THICK),
             round: gate(ROUND),
+            beyond: gate(BEYOND),
         };
         Some(Self { around: weights.gaining(gain), least: 3 * u32::from(amount) / 2, numbers })
     }

@@ -22,7 +22,7 @@ pub fn sheets(
     [density, shares]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
-    let Numbers { torn, impure, thin, round, .. } = numbers;
+    let Numbers { torn, impure, thin, round, beyond, .. } = numbers;
     let push = SheetsPush {
         walls_lo,
         step: numbers.step,
@@ -49,6 +49,8 @@ pub fn sheets(
         thin_range: thin.range.into(),
         round_begin: round.begin.into(),
         round_range: round.range.into(),
+        beyond_begin: beyond.begin.into(),
+        beyond_range: beyond.range.into(),
     };
     let views = [&blocks.blocks, density, shares].map(Clone::clone);
     batch.dispatch(pipeline, &views, &push, blocks.groups(pipeline))
