@@ -62,6 +62,8 @@ const LEAST_MORE: f64 = 0.05;
 const LEAST_MOST: f64 = 1.0;
 /// A sheet that is stretched this much farther than is asked for is none.
 const GONE: f64 = 1.12;
+/// Threads hold when they are stretched so much farther than sheets: spray seldom looks like them.
+const THREADS_FARTHER: f64 = 1.1;
 /// From which to which square of B's distance from a projection a sheet gives way to drops.
 const IMPURE: [f64; 2] = [0.06, 0.095];
 /// From which to which number of directions across there are sheets, and from which to which no
@@ -176,7 +178,8 @@ impl Sheets {
         let profile_joined = profile * profile + drops.spline * cell * cell;
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
         let least_size = (LEAST_CELLS * mesh_cell + LEAST_MORE).min(LEAST_MOST);
-        let stretches = [0.5 * of_sheet(1.0).log2(), of_thread(1.0).log2()];
+        let stretches =
+            [0.5 * of_sheet(1.0).log2(), of_thread(1.0).log2() - THREADS_FARTHER.log2()];
         let gone = (stretch * GONE).log2();
         // Of a sheet half of the density's logarithm, of a thread all of it, and between in between.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
