@@ -74,7 +74,7 @@ fn two_to(power: i32) -> i32 {
 }
 
 fn product(a: vec3<i32>, b: vec3<i32>) -> i32 {
-    return (a.x * b.x + a.y * b.y + a.z * b.z) >> SHEET_BITS;
+    return (a.x * b.x + a.y * b.y + a.z * b.z) / ONE;
 }
 
 fn held(v: vec3<i32>, most: i32) -> vec3<i32> {
@@ -122,9 +122,9 @@ fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
         at(block, cell + x - z) + at(block, cell - x + z),
         at(block, cell + y - z) + at(block, cell - y + z),
     );
-    let g = held((held(above - below, 4 * ONE) * push.slope) >> vec3(SHEET_BITS), MOST_SLOPE);
-    let bends = held((held(2 * centre - above - below, 8 * ONE) * push.bend) >> vec3(SHEET_BITS), MOST_BEND);
-    let twists = held((held(opposite - same, 8 * ONE) * push.bend) >> vec3(SHEET_BITS + 2u), MOST_BEND);
+    let g = held(held(above - below, 4 * ONE) * push.slope / ONE, MOST_SLOPE);
+    let bends = held(held(2 * centre - above - below, 8 * ONE) * push.bend / ONE, MOST_BEND);
+    let twists = held(held(opposite - same, 8 * ONE) * push.bend / (4 * ONE), MOST_BEND);
     let b = mat3x3i(
         vec3(bends.x, twists.x, twists.y),
         vec3(twists.x, bends.y, twists.z),
@@ -149,7 +149,8 @@ fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
     let thin = passed(u32(directions), gate_of(push.thin_begin, push.thin_range));
     let stretched = 4096u - passed(u32(directions), gate_of(push.round_begin, push.round_range));
     let here = 4096u - passed(u32(beyond), gate_of(push.beyond_begin, push.beyond_range));
-    let certain = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
+    let all = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
+    let certain = (all * all) >> 12u;
     if certain == 0u {
         return drop;
     }

@@ -539,7 +539,7 @@ mod tests {
             assert!(message.contains("8589934592 vertices and 17179869184 triangles"), "{message}");
             assert!(
                 message.contains(limit)
-                    && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf"),
+                    && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf or .bgeo.sc"),
                 "{message}"
             );
         }
@@ -556,7 +556,9 @@ mod tests {
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
         assert!(
-            fault.to_string().ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl"),
+            fault
+                .to_string()
+                .ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl or .bgeo.sc"),
             "{fault}"
         );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -168,7 +168,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
 /// The beginning of a line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LinePlace {
-    /// In bytes from the start of the text.
+    /// Bytes from the start of the text.
     pub at: usize,
     /// The number of lines above it.
     pub lines_above: u64,

@@ -14,5 +14,6 @@ mod parts;
 mod parts_reading;
 mod periodic;
 mod random_frames;
+mod sheets;
 mod spacing;
 mod thread_pool;

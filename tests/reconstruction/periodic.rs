@@ -295,7 +295,7 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
         ),
         (&["--periodic-mesh", "overlap"], 2, "without a periodic box"),
         (&["--periodic", "0,-,0,23,-,24"], 3, "is outside of the periodic box along x"),
-        (&["--periodic", BOX, "--domain", "-,0,-,-,inf,-"], 2, "corners must be finite"),
+        (&["--periodic", BOX, "--domain", "-,0,-,-,nan,-"], 2, "all coordinates numbers"),
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
         let errors = run(folder.path(), &options, code);

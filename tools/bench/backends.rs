@@ -145,6 +145,7 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
         invalid: InvalidParticles::Refuse,
         side: kind.brick_side(),
         carried: Vec::new(),
+        kinds: Vec::new(),
         spacing,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     }

@@ -101,6 +101,7 @@ fn main() {
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
+        kinds: Vec::new(),
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };

@@ -195,6 +195,7 @@ pub fn sampling(grid: Grid, spacing: f64, method: impl Into<frame::Method>) -> S
         invalid: InvalidParticles::Refuse,
         side: method.brick_side(),
         carried: Vec::new(),
+        kinds: Vec::new(),
         spacing: Some(spacing),
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     }

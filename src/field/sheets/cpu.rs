@@ -80,7 +80,7 @@ struct Taps {
 
 #[inline(always)]
 fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
-    (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) >> BITS
+    (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / ONE
 }
 
 impl Numbers {
@@ -89,16 +89,15 @@ impl Numbers {
     fn share(&self, taps: &Taps, drop: u16) -> u16 {
         let slope = |axis: usize| {
             let difference = (taps.above[axis] - taps.below[axis]).clamp(-4 * ONE, 4 * ONE);
-            ((difference * self.slope) >> BITS).clamp(-MOST_SLOPE, MOST_SLOPE)
+            (difference * self.slope / ONE).clamp(-MOST_SLOPE, MOST_SLOPE)
         };
         let bend = |axis: usize| {
             let second = 2 * taps.centre - taps.above[axis] - taps.below[axis];
-            ((second.clamp(-8 * ONE, 8 * ONE) * self.bend) >> BITS).clamp(-MOST_BEND, MOST_BEND)
+            (second.clamp(-8 * ONE, 8 * ONE) * self.bend / ONE).clamp(-MOST_BEND, MOST_BEND)
         };
         let twist = |plane: usize| {
             let second = taps.opposite[plane] - taps.same[plane];
-            ((second.clamp(-8 * ONE, 8 * ONE) * self.bend) >> (BITS + 2))
-                .clamp(-MOST_BEND, MOST_BEND)
+            (second.clamp(-8 * ONE, 8 * ONE) * self.bend / (4 * ONE)).clamp(-MOST_BEND, MOST_BEND)
         };
         let g = [slope(0), slope(1), slope(2)];
         let [xx, yy, zz] = [bend(0), bend(1), bend(2)];
@@ -141,6 +140,8 @@ impl Numbers {
                 4096 - self.beyond.of(beyond as u16),
             ),
         );
+        // Half of a doubt is no sheet, or pieces of it would show.
+        let certain = passed(certain, certain);
         if certain == 0 {
             return drop;
         }
@@ -170,5 +171,86 @@ impl RowsAlongX for CellBox {
     fn rows_along_x(self) -> impl Iterator<Item = IVec3> {
         (self.lo.z..self.hi.z)
             .flat_map(move |z| (self.lo.y..self.hi.y).map(move |y| IVec3::new(self.lo.x, y, z)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{LOG2_E, PI, TAU};
+
+    use glam::DVec3;
+
+    use super::*;
+    use crate::field::sheets::DropShape;
+    use crate::grid::units::SheetStretch;
+
+    const CELL: f64 = 0.5;
+    const DROPS: DropShape = DropShape { radius: 0.5, width: 0.6, spline: 0.0 };
+
+    fn made() -> Sheets {
+        Sheets::new(SheetStretch::DEFAULT, CELL, 0.25, 1 << 15, DROPS).expect("there are sheets")
+    }
+
+    /// How much of a share is left beyond that on a drop's surface, at so many spacings from the
+    /// middle of what is thin along some axes, where it has a `density` of the plateau.
+    fn beyond_surface(across: &[DVec3], density: f64, away: f64) -> f64 {
+        let width = (made().around.variance() + 0.25).sqrt() * CELL;
+        let numbers = made().numbers;
+        let step = f64::from(numbers.step) * CELL;
+        let at = |x: i32, y: i32, z: i32| {
+            let place = across[0] * away + DVec3::new(x.into(), y.into(), z.into()) * step;
+            let squared: f64 = across.iter().map(|axis| axis.dot(place).powi(2)).sum();
+            let logarithm = density.log2() - squared / (2.0 * width * width) * LOG2_E;
+            numbers.plateau + (logarithm * f64::from(ONE)).round() as i32
+        };
+        let taps = Taps {
+            centre: at(0, 0, 0),
+            below: [at(-1, 0, 0), at(0, -1, 0), at(0, 0, -1)],
+            above: [at(1, 0, 0), at(0, 1, 0), at(0, 0, 1)],
+            same: [
+                at(1, 1, 0) + at(-1, -1, 0),
+                at(1, 0, 1) + at(-1, 0, -1),
+                at(0, 1, 1) + at(0, -1, -1),
+            ],
+            opposite: [
+                at(1, -1, 0) + at(-1, 1, 0),
+                at(1, 0, -1) + at(-1, 0, 1),
+                at(0, 1, -1) + at(0, -1, 1),
+            ],
+        };
+        let surface = (-0.5 * (DROPS.radius / DROPS.width).powi(2)).exp() * 32768.0;
+        f64::from(numbers.share(&taps, 0)) - surface
+    }
+
+    /// How far from the middle the surface lies.
+    fn half_thickness(across: &[DVec3], density: f64) -> f64 {
+        let inside = (0..200).map(|i| 0.01 * f64::from(i));
+        inside.take_while(|&away| beyond_surface(across, density, away) > 0.0).last().unwrap_or(0.0)
+    }
+
+    #[test]
+    fn sheets_and_threads_hold_the_volume_of_their_particles_however_they_are_turned() {
+        let width = (made().around.variance() + 0.25).sqrt() * CELL;
+        let normal = DVec3::new(0.36, 0.48, 0.8);
+        let other = normal.any_orthonormal_vector();
+        for [first, second] in [[DVec3::Y, DVec3::X], [normal, other], [other, normal]] {
+            for thickness in [0.3, 0.7, 0.9] {
+                let density = thickness / (TAU.sqrt() * width);
+                let expected = (0.5 * f64::from(thickness)).max(0.275);
+                let found = half_thickness(&[first], density);
+                assert!((found - expected).abs() < 0.03, "{first} {thickness}: {found}");
+            }
+            for area in [0.5, 1.0] {
+                let density = area / (TAU * width * width);
+                let expected = (area / PI).sqrt();
+                let found = half_thickness(&[first, second], density);
+                assert!((found - expected).abs() < 0.03, "{first} {area}: {found}");
+            }
+            // As of neighbours three spacings apart, and a particle alone.
+            assert_eq!(half_thickness(&[first], 1.0 / 9.0 / (TAU.sqrt() * width)), 0.0);
+            let third = first.cross(second);
+            let alone = (TAU.sqrt() * width).powi(-3);
+            assert_eq!(half_thickness(&[first, second, third], alone), 0.0);
+        }
     }
 }

@@ -25,7 +25,8 @@
 //!
 //! Derivatives are differences of logarithms over about a spacing, which are exact for Gaussians.
 //! All of it is integer arithmetic: numbers have 12 fraction bits unless something else is said,
-//! and logarithms are to base 2.
+//! and logarithms are to base 2. What can be negative is divided towards 0, so that a mirrored
+//! frame has a mirrored surface.
 
 mod cpu;
 mod logarithm;
@@ -65,7 +66,7 @@ const GONE: f64 = 1.12;
 /// Threads hold when they are stretched so much farther than sheets: spray seldom looks like them.
 const THREADS_FARTHER: f64 = 1.1;
 /// From which to which square of B's distance from a projection a sheet gives way to drops.
-const IMPURE: [f64; 2] = [0.06, 0.095];
+const IMPURE: [f64; 2] = [0.06, 0.09];
 /// From which to which number of directions across there are sheets, and from which to which no
 /// more.
 const THICK: [f64; 2] = [0.4, 0.7];
@@ -143,7 +144,7 @@ fn gate([begin, end]: [f64; 2]) -> Gate {
 pub struct DropShape {
     /// The radius of a particle alone, in spacings.
     pub radius: f64,
-    /// Their standard deviation, in spacings.
+    /// The standard deviation of a drop, in spacings.
     pub width: f64,
     /// The variance that shares gain until they are joined, in squared cells.
     pub spline: f64,

@@ -9,7 +9,7 @@ use meniscus::internals::field::distance::{AWAY, BRICK, DEPTHS, Inside};
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::Filters;
 use meniscus::internals::frame::{Detail, Engine, Sampling, Surfacing};
-use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
+use meniscus::internals::grid::units::{Isovalue, SheetStretch, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Domain, Grid};
 use meniscus::internals::system::timings::Timings;
 
@@ -74,7 +74,9 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
             sampling.domain = Domain::new(&sampling.grid, lo, hi + DVec3::X).ok();
         }
         let particles = particles.iter().map(|p| p.map(|x| x * spacing)).collect();
-        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };
+        // Sheets have tests of their own.
+        let sheets = SheetStretch::new(0.0).unwrap();
+        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), sheets, ..surfacing() };
         Variant { particles, sampling, surfacing }
     };
     cases.into_iter().map(variant).collect()

@@ -58,6 +58,7 @@ class _Surface(TypedDict, total=False):
 
     periodic_mesh: Literal["cut", "overlap"] | None
     smooth: float | None
+    sheets: float | None
     sigma: float | None
     iso: float | Literal["auto"] | None
     detail: bool | None

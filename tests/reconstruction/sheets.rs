@@ -1,0 +1,96 @@
+//! Sheets and threads of particles that are stretched apart.
+
+use glam::{DMat3, DVec3};
+use meniscus::Reconstruction;
+use meniscus::mesh::{Measures, measure};
+
+use crate::common::scene::Random;
+use crate::common::watertight;
+
+/// Particles along an edge of a sheet.
+const EDGE: u32 = 14;
+
+/// A sheet that was stretched along both of its axes, so that layers of it lie closer together;
+/// turned against the grid, with every particle moved by up to a fifth of a spacing along each axis.
+fn sheet(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
+    let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.5 + random.unit(), random.unit(), 0.3);
+    let mut particles = Vec::new();
+    for layer in 0..layers {
+        for i in 0..EDGE * EDGE {
+            let place = [i % EDGE, layer, i / EDGE].map(f64::from);
+            let scale = DVec3::new(stretch, stretch.powi(-2), stretch);
+            let jitter = DVec3::from([(); 3].map(|()| 0.4 * random.unit() - 0.2));
+            particles.push((turn * (DVec3::from(place) * scale + jitter)).to_array());
+        }
+    }
+    particles
+}
+
+fn measured(particles: &[[f64; 3]], cell: f64, sheets: f64) -> Measures {
+    let request = Reconstruction::new().spacing(1.0).cell_size(cell).sheets(sheets);
+    let mesh = request.run(particles).unwrap().to_mesh().unwrap();
+    assert_eq!(watertight::defect(&mesh), None);
+    measure(&mesh)
+}
+
+#[test]
+fn sheets_stretched_to_one_and_a_half_spacings_are_whole_and_keep_their_volume() {
+    for (layers, stretch, cell) in
+        [(1, 1.3, 0.25), (1, 1.5, 0.25), (1, 1.5, 0.5), (2, 1.5, 0.25), (2, 1.5, 0.5)]
+    {
+        let mut random = Random::new(7);
+        let particles = sheet(layers, stretch, &mut random);
+        let found = measured(&particles, cell, 2.15);
+        let what = format!("{layers} layers stretched {stretch} times in cells of {cell}");
+        // A gap between the particles at the rim can be one.
+        let holes = found.genus.unwrap();
+        assert!(found.components == 1 && holes <= 1, "{what}: {holes} holes");
+        let volume = found.volume.unwrap() / particles.len() as f64;
+        let most = if layers == 1 && cell > 0.3 { 2.4 } else { 1.3 };
+        assert!((0.8..most).contains(&volume), "{what}: {volume}");
+    }
+    let torn = measured(&sheet(1, 1.5, &mut Random::new(7)), 0.25, 0.0);
+    assert!(torn.genus > Some(20), "{torn:?}");
+}
+
+#[test]
+fn a_sheet_stretched_beyond_what_is_asked_for_is_drops() {
+    let particles = sheet(1, 2.6, &mut Random::new(3));
+    let found = measured(&particles, 0.25, 2.15);
+    assert!(found.components > particles.len() * 9 / 10, "{}", found.components);
+    // Corners of the sheet stay drops.
+    assert!(measured(&particles, 0.25, 3.0).components < 10);
+}
+
+#[test]
+fn threads_are_whole() {
+    let along = DVec3::new(0.6, 0.48, 0.64);
+    for stretch in [1.4, 1.8] {
+        let particles: Vec<[f64; 3]> =
+            (0..20).map(|i| (along * f64::from(i) * stretch).to_array()).collect();
+        let found = measured(&particles, 0.25, 2.15);
+        assert_eq!((found.components, found.genus), (1, Some(0)), "{stretch}");
+        let volume = found.volume.unwrap() / 20.0;
+        assert!((0.4..2.0).contains(&volume), "{stretch}: {volume}");
+    }
+}
+
+#[test]
+fn particles_alone_and_bodies_are_the_same_with_sheets_and_without() {
+    let mut random = Random::new(5);
+    let apart = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9].map(|x| 6.0 * f64::from(x)));
+    let moved = |p: [f64; 3], random: &mut Random| p.map(|x| x + random.unit());
+    let mut particles: Vec<[f64; 3]> = apart.map(|p| moved(p, &mut random)).collect();
+    for i in 0..1000 {
+        let place = [i % 10, i / 10 % 10, i / 100].map(|x| f64::from(x) - 30.0);
+        particles.push(moved(place, &mut random));
+    }
+    let of = |sheets| {
+        let request = Reconstruction::new().spacing(1.0).cell_size(0.5).sheets(sheets);
+        request.run(&particles).unwrap().to_mesh().unwrap()
+    };
+    let (with, without) = (of(2.15), of(0.0));
+    let volume = |mesh: &_| measure(mesh).volume.unwrap();
+    assert_eq!(measure(&with).components, 28);
+    assert!((volume(&with) / volume(&without) - 1.0).abs() < 0.002);
+}
