@@ -183,8 +183,8 @@ fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
     let Layout { footer, index } = Layout::of(&good);
     let (layout, faces) = (Layout { footer, index: index + 56 }, footer + 136);
     let cases: [(usize, Vec<u8>, &str); 7] = [
-        (faces, 0_f64.to_le_bytes().into(), "corners"),
-        (faces + 8, 9.5_f64.to_le_bytes().into(), "corners"),
+        (faces, 0_f64.to_le_bytes().into(), "corner"),
+        (faces + 8, 9.5_f64.to_le_bytes().into(), "corner"),
         (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
         (faces + 32, 2.5_f64.to_le_bytes().into(), "less than two reaches"),
         (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
@@ -292,7 +292,7 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
         (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
         (footer + 36, 0_u32.to_le_bytes().into(), ""),
-        (footer + 40, 1e9_f64.to_le_bytes().into(), "corners"),
+        (footer + 40, 1e9_f64.to_le_bytes().into(), "corner"),
         (footer + 40, 0_f64.to_le_bytes().into(), "beyond the grid or the walls"),
         (footer + 88, 0_f64.to_le_bytes().into(), "mu0"),
         (footer + 96, (-1_f64).to_le_bytes().into(), "spacing"),
