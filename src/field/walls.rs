@@ -552,7 +552,7 @@ mod tests {
         let dam = ends(&lattice([30, 30, 40], 0.0));
         // Fluid keeps a spacing from the boundary's particles.
         let scene = Walls([[Some(-1.0), Some(90.0)], [Some(-1.0), None], [Some(-1.0), Some(41.0)]]);
-        let (found, is_of_these) = common(&[dam.clone()], Some(&scene), None);
+        let (found, is_of_these) = common(std::slice::from_ref(&dam), Some(&scene), None);
         assert!(is_of_these);
         assert_eq!(
             found,

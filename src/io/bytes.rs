@@ -165,6 +165,12 @@ impl Deref for Kept {
 #[derive(Debug)]
 pub struct LastFile<T>(Mutex<Option<(PathBuf, FileStamp, T)>>);
 
+impl<T> Default for LastFile<T> {
+    fn default() -> Self {
+        Self(Mutex::new(None))
+    }
+}
+
 impl<T: Clone> LastFile<T> {
     /// No file.
     pub const fn new() -> Self {

@@ -173,7 +173,7 @@ fn kinds_follow_the_names_and_storages() {
 fn texts_are_labels_and_none_is_an_empty_text() {
     let known = ["water", "foam", "", "water"];
     let indices: Vec<f64> =
-        (0..2100).map(|i| if i < 1100 { 1.0 } else { (i % 5) as f64 - 1.0 }).collect();
+        (0..2100).map(|i| if i < 1100 { 1.0 } else { f64::from(i % 5) - 1.0 }).collect();
     let expected: Vec<&str> =
         indices.iter().map(|&index| if index < 0.0 { "" } else { known[index as usize] }).collect();
     for form in Form::ALL {
@@ -234,7 +234,7 @@ fn points_of_primitives_are_left_out_and_counted_by_kind() {
     ]);
     // Two triangles of points 0 to 3, a sphere at 5, a particle system of 6 and 8.
     let vertices = [0.0, 1.0, 2.0, 2.0, 1.0, 3.0, 5.0, 6.0, 8.0];
-    let primitives = vec![polygons.clone(), sphere.clone(), particles.clone(), run];
+    let primitives = vec![polygons, sphere, particles.clone(), run];
     for form in Form::ALL {
         let whole = geometry(10, vec![position(10)], &vertices, primitives.clone());
         let file = read(whole.document(form)).unwrap();

@@ -236,7 +236,7 @@ mod tests {
         for [first, second] in [[DVec3::Y, DVec3::X], [normal, other], [other, normal]] {
             for thickness in [0.3, 0.7, 0.9] {
                 let density = thickness / (TAU.sqrt() * width);
-                let expected = (0.5 * f64::from(thickness)).max(0.275);
+                let expected = (0.5 * thickness).max(0.275);
                 let found = half_thickness(&[first], density);
                 assert!((found - expected).abs() < 0.03, "{first} {thickness}: {found}");
             }

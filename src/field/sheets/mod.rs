@@ -19,7 +19,7 @@
 //! 4. Certainty. There is a sheet where neighbours are not stretched apart farther than is asked
 //!    for, which the density at the middle tells, and where B is nearly a projection: the square of
 //!    its distance from one, |B - B^2|^2, is at most 0.06 in sheets, threads and at their rims, and
-//!    twice that in spray. Neither a thick body (T < 0.4) nor a drop (T > 2.9) is one.
+//!    twice that in spray. Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45) is one.
 //! 5. Joined. Shares of drops (see [`distance`](super::distance)) give way to those of the sheet,
 //!    which are as wide as cells can carry and cross the level of a drop's surface at R.
 //!
@@ -70,7 +70,7 @@ const IMPURE: [f64; 2] = [0.06, 0.09];
 /// From which to which number of directions across there are sheets, and from which to which no
 /// more.
 const THICK: [f64; 2] = [0.4, 0.7];
-const ROUND: [f64; 2] = [2.6, 2.9];
+const ROUND: [f64; 2] = [2.2, 2.45];
 /// From which to which it is so much more that the middle is not near.
 const BEYOND: [f64; 2] = [0.45, 0.7];
 /// The most that the density at the middle is more than it is here, as a logarithm to base e.

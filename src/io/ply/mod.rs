@@ -22,7 +22,5 @@ const GROUPS: [(&str, [&str; 3]); 4] = [
     (NORMAL, ["nx", "ny", "nz"]),
 ];
 
-/// Name of the attribute that shares of a colour are read as.
-
 /// Name of the attribute that nx, ny and nz are read as.
 const NORMAL: &str = "normal";

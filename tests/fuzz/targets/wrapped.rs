@@ -12,6 +12,10 @@ use super::build::{self, gzip, xz};
 use super::particles::{self, NPY, memory, own, read_through};
 use super::{Target, folder, meshes};
 
+/// Compresses some bytes.
+type Pack = dyn Fn(&[u8]) -> Vec<u8>;
+type PackBlock = fn(&[u8]) -> Vec<u8>;
+
 pub fn targets() -> Vec<Target> {
     vec![
         Target { name: "gzip", runs: 2000, run: run_gzip, seeds: gzips, words: &["\u{1f}"] },
@@ -65,7 +69,7 @@ fn gzips() -> Vec<Vec<u8>> {
 fn run_streams(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let zstd = |data: &[u8]| zstd::encode_all(data, 1).unwrap();
-    let (name, magic, pack): (_, &[u8], &dyn Fn(&[u8]) -> Vec<u8>) = match choice & 1 {
+    let (name, magic, pack): (_, &[u8], &Pack) = match choice & 1 {
         0 => ("a.npy.xz", b"\xfd7zXZ\0", &xz),
         _ => ("a.csv.zst", b"\x28\xb5\x2f\xfd", &zstd),
     };
@@ -124,7 +128,7 @@ fn run_blocks(data: &[u8]) {
     let [kind, points, block, last, count, ..] = *head;
     let (kinds, sizes) =
         (["Float32", "Float64", "Int8", "UInt16", "Int64", "Float32"], [4, 8, 1, 2, 8, 4]);
-    let (compressor, pack): (_, fn(&[u8]) -> Vec<u8>) = match usize::from(kind) / kinds.len() % 3 {
+    let (compressor, pack): (_, PackBlock) = match usize::from(kind) / kinds.len() % 3 {
         0 => ("ZLib", zlib),
         1 => ("LZ4", lz4_flex::block::compress),
         _ => ("LZMA", xz),
