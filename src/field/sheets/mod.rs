@@ -72,7 +72,7 @@ const IMPURE: [f64; 2] = [0.06, 0.09];
 const THICK: [f64; 2] = [0.4, 0.7];
 const ROUND: [f64; 2] = [2.2, 2.45];
 /// From which to which it is so much more that the middle is not near.
-const BEYOND: [f64; 2] = [0.45, 0.7];
+const BEYOND: [f64; 2] = [0.6, 0.75];
 /// The most that the density at the middle is more than it is here, as a logarithm to base e.
 const MOST_MORE: f64 = 0.7;
 
