@@ -29,7 +29,7 @@ const APART: [f64; 2] = [0.07, 0.14];
 /// spacings.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
-const LEAST_VARIANCE: f64 = 0.35;
+pub(in crate::field) const LEAST_VARIANCE: f64 = 0.35;
 /// The least variances of the three widths' filters, in squared cells: in coarse cells there still
 /// are three.
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
@@ -91,7 +91,7 @@ pub const BULK_GAIN: u32 = 2;
 
 /// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so
 /// many cells, if it can.
-fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
+pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
     let width = (weights.variance() + 0.25).sqrt();

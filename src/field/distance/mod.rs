@@ -34,6 +34,7 @@ pub mod vulkan;
 
 pub use cpu::{depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
 pub use filters::{BULK_GAIN, Distances};
+pub(in crate::field) use filters::{LEAST_VARIANCE, gaussian};
 pub use inside::{BRICK, Inside};
 pub use inverse_normal::{AWAY, DEPTHS};
 

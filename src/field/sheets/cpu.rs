@@ -3,14 +3,13 @@
 use glam::IVec3;
 
 use crate::brick::Block;
-use crate::grid::CellBox;
 
 use super::logarithm::{LOGARITHMS, exp2};
 use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheets};
 
 /// The greatest g, B and distance from the middle.
-pub const MOST_SLOPE: i32 = 4 * ONE;
-pub const MOST_BEND: i32 = 2 * ONE;
+const MOST_SLOPE: i32 = 4 * ONE;
+const MOST_BEND: i32 = 2 * ONE;
 
 /// Whether some samples can hold a sheet: a particle alone does not.
 pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
@@ -35,7 +34,8 @@ pub fn sheets(numbers: &Numbers, density: &Block, drops: &Block) -> Block {
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
     let width = cells.size().x as usize;
-    for row in shares.cells().rows_along_x() {
+    for ([y_cell, z_cell], _) in drops.rows(cells) {
+        let row = IVec3::new(cells.lo.x, y_cell, z_cell);
         let first = density.index(row);
         let centres = &logarithms[first..first + width];
         if centres.iter().all(|&centre| i32::from(centre) < numbers.least) {
@@ -159,18 +159,6 @@ impl Numbers {
         let share = exp2(share.clamp(-15 * ONE, 0));
         let drop = i32::from(drop).min(1 << 15);
         (drop + (((share - drop) * certain as i32) >> BITS)) as u16
-    }
-}
-
-/// The lowest cell of each row along x.
-trait RowsAlongX {
-    fn rows_along_x(self) -> impl Iterator<Item = IVec3>;
-}
-
-impl RowsAlongX for CellBox {
-    fn rows_along_x(self) -> impl Iterator<Item = IVec3> {
-        (self.lo.z..self.hi.z)
-            .flat_map(move |z| (self.lo.y..self.hi.y).map(move |y| IVec3::new(self.lo.x, y, z)))
     }
 }
 

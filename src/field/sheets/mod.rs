@@ -19,7 +19,8 @@
 //! 4. Certainty. There is a sheet where neighbours are not stretched apart farther than is asked
 //!    for, which the density at the middle tells, and where B is nearly a projection: the square of
 //!    its distance from one, |B - B^2|^2, is at most 0.06 in sheets, threads and at their rims, and
-//!    twice that in spray. Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45) is one.
+//!    twice that in spray. Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45)
+//!    is one.
 //! 5. Joined. Shares of drops (see [`distance`](super::distance)) give way to those of the sheet,
 //!    which are as wide as cells can carry and cross the level of a drop's surface at R.
 //!
@@ -38,7 +39,7 @@ pub use logarithm::{EXP2, LOG2};
 use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
 
 use crate::field::blur::Weights;
-use crate::field::distance::Gate;
+use crate::field::distance::{Gate, LEAST_VARIANCE, gaussian};
 use crate::grid::units::SheetStretch;
 
 /// Fraction bits.
@@ -161,9 +162,8 @@ impl Sheets {
         drops: DropShape,
     ) -> Option<Self> {
         let stretch = stretch.spacings()?;
-        let variance = ((WIDTH / cell).powi(2) - 0.25).max(0.35);
-        let weights = Weights::of_variance(variance, (CUT * variance.sqrt()).round() as i32);
-        let width = (weights.variance() + 0.25).sqrt() * cell;
+        let (weights, width) = gaussian(WIDTH / cell, LEAST_VARIANCE, CUT);
+        let width = width * cell;
         let plateau = f64::from(amount) * cell.powi(3);
         // A plateau three times as high still fits into a sample.
         let gain = (0..12)
