@@ -1,5 +1,5 @@
 //! with block gate
-// Shares in which drops have given way to sheets and threads, by the smoothed density. Cells beyond a wall are the outermost before it.
+// Shares of sheets and threads and how certain these are, by the smoothed density. Cells beyond a wall are the outermost before it.
 // The formulas stand in src/field/sheets/mod.rs; numbers have SHEET_BITS fraction bits, and logarithms are to base 2.
 
 struct SheetsPush {
@@ -38,8 +38,8 @@ struct SheetsPush {
 var<immediate> push: SheetsPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> density: array<u32>;
-// Of drops, to become the shares.
 @group(0) @binding(2) var<storage, read_write> shares: array<u32>;
+@group(0) @binding(3) var<storage, read_write> certainty: array<u32>;
 
 const ONE: i32 = 1 << SHEET_BITS;
 const MOST_BEND: i32 = 2 * ONE;
@@ -104,7 +104,8 @@ fn impurity(row: vec3<i32>, m: mat3x3i) -> i32 {
     return apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
 }
 
-fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
+// A share and how certain it is.
+fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let x = vec3(push.step, 0, 0);
     let y = vec3(0, push.step, 0);
     let z = vec3(0, 0, push.step);
@@ -152,7 +153,7 @@ fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
     let all = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
     let certain = (all * all) >> 12u;
     if certain == 0u {
-        return drop;
+        return vec2(0u);
     }
     let of_size = push.sheet_size
         + (((push.thread_size - push.sheet_size) * threaded + (push.drop_size - push.thread_size) * rounded) >> SHEET_BITS);
@@ -160,9 +161,7 @@ fn sheeted(block: Block, cell: vec3<i32>, drop: u32) -> u32 {
     let square = two_to(clamp(size, push.least_size, ONE)) >> 3u;
     let share = push.share
         + ((push.by_directions * max(directions, ONE) + push.by_size * square - push.by_distance * away) >> SHEET_BITS);
-    let sheet = two_to(clamp(share, -15 * ONE, 0));
-    let of_drop = i32(min(drop, 32768u));
-    return u32(of_drop + (((sheet - of_drop) * i32(certain)) >> SHEET_BITS));
+    return vec2(u32(two_to(clamp(share, -15 * ONE, 0))), certain);
 }
 
 @compute @workgroup_size(256)
@@ -173,8 +172,8 @@ fn sheets(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let word = word_of(block, cell);
-    let drops = shares[word];
-    let first = sheeted(block, vec3<i32>(cell), drops & 0xffffu);
-    let second = sheeted(block, vec3<i32>(cell) + vec3(1, 0, 0), drops >> 16u);
-    shares[word] = first | second << 16u;
+    let first = sheeted(block, vec3<i32>(cell));
+    let second = sheeted(block, vec3<i32>(cell) + vec3(1, 0, 0));
+    shares[word] = first.x | second.x << 16u;
+    certainty[word] = first.y | second.y << 16u;
 }

@@ -9,8 +9,9 @@ use bytemuck::{Pod, Zeroable};
 use crate::vulkan::Shader;
 
 /// Every shader, by name.
-pub const SHADERS: [&Shader; 29] = [
+pub const SHADERS: [&Shader; 30] = [
     &BASES,
+    &BLEND,
     &BLUR,
     &CLOUDS,
     &DEPTHS_OF,
@@ -46,6 +47,14 @@ pub const BASES: Shader = Shader {
     code: include_bytes!("../spirv/bases.spv"),
     buffers: &["tallies", "groups"],
     push_bytes: size_of::<BasesPush>() as u32,
+    group: 256,
+};
+
+pub const BLEND: Shader = Shader {
+    name: "blend",
+    code: include_bytes!("../spirv/blend.spv"),
+    buffers: &["sheets", "certainty", "shares"],
+    push_bytes: size_of::<BlendPush>() as u32,
     group: 256,
 };
 
@@ -212,7 +221,7 @@ pub const SETTLE: Shader = Shader {
 pub const SHEETS: Shader = Shader {
     name: "sheets",
     code: include_bytes!("../spirv/sheets.spv"),
-    buffers: &["blocks", "density", "shares"],
+    buffers: &["blocks", "density", "shares", "certainty"],
     push_bytes: size_of::<SheetsPush>() as u32,
     group: 256,
 };
@@ -290,6 +299,12 @@ pub struct BasesPush {
     pub blocks: u32,
     pub room: u32,
     pub width: u32,
+}
+
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct BlendPush {
+    pub words: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

@@ -7,7 +7,7 @@ use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
 use crate::field::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width};
 use crate::field::indicator::IndicatorKind;
-use crate::field::sheets::Sheets;
+use crate::field::sheets::{Sheeted, Sheets};
 use crate::grid::units::{Isovalue, Sigma};
 use crate::grid::{BLOCK, CellBox};
 
@@ -229,7 +229,10 @@ pub fn joined<F: Fields>(
     let shares = fields.quotient(clouds, around, drops.bits)?;
     let mut shares = fields.blur(shares, &drops.spread)?;
     if let (Some(sheets), Some(density)) = (sheets, density) {
-        shares = fields.sheets(sheets, density, shares)?;
+        if let Some(Sheeted { shares: of_sheets, certainty }) = fields.sheets(sheets, density)? {
+            let certainty = fields.blur(certainty, &sheets.average)?;
+            shares = fields.blended(shares, Sheeted { shares: of_sheets, certainty })?;
+        }
     }
     let shares = fields.refined(shares, *drops_level)?;
     fields.joined(bulk, near, shares, (drops, gate))
@@ -324,12 +327,18 @@ pub trait Fields {
     /// The part of samples that is within a smaller halo, if the rest is in the way.
     fn nearer(&mut self, field: Self::Field, level: u32, halo: i32) -> Self::Field;
 
-    /// Shares in which drops have given way to sheets, by the smoothed density.
+    /// Sheets of the smoothed density; `None` if it holds none, as far as that is known.
     fn sheets(
         &mut self,
         sheets: &Sheets,
         density: Self::Field,
-        shares: Self::Field,
+    ) -> Result<Option<Sheeted<Self::Field>>, Self::Error>;
+
+    /// Shares of drops blended with those of sheets.
+    fn blended(
+        &mut self,
+        drops: Self::Field,
+        sheets: Sheeted<Self::Field>,
     ) -> Result<Self::Field, Self::Error>;
 
     /// The field, of the bulk's surface and of drops.

@@ -13,7 +13,7 @@ use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
     Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at,
 };
-use crate::field::sheets::{Sheets, holds_any, sheets};
+use crate::field::sheets::{Sheeted, Sheets, blend, holds_any, sheets};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 
@@ -342,8 +342,24 @@ impl Fields for Blocks<'_> {
         Field { block: Rc::new(field.block.part(cells)), level: field.level }
     }
 
-    fn sheets(&mut self, by: &Sheets, density: Field, shares: Field) -> Result<Field, Stopped> {
-        Ok(self.field(sheets(&by.numbers, &density.block, &shares.block), shares.level))
+    fn sheets(
+        &mut self,
+        by: &Sheets,
+        density: Field,
+    ) -> Result<Option<Sheeted<Field>>, Stopped> {
+        let found = sheets(&by.numbers, &density.block);
+        Ok(found.map(|Sheeted { shares, certainty }| Sheeted {
+            shares: self.field(shares, density.level),
+            certainty: self.field(certainty, density.level),
+        }))
+    }
+
+    fn blended(&mut self, drops: Field, sheets: Sheeted<Field>) -> Result<Field, Stopped> {
+        let sheets = Sheeted {
+            shares: Rc::unwrap_or_clone(sheets.shares.block),
+            certainty: Rc::unwrap_or_clone(sheets.certainty.block),
+        };
+        Ok(self.field(blend(&drops.block, &sheets), drops.level))
     }
 
     fn joined(

@@ -10,8 +10,8 @@ use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
 use crate::field::distance::{Bulk, Depths, Drops, Gate, Inside};
 use crate::field::recipe::{Fields, WideFields, walls_at};
-use crate::field::sheets::Sheets;
-use crate::field::sheets::vulkan::sheets as make_sheets;
+use crate::field::sheets::vulkan::{blend, sheets as make_sheets};
+use crate::field::sheets::{Sheeted, Sheets};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
@@ -267,18 +267,35 @@ impl Fields for PaddedFields<'_> {
         &mut self,
         sheets: &Sheets,
         density: Rc<Padded>,
-        shares: Rc<Padded>,
-    ) -> Result<Rc<Padded>, VulkanError> {
-        let of = shares.of;
+    ) -> Result<Option<Sheeted<Rc<Padded>>>, VulkanError> {
+        let of = density.of;
         self.stage("sheets", 3, of);
         let numbers = &sheets.numbers;
         let walls = self.walls(of);
-        let views = [&density.samples, &shares.samples];
+        let (shares, certainty) = (self.take(of), self.take(of));
+        let views = [&density.samples, &shares, &certainty];
         let blocks = &self.grids[of].blocks;
         make_sheets(self.commands, &self.pipelines.sheets, blocks, numbers, walls, views)?;
-        let margin = shares.margin.max(density.margin + numbers.step);
+        let margin = density.margin + numbers.step;
         self.give(density);
-        Ok(Rc::new(Padded { samples: shares.samples.clone(), margin, of }))
+        let padded = |samples| Rc::new(Padded { samples, margin, of });
+        Ok(Some(Sheeted { shares: padded(shares), certainty: padded(certainty) }))
+    }
+
+    fn blended(
+        &mut self,
+        drops: Rc<Padded>,
+        Sheeted { shares, certainty }: Sheeted<Rc<Padded>>,
+    ) -> Result<Rc<Padded>, VulkanError> {
+        let of = drops.of;
+        self.stage("sheets", 3, of);
+        let views = [&shares.samples, &certainty.samples, &drops.samples];
+        blend(self.commands, &self.pipelines.blend, &self.grids[of].blocks, views)?;
+        let margin = drops.margin.max(certainty.margin);
+        let samples = drops.samples.clone();
+        self.give(shares);
+        self.give(certainty);
+        Ok(Rc::new(Padded { samples, margin, of }))
     }
 
     fn joined(

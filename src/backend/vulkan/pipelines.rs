@@ -7,7 +7,7 @@ use crate::brick::vulkan::page_words;
 use crate::field::distance::vulkan::Pipelines as Distance;
 use crate::field::indicator::vulkan::Pipelines as Indicators;
 use crate::shaders::{
-    BASES, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE,
+    BASES, BLEND, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE,
     INDICATE, JOIN, LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SHEETS, SIGNS, SPREAD, TILES,
 };
 use crate::surface::dual_mc::vulkan::Pipelines as DualMc;
@@ -25,6 +25,7 @@ pub(super) struct Pipelines {
     pub(super) greater: Arc<ComputePipeline>,
     pub(super) distance: Distance,
     pub(super) sheets: Arc<ComputePipeline>,
+    pub(super) blend: Arc<ComputePipeline>,
     pub(super) dual_mc: DualMc,
 }
 
@@ -34,11 +35,12 @@ impl Pipelines {
         #[rustfmt::skip]
         let [
             indicate, clouds, full_cells, halve, full_bricks, gather, blur, lost, greater,
-            depths, mix, outlying, spread, look, refine, quotient, sheets, join,
+            depths, mix, outlying, spread, look, refine, quotient, sheets, blend, join,
             signs, tiles, bases, emit,
         ] = device.pipelines([
             &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
-            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &SHEETS, &JOIN,
+            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &SHEETS, &BLEND,
+            &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         Ok(Self {
@@ -61,6 +63,7 @@ impl Pipelines {
                 full_bricks,
             },
             sheets,
+            blend,
             dual_mc: DualMc { signs, tiles, bases, emit },
         })
     }

@@ -242,7 +242,7 @@ impl Distances {
     /// Every filter.
     pub fn weights(&self) -> impl Iterator<Item = &Weights> {
         let widths = self.bulk.widths.iter().map(|width| &width.weights);
-        let sheets = self.sheets.iter().map(|sheets| &sheets.around);
+        let sheets = self.sheets.iter().flat_map(|sheets| [&sheets.around, &sheets.average]);
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 

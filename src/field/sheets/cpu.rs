@@ -5,7 +5,7 @@ use glam::IVec3;
 use crate::brick::Block;
 
 use super::logarithm::{LOGARITHMS, exp2};
-use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheets};
+use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheeted, Sheets};
 
 /// The greatest g, B and distance from the middle.
 const MOST_SLOPE: i32 = 4 * ONE;
@@ -23,18 +23,19 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Shares in which drops have given way to sheets, by the smoothed density.
-pub fn sheets(numbers: &Numbers, density: &Block, drops: &Block) -> Block {
+/// Sheets of the smoothed density; `None` where there are none.
+pub fn sheets(numbers: &Numbers, density: &Block) -> Option<Sheeted<Block>> {
     let step = numbers.step;
-    let cells = drops.cells().intersection(&density.cells().grown(-step, -step));
-    let mut shares = drops.part(cells);
+    let cells = density.cells().grown(-step, -step);
+    let (mut shares, mut certainty) = (Block::zero(cells), Block::zero(cells));
     let of_samples: &[u16; 1 << 16] = LOGARITHMS.as_ref().try_into().expect("one for each sample");
     let logarithms: Vec<u16> =
         density.samples().iter().map(|&sample| of_samples[usize::from(sample)]).collect();
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
     let width = cells.size().x as usize;
-    for ([y_cell, z_cell], _) in drops.rows(cells) {
+    let mut any = false;
+    for ([y_cell, z_cell], _) in density.rows(cells) {
         let row = IVec3::new(cells.lo.x, y_cell, z_cell);
         let first = density.index(row);
         let centres = &logarithms[first..first + width];
@@ -47,7 +48,7 @@ pub fn sheets(numbers: &Numbers, density: &Block, drops: &Block) -> Block {
                 continue;
             }
             let at = |offset: isize| i32::from(logarithms[(first + i).wrapping_add_signed(offset)]);
-            // Thick fluid is told by the axes alone.
+            // The axes alone show that fluid is thick.
             let across = 6 * at(0) - at(-x) - at(x) - at(-y) - at(y) - at(-z) - at(z);
             if across <= numbers.least_across {
                 continue;
@@ -59,8 +60,32 @@ pub fn sheets(numbers: &Numbers, density: &Block, drops: &Block) -> Block {
                 same: [at(x + y) + at(-x - y), at(x + z) + at(-x - z), at(y + z) + at(-y - z)],
                 opposite: [at(x - y) + at(y - x), at(x - z) + at(z - x), at(y - z) + at(z - y)],
             };
-            let share = &mut shares.samples_mut()[to + i];
-            *share = numbers.share(&taps, *share);
+            let (share, certain) = numbers.sheet(&taps);
+            shares.samples_mut()[to + i] = share;
+            certainty.samples_mut()[to + i] = certain;
+            any |= certain > 0;
+        }
+    }
+    any.then_some(Sheeted { shares, certainty })
+}
+
+/// Blends shares of drops with those of sheets, by how certain those are. Where there is no sheet
+/// drops are as they were.
+pub fn blend(drops: &Block, sheets: &Sheeted<Block>) -> Block {
+    let cells = drops.cells().intersection(&sheets.certainty.cells());
+    let mut shares = drops.part(cells);
+    let width = cells.size().x as usize;
+    for ([y, z], certainty) in sheets.certainty.rows(cells) {
+        let row = IVec3::new(cells.lo.x, y, z);
+        let (to, from) = (shares.index(row), sheets.shares.index(row));
+        let of_sheets = &sheets.shares.samples()[from..from + width];
+        let shares = &mut shares.samples_mut()[to..to + width];
+        for ((share, &sheet), &certain) in shares.iter_mut().zip(of_sheets).zip(certainty) {
+            if sheet > 0 {
+                let drop = i32::from(*share).min(1 << 15);
+                let more = ((i32::from(sheet) - drop) * i32::from(certain)) >> BITS;
+                *share = (drop + more) as u16;
+            }
         }
     }
     shares
@@ -84,9 +109,9 @@ fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
 }
 
 impl Numbers {
-    /// The share of a cell, of its drops' share.
+    /// A cell's share of a sheet, and how certain the sheet is.
     #[inline(always)]
-    fn share(&self, taps: &Taps, drop: u16) -> u16 {
+    fn sheet(&self, taps: &Taps) -> (u16, u16) {
         let slope = |axis: usize| {
             let difference = (taps.above[axis] - taps.below[axis]).clamp(-4 * ONE, 4 * ONE);
             (difference * self.slope / ONE).clamp(-MOST_SLOPE, MOST_SLOPE)
@@ -143,7 +168,7 @@ impl Numbers {
         // Half of a doubt is no sheet, or pieces of it would show.
         let certain = passed(certain, certain);
         if certain == 0 {
-            return drop;
+            return (0, 0);
         }
 
         let [sheet, thread, round] = self.sizes;
@@ -156,9 +181,7 @@ impl Numbers {
             + ((self.by_directions * directions.clamp(ONE, 3 * ONE) + self.by_size * size
                 - self.by_distance * away)
                 >> BITS);
-        let share = exp2(share.clamp(-15 * ONE, 0));
-        let drop = i32::from(drop).min(1 << 15);
-        (drop + (((share - drop) * certain as i32) >> BITS)) as u16
+        (exp2(share.clamp(-15 * ONE, 0)) as u16, certain as u16)
     }
 }
 
@@ -208,7 +231,8 @@ mod tests {
             ],
         };
         let surface = (-0.5 * (DROPS.radius / DROPS.width).powi(2)).exp() * 32768.0;
-        f64::from(numbers.share(&taps, 0)) - surface
+        let (share, certain) = numbers.sheet(&taps);
+        f64::from(share) * f64::from(certain) / f64::from(ONE) - surface
     }
 
     /// How far from the middle the surface lies.

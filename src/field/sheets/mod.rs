@@ -21,8 +21,10 @@
 //!    its distance from one, |B - B^2|^2, is at most 0.06 in sheets, threads and at their rims, and
 //!    twice that in spray. Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45)
 //!    is one.
-//! 5. Joined. Shares of drops (see [`distance`](super::distance)) give way to those of the sheet,
-//!    which are as wide as cells can carry and cross the level of a drop's surface at R.
+//! 5. Blended. The certainty is averaged over neighbouring cells, 1:2:1 along each axis, so that no
+//!    crumbs of single cells remain at rims and in spray. By it shares of drops (see
+//!    [`distance`](super::distance)) are blended with those of the sheet, which are as wide as cells
+//!    can carry and cross the level of a drop's surface at R.
 //!
 //! Derivatives are differences of logarithms over about a spacing, which are exact for Gaussians.
 //! All of it is integer arithmetic: numbers have 12 fraction bits unless something else is said,
@@ -33,7 +35,7 @@ mod cpu;
 mod logarithm;
 pub mod vulkan;
 
-pub use cpu::{holds_any, sheets};
+pub use cpu::{blend, holds_any, sheets};
 pub use logarithm::{EXP2, LOG2};
 
 use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
@@ -84,8 +86,19 @@ pub struct Sheets {
     pub around: Weights,
     /// Fewer samples in total, in its whole surroundings, are no sheet.
     pub least: u32,
+    /// Averages the certainty.
+    pub average: Weights,
     /// The numbers of the formulas.
     pub numbers: Numbers,
+}
+
+/// Sheets in some cells.
+#[derive(Debug, Clone)]
+pub struct Sheeted<F> {
+    /// Shares as those of drops, in 32768ths; 0 where there is no sheet.
+    pub shares: F,
+    /// How certain the sheets are, in 4096ths.
+    pub certainty: F,
 }
 
 /// The numbers of the formulas, for cells of a size.
@@ -210,11 +223,16 @@ impl Sheets {
             round: gate(ROUND),
             beyond: gate(BEYOND),
         };
-        Some(Self { around: weights.gaining(gain), least: 3 * u32::from(amount) / 2, numbers })
+        Some(Self {
+            around: weights.gaining(gain),
+            least: 3 * u32::from(amount) / 2,
+            average: Weights::of_variance(0.5, 1),
+            numbers,
+        })
     }
 
     /// How far beyond the cells that it is made in those decide a sheet.
     pub fn halo(&self) -> i32 {
-        self.around.reach() + self.numbers.step
+        self.around.reach() + self.numbers.step + self.average.reach()
     }
 }

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
 use crate::grid::CellBox;
-use crate::shaders::SheetsPush;
+use crate::shaders::{BlendPush, SheetsPush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::Numbers;
 
-/// Has drops give way to sheets, in place of their shares, by the smoothed density.
+/// Shares and certainty of sheets, by the smoothed density.
 ///
 /// # Errors
 /// Those of the device.
@@ -19,7 +19,7 @@ pub fn sheets(
     blocks: &DeviceBlocks,
     numbers: &Numbers,
     walls: Option<CellBox>,
-    [density, shares]: [&View; 2],
+    [density, shares, certainty]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let Numbers { torn, impure, thin, round, beyond, .. } = numbers;
@@ -52,6 +52,21 @@ pub fn sheets(
         beyond_begin: beyond.begin.into(),
         beyond_range: beyond.range.into(),
     };
-    let views = [&blocks.blocks, density, shares].map(Clone::clone);
+    let views = [&blocks.blocks, density, shares, certainty].map(Clone::clone);
     batch.dispatch(pipeline, &views, &push, blocks.groups(pipeline))
+}
+
+/// Blends shares of drops, in their place, with those of sheets, by how certain those are.
+///
+/// # Errors
+/// Those of the device.
+pub fn blend(
+    batch: &mut Batch,
+    pipeline: &Arc<ComputePipeline>,
+    blocks: &DeviceBlocks,
+    [sheets, certainty, drops]: [&View; 3],
+) -> Result<(), VulkanError> {
+    let push = BlendPush { words: blocks.words };
+    let views = [sheets, certainty, drops].map(Clone::clone);
+    batch.dispatch(pipeline, &views, &push, blocks.flat_groups(pipeline))
 }

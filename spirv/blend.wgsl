@@ -1,0 +1,33 @@
+// Blends shares of drops with those of sheets, by how certain those are.
+
+struct BlendPush {
+    // Words of the fields.
+    words: u32,
+}
+
+var<immediate> push: BlendPush;
+@group(0) @binding(0) var<storage, read> sheets: array<u32>;
+@group(0) @binding(1) var<storage, read> certainty: array<u32>;
+// Of drops, to become both.
+@group(0) @binding(2) var<storage, read_write> shares: array<u32>;
+
+fn blended(drop: u32, sheet: u32, certain: u32) -> u32 {
+    if sheet == 0u {
+        return drop;
+    }
+    let of_drop = i32(min(drop, 32768u));
+    return u32(of_drop + (((i32(sheet) - of_drop) * i32(certain)) >> SHEET_BITS));
+}
+
+@compute @workgroup_size(256)
+fn blend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let word = id.x + 256u * groups.x * id.y;
+    if word >= push.words {
+        return;
+    }
+    let drops = shares[word];
+    let of_sheets = sheets[word];
+    let certain = certainty[word];
+    let first = blended(drops & 0xffffu, of_sheets & 0xffffu, certain & 0xffffu);
+    shares[word] = first | blended(drops >> 16u, of_sheets >> 16u, certain >> 16u) << 16u;
+}
