@@ -218,7 +218,7 @@ settings! {
     smooth: Option<f64>,
 
     /// Neighbours in a sheet or a thread are joined up to this distance, however thin it is; 0 turns
-    /// this off [default: 0]. 2.15 holds sheets at twice the spacing. For the indicator cloud.
+    /// this off [default: 2.15]. For the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 

@@ -225,8 +225,8 @@ impl SheetStretch {
     /// The greatest distance: at more, particles of spray are taken for a sheet's.
     pub const MOST: f64 = 3.0;
 
-    /// The default: thin fluid is drops.
-    pub const DEFAULT: Self = Self(None);
+    /// The default: sheets hold that are stretched to twice the spacing.
+    pub const DEFAULT: Self = Self(Some(2.15));
 
     /// The distance in spacings; of 0 there are no sheets.
     ///

@@ -320,8 +320,8 @@ setters! {
     /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer
     /// water.
     smooth: f64,
-    /// Joins neighbours in a sheet or a thread up to so many spacings apart, such as 2.15; 0, the
-    /// default, joins none. For clouds.
+    /// Joins neighbours in a sheet or a thread up to so many spacings apart, 2.15 by default; 0 joins
+    /// none. For clouds.
     sheets: f64,
     /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the
     /// paper's indicators.

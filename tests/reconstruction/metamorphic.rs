@@ -22,8 +22,9 @@ const CELL: f64 = 0.5;
 const STEPS: f64 = 64.0;
 /// Distance between vertices that are one, in spacings: numbers are rounded otherwise elsewhere.
 const NEAR: f64 = 1e-9;
-/// Distance between vertices that mirror one another: places in a cell are rounded down.
-const NEAR_IN_MIRROR: f64 = 0.02;
+/// Distance between vertices that mirror one another: places in a cell are rounded down, which moves
+/// the surface most where it is nearly level with the field, as at the rims of sheets.
+const NEAR_IN_MIRROR: f64 = 0.1;
 
 /// Water at spacing 1 within 6 spacings of the origin: a pool, a ball or two, and spray.
 fn water(random: &mut Random) -> Vec<DVec3> {

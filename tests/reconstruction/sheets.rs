@@ -63,6 +63,18 @@ fn a_sheet_stretched_beyond_what_is_asked_for_is_drops() {
 }
 
 #[test]
+fn spray_has_no_more_pieces_with_sheets_than_without() {
+    for (apart, cell) in [(3.0, 0.5), (4.0, 0.5), (3.0, 0.4), (3.0, 0.25)] {
+        let mut random = Random::new(11);
+        let edge = 10.0 * apart;
+        let spray: Vec<[f64; 3]> =
+            (0..1000).map(|_| [(); 3].map(|()| edge * random.unit())).collect();
+        let [with, without] = [2.15, 0.0].map(|sheets| measured(&spray, cell, sheets).components);
+        assert!(with <= without && with > without * 9 / 10, "{apart}, {cell}: {with} of {without}");
+    }
+}
+
+#[test]
 fn threads_are_whole() {
     let along = DVec3::new(0.6, 0.48, 0.64);
     for stretch in [1.4, 1.8] {

@@ -199,8 +199,7 @@ mod tests {
     const DROPS: DropShape = DropShape { radius: 0.5, width: 0.6, spline: 0.0 };
 
     fn made() -> Sheets {
-        Sheets::new(SheetStretch::new(2.15).unwrap(), CELL, 0.25, 1 << 15, DROPS)
-            .expect("there are sheets")
+        Sheets::new(SheetStretch::DEFAULT, CELL, 0.25, 1 << 15, DROPS).expect("there are sheets")
     }
 
     /// How much of a share is left beyond that on a drop's surface, at so many spacings from the

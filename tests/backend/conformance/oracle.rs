@@ -74,9 +74,7 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
             sampling.domain = Domain::new(&sampling.grid, lo, hi + DVec3::X).ok();
         }
         let particles = particles.iter().map(|p| p.map(|x| x * spacing)).collect();
-        // Sheets have tests of their own.
-        let sheets = SheetStretch::new(0.0).unwrap();
-        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), sheets, ..surfacing() };
+        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..of_drops() };
         Variant { particles, sampling, surfacing }
     };
     cases.into_iter().map(variant).collect()
@@ -205,8 +203,13 @@ pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
             let half = DVec3::splat((12.0 * spacing).floor());
             sampling.domain = Domain::new(&sampling.grid, -half, half).ok();
         }
-        assert_mesh_is_dense(&Variant { particles, sampling, surfacing: surfacing() });
+        assert_mesh_is_dense(&Variant { particles, sampling, surfacing: of_drops() });
     }
+}
+
+/// Thin fluid as drops alone: sheets have tests of their own.
+fn of_drops() -> Surfacing {
+    Surfacing { sheets: SheetStretch::new(0.0).unwrap(), ..surfacing() }
 }
 
 fn assert_mesh_is_dense(variant: &Variant) {
