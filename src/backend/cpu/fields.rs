@@ -342,11 +342,7 @@ impl Fields for Blocks<'_> {
         Field { block: Rc::new(field.block.part(cells)), level: field.level }
     }
 
-    fn sheets(
-        &mut self,
-        by: &Sheets,
-        density: Field,
-    ) -> Result<Option<Sheeted<Field>>, Stopped> {
+    fn sheets(&mut self, by: &Sheets, density: Field) -> Result<Option<Sheeted<Field>>, Stopped> {
         let found = sheets(&by.numbers, &density.block);
         Ok(found.map(|Sheeted { shares, certainty }| Sheeted {
             shares: self.field(shares, density.level),
