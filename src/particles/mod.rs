@@ -411,3 +411,29 @@ pub fn finite_chunks(
         positions
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_leave_out_positions_that_are_not_finite_wherever_they_are() {
+        let all: Vec<[f64; 3]> =
+            (0..11).map(|i: i32| [f64::from(i * 7 % 11), f64::from(-i), 2.5]).collect();
+        for len in 0..all.len() {
+            for strange in 0..=len {
+                let mut positions = all[..len].to_vec();
+                let finite = [&all[..strange], &all[len.min(strange + 1)..len]].concat();
+                if let Some(position) = positions.get_mut(strange) {
+                    position[strange % 3] = [f64::NAN, f64::INFINITY][strange % 2];
+                }
+                let coordinates =
+                    |axis: usize| finite.iter().map(move |position: &[f64; 3]| position[axis]);
+                let lo = [0, 1, 2].map(|axis| coordinates(axis).fold(f64::MAX, f64::min));
+                let hi = [0, 1, 2].map(|axis| coordinates(axis).fold(f64::MIN, f64::max));
+                let expected = Bounds { lo: lo.into(), hi: hi.into(), finite: finite.len() };
+                assert_eq!(Bounds::of(&positions), expected, "{strange} of {len}");
+            }
+        }
+    }
+}

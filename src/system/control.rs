@@ -168,3 +168,20 @@ impl fmt::Debug for Control {
         f.debug_struct("Control").field("cancel", &self.cancel).finish_non_exhaustive()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_took_long_is_told_of_though_it_is_less_than_a_step() {
+        let told = Arc::new(Mutex::new(Vec::new()));
+        let hear = Arc::clone(&told);
+        let watcher: Watcher = Arc::new(move |progress| hear.lock().unwrap().push(progress.done));
+        let control = Control { progress: Some(watcher), ..Control::default() };
+        let meter = control.meter(Stage::Meshing, 1 << 20);
+        std::thread::sleep(2 * LONG);
+        meter.add(1);
+        assert_eq!(*told.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
+    }
+}
