@@ -309,7 +309,7 @@ impl Engine {
                     Some(known) if !known.suits(kind) => return Err(FrameError::OtherIndicator),
                     Some(known) => (*known, None),
                     None => {
-                        let measured = surfacing.calibrate_until(sampled, &control.cancel);
+                        let measured = surfacing.calibrate_for(sampled, control);
                         control.cancel.go_on()?;
                         let measured = measured?;
                         timings.done("plateau");

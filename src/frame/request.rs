@@ -15,7 +15,7 @@ use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::particles::kind::SettledKind;
 use crate::surface::dual_mc::{Normals, dual_cells};
-use crate::system::cancel::Cancel;
+use crate::system::control::Control;
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Method, Resources};
@@ -227,18 +227,18 @@ impl Surfacing {
     /// # Errors
     /// [`TooFine`] where the field does not tell finely enough where the surface is.
     pub fn calibrate(&self, frame: &SampledDif) -> Result<Calibrated, TooFine> {
-        self.calibrate_until(frame, &Cancel::new())
+        self.calibrate_for(frame, &Control::default())
     }
 
-    /// Measures as [`calibrate`](Self::calibrate) does, until the caller asks for an early end: what
-    /// is measured then is worth nothing.
-    pub fn calibrate_until(
+    /// Measures as [`calibrate`](Self::calibrate) does: `control` hears of the progress and can
+    /// cancel, and what is measured then is worth nothing.
+    pub fn calibrate_for(
         &self,
         frame: &SampledDif,
-        cancel: &Cancel,
+        control: &Control,
     ) -> Result<Calibrated, TooFine> {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
-        calibrate(frame, &filters, self.iso, cancel)
+        calibrate(frame, &filters, self.iso, control)
     }
 
     /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame

@@ -10,7 +10,7 @@ use crate::backend::{Stages, Surfaces};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
-use crate::field::calibration::Calibrated;
+use crate::field::calibration::{CALIBRATING, Calibrated};
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::BLOCKS_A_THREAD;
@@ -154,7 +154,8 @@ impl<'a> CalibratedFrame<'a> {
         // Any of them may be full of spray.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.drawn.regions[..];
-        let meter = self.control.meter(Stage::Meshing, regions.len());
+        let calibrating = if self.measured.is_some() { CALIBRATING } else { 0.0 };
+        let meter = self.control.meter(Stage::Meshing, regions.len()).between(calibrating, 1.0);
         meter.go_on()?;
         while !regions.is_empty() {
             let left = share.saturating_sub(spool.bytes_in_memory());

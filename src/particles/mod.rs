@@ -317,6 +317,24 @@ impl Bounds {
     /// Bounds of no particles.
     pub const NONE: Self = Self { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
 
+    /// Finds the bounds of the positions that are finite.
+    #[must_use]
+    pub fn of(positions: &[[f64; 3]]) -> Self {
+        let one_by_one = |positions: &[[f64; 3]]| {
+            let finite = positions.iter().map(|&p| DVec3::from(p)).filter(|p| p.is_finite());
+            finite.fold(Self::NONE, |b, p| Self {
+                lo: b.lo.min(p),
+                hi: b.hi.max(p),
+                finite: b.finite + 1,
+            })
+        };
+        let (fours, rest) = positions.as_chunks();
+        match bounds_of_fours(fours) {
+            Some(bounds) => bounds.joined(one_by_one(rest)),
+            None => one_by_one(positions),
+        }
+    }
+
     /// Bounds of two lots of particles together.
     pub fn joined(self, other: Self) -> Self {
         Self {
@@ -327,16 +345,40 @@ impl Bounds {
     }
 }
 
+/// Finds the bounds of positions, whose coordinates are whole vectors by fours: `None` where one is
+/// not finite.
+#[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
+fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
+    let (mut lo, mut hi, mut zero) = ([f64::MAX; 12], [f64::MIN; 12], [0.0; 12]);
+    for four in fours {
+        let four = four.as_flattened();
+        for lane in 0..12 {
+            let c = four[lane];
+            lo[lane] = if c < lo[lane] { c } else { lo[lane] };
+            hi[lane] = if c > hi[lane] { c } else { hi[lane] };
+            // NaN, where a coordinate is not finite.
+            zero[lane] += c - c;
+        }
+    }
+    if zero.iter().any(|&zero| zero != 0.0) {
+        return None;
+    }
+    let points = |lanes: [f64; 12]| [0, 3, 6, 9].map(|at| DVec3::from_slice(&lanes[at..]));
+    Some(Bounds {
+        lo: points(lo).into_iter().fold(DVec3::MAX, DVec3::min),
+        hi: points(hi).into_iter().fold(DVec3::MIN, DVec3::max),
+        finite: 4 * fours.len(),
+    })
+}
+
 /// The box around all finite positions; `None` where there is no such.
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
-    let of_chunk = |positions: Vec<[f64; 3]>| {
-        positions.into_iter().map(DVec3::from).fold(Bounds::NONE, |b, p| Bounds {
-            lo: b.lo.min(p),
-            hi: b.hi.max(p),
-            finite: b.finite + 1,
-        })
+    let of_chunk = |range: Range<usize>| {
+        let mut positions = vec![[0.0; 3]; range.len()];
+        particles.positions(range.start, &mut positions);
+        Bounds::of(&positions)
     };
-    let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
+    let bounds = chunks(particles, of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
     (bounds.finite > 0).then_some(bounds)
 }
 
@@ -368,4 +410,30 @@ pub fn finite_chunks(
         positions.retain(|position| DVec3::from(*position).is_finite());
         positions
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_leave_out_positions_that_are_not_finite_wherever_they_are() {
+        let all: Vec<[f64; 3]> =
+            (0..11).map(|i: i32| [f64::from(i * 7 % 11), f64::from(-i), 2.5]).collect();
+        for len in 0..all.len() {
+            for strange in 0..=len {
+                let mut positions = all[..len].to_vec();
+                let finite = [&all[..strange], &all[len.min(strange + 1)..len]].concat();
+                if let Some(position) = positions.get_mut(strange) {
+                    position[strange % 3] = [f64::NAN, f64::INFINITY][strange % 2];
+                }
+                let coordinates =
+                    |axis: usize| finite.iter().map(move |position: &[f64; 3]| position[axis]);
+                let lo = [0, 1, 2].map(|axis| coordinates(axis).fold(f64::MAX, f64::min));
+                let hi = [0, 1, 2].map(|axis| coordinates(axis).fold(f64::MIN, f64::max));
+                let expected = Bounds { lo: lo.into(), hi: hi.into(), finite: finite.len() };
+                assert_eq!(Bounds::of(&positions), expected, "{strange} of {len}");
+            }
+        }
+    }
 }

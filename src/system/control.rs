@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use super::cancel::{Cancel, Cancelled};
 
@@ -97,7 +98,8 @@ impl Control {
     /// Returns a meter for a stage of `parts` parts.
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
         let done = AtomicUsize::new(0);
-        Meter { control: self, stage, span: [0.0, 1.0], parts, done, told: Mutex::new(0) }
+        let told = Mutex::new((0, Instant::now()));
+        Meter { control: self, stage, span: [0.0, 1.0], parts, done, told }
     }
 
     /// Tells how much of a stage is done.
@@ -108,8 +110,10 @@ impl Control {
     }
 }
 
-/// Steps that a stage is told of at the most.
+/// Steps that a stage is told of, but for one that is told because it took [`LONG`].
 const STEPS: usize = 128;
+/// The time after which the caller is told of less than a step.
+const LONG: Duration = Duration::from_millis(50);
 
 /// Counts the finished parts of a stage over all threads, reports progress to the caller, and says
 /// whether to go on.
@@ -121,8 +125,9 @@ pub struct Meter<'a> {
     span: [f64; 2],
     parts: usize,
     done: AtomicUsize,
-    /// Parts that the caller knows of. Whoever finds it locked leaves the telling to the others.
-    told: Mutex<usize>,
+    /// Parts that the caller knows of, and since when. A thread that finds it locked leaves the
+    /// telling to the others.
+    told: Mutex<(usize, Instant)>,
 }
 
 impl Meter<'_> {
@@ -146,9 +151,12 @@ impl Meter<'_> {
         self.done.fetch_add(parts, Ordering::Relaxed);
         let Ok(mut told) = self.told.try_lock() else { return };
         let done = self.done.load(Ordering::Relaxed);
+        let (before, since) = *told;
+        let is_step = done >= before + self.parts.div_ceil(STEPS);
+        let is_due = is_step || done > before && since.elapsed() >= LONG;
         // What follows the last part is of the stage, too.
-        if done < self.parts && done >= *told + self.parts.div_ceil(STEPS) && self.goes_on() {
-            *told = done;
+        if done < self.parts && is_due && self.goes_on() {
+            *told = (done, Instant::now());
             let [from, to] = self.span;
             self.control.tell(self.stage, from + (to - from) * done as f64 / self.parts as f64);
         }
@@ -158,5 +166,22 @@ impl Meter<'_> {
 impl fmt::Debug for Control {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Control").field("cancel", &self.cancel).finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_took_long_is_told_of_though_it_is_less_than_a_step() {
+        let told = Arc::new(Mutex::new(Vec::new()));
+        let hear = Arc::clone(&told);
+        let watcher: Watcher = Arc::new(move |progress| hear.lock().unwrap().push(progress.done));
+        let control = Control { progress: Some(watcher), ..Control::default() };
+        let meter = control.meter(Stage::Meshing, 1 << 20);
+        std::thread::sleep(2 * LONG);
+        meter.add(1);
+        assert_eq!(*told.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
     }
 }

@@ -8,6 +8,7 @@ use std::sync::Mutex;
 
 use meniscus::error::Conflict;
 use meniscus::files::Replace;
+use meniscus::internals::field::calibration::CALIBRATING;
 use meniscus::{
     Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress,
     Reconstruction, Simulation, Stage, Summary, Warning,
@@ -254,7 +255,7 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
         .cancel(cancel)
         .progress(move |progress| {
             hear.lock().unwrap().push(progress);
-            if progress.stage == Stage::Meshing && progress.done > 0.0 {
+            if progress.stage == Stage::Meshing && progress.done > CALIBRATING {
                 stop.cancel();
             }
         })
@@ -263,12 +264,12 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
     assert_eq!(error.cause(), Cause::Cancelled, "{error}");
     let told = told.lock().unwrap();
     let last = told.last().unwrap();
-    assert!(last.stage == Stage::Meshing && last.done > 0.0 && last.done < 1.0, "{told:?}");
+    assert!(last.stage == Stage::Meshing && last.done > CALIBRATING && last.done < 1.0, "{told:?}");
     let stages: Vec<Stage> = told.iter().map(|progress| progress.stage).collect();
     assert!(stages.is_sorted() && stages.contains(&Stage::Sampling), "{stages:?}");
     assert_eq!(
         told.iter()
-            .filter(|progress| progress.stage == Stage::Meshing && progress.done > 0.0)
+            .filter(|progress| progress.stage == Stage::Meshing && progress.done > CALIBRATING)
             .count(),
         1
     );
@@ -289,7 +290,7 @@ fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
         let error = request
             .progress(move |progress| {
                 hear.lock().unwrap().push(progress);
-                if progress.stage == Stage::Meshing && progress.done > 0.0 {
+                if progress.stage == Stage::Meshing && progress.done > CALIBRATING {
                     stop.cancel();
                 }
             })
@@ -336,6 +337,28 @@ fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
                 "{last} of .{format} left a file"
             );
         }
+    }
+}
+
+#[test]
+fn a_frame_reports_progress_while_it_is_calibrated_measured_and_simplified() {
+    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let hear = std::sync::Arc::clone(&told);
+    Reconstruction::new()
+        .spacing(1.0)
+        .simplify(0.5)
+        .smallest_drop(4)
+        .progress(move |progress| hear.lock().unwrap().push(progress))
+        .run(&fill(30.0, 1.0, 0.3, 5, |_| true))
+        .unwrap();
+    let told = told.lock().unwrap();
+    // The first tenth of either stage is to calibrate, and to measure components.
+    for stage in [Stage::Meshing, Stage::Simplifying] {
+        let shares = told.iter().filter(|progress| progress.stage == stage).map(|of| of.done);
+        let shares: Vec<f64> = shares.filter(|&done| done > 0.0 && done < 1.0).collect();
+        let [begun, later] = [0.0..CALIBRATING, CALIBRATING..1.0]
+            .map(|range| shares.iter().filter(|share| range.contains(share)).count());
+        assert!(begun > 1 && later > 1 && shares.is_sorted(), "{stage}: {shares:?}");
     }
 }
 

@@ -9,7 +9,7 @@ use glam::IVec3;
 
 use crate::brick::{Block, DifField, full_bits, fullness};
 use crate::grid::{BLOCK, CellBox};
-use crate::system::cancel::Cancel;
+use crate::system::control::Meter;
 
 use super::histogram::Histogram;
 
@@ -34,8 +34,8 @@ pub struct Blurred<'a> {
     pub width: f64,
     /// Smooths a block.
     pub apply: &'a (dyn Fn(Block, Option<CellBox>) -> Block + Sync),
-    /// The caller's handle to end the work early: from then on nothing is found.
-    pub cancel: &'a Cancel,
+    /// A count of the parts that were looked at. From an early end on nothing is found.
+    pub meter: &'a Meter<'a>,
 }
 
 /// The interior cells of a frame.
@@ -72,9 +72,10 @@ impl<'a> Interior<'a> {
     /// Adds the smoothed DIF over the interior cells among `cells`, a block or a part of it.
     pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
         let Self { blurred, dilation, erosion } = *self;
-        if blurred.cancel.is_cancelled() {
+        if !blurred.meter.goes_on() {
             return;
         }
+        blurred.meter.add(1);
         let walls = blurred.walls;
         let (seen, reach) = (dilation + erosion, blurred.halo);
         let margin = seen.max(reach);

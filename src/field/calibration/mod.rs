@@ -21,11 +21,15 @@ pub use precision::{
     COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for,
 };
 
+use crate::brick::DifField;
 use crate::field::distance::UNITS;
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::field::recipe::Filters;
 use crate::grid::units::{Isovalue, MeanCount};
-use crate::system::cancel::Cancel;
+use crate::system::control::{Control, Stage};
+
+/// The share of [`Stage::Meshing`] that calibrating is, where it is measured.
+pub const CALIBRATING: f64 = 0.1;
 
 /// Numbers that were measured, or given, and make frames alike.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,8 +94,9 @@ impl Calibrated {
     }
 }
 
-/// Measures what a surface through a frame has to know, but for an isovalue that is given. What is
-/// measured after the caller has asked for an early end is worth nothing.
+/// Measures what a surface through a frame has to know, but for an isovalue that is given.
+/// `control` hears of the progress. What is measured after the caller has asked for an early end is
+/// worth nothing.
 ///
 /// # Errors
 /// [`TooFine`] where the field does not tell finely enough where the surface is.
@@ -99,9 +104,12 @@ pub fn calibrate(
     frame: &SampledDif,
     filters: &Filters,
     iso: Option<Isovalue>,
-    cancel: &Cancel,
+    control: &Control,
 ) -> Result<Calibrated, TooFine> {
     let facts = &frame.facts;
+    let meter = |dif: &DifField| {
+        control.meter(Stage::Meshing, Plateau::most_parts(dif)).between(0.0, CALIBRATING)
+    };
     match filters {
         Filters::Paper(paper) => {
             let smoothing = &paper.smoothing;
@@ -110,7 +118,7 @@ pub fn calibrate(
                 facts.spacing_cells(),
                 facts.grid.cell_size(),
             )?;
-            let plateau = Plateau::of(frame, smoothing, cancel);
+            let plateau = Plateau::of(frame, smoothing, &meter(&frame.dif));
             let step_cells = precision::refuse_too_fine(frame, smoothing, plateau)?;
             let iso = iso.unwrap_or(plateau.isovalue());
             let calibration = Calibration::Indicator { mean: frame.indicator.mean(), iso };
@@ -118,7 +126,8 @@ pub fn calibrate(
         }
         Filters::Distances(distances) => {
             refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
-            let plateau = Plateau::of_clouds(frame, distances, cancel);
+            let meter = meter(frame.wide(distances.level));
+            let plateau = Plateau::of_clouds(frame, distances, &meter);
             let calibration = Calibration::Clouds { plateau: plateau.value() };
             let step_cells = facts.spacing_cells_or_one() / UNITS;
             Ok(Calibrated { calibration, plateau, step_cells })

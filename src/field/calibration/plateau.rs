@@ -13,14 +13,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::brick::equal_steps;
+use crate::brick::{DifField, equal_steps};
 use crate::field::blur::{Filter, Smoothing, blur};
 use crate::field::distance::{BULK_GAIN, Distances};
 use crate::field::indicator::{GHOST_LAYER, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
 use crate::grid::CellBox;
 use crate::grid::units::{FULL, Isovalue};
-use crate::system::cancel::Cancel;
+use crate::system::control::Meter;
 
 use super::expected::expected;
 use super::histogram::Histogram;
@@ -75,10 +75,16 @@ impl Plateau {
         WideCells::of_spacing(spacing).plateau() * f64::from(1 << BULK_GAIN)
     }
 
+    /// Blocks and parts of blocks that are looked at in a field, at the most.
+    pub(super) fn most_parts(dif: &DifField) -> usize {
+        let blocks = dif.regions(0, 0).len();
+        GAPS.len() * (2 * blocks.min(SAMPLED_BLOCKS) + blocks)
+    }
+
     /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The
     /// result depends on the frame and that width alone.
     #[must_use]
-    pub fn of_clouds(frame: &SampledDif, distances: &Distances, cancel: &Cancel) -> Self {
+    pub fn of_clouds(frame: &SampledDif, distances: &Distances, meter: &Meter<'_>) -> Self {
         let narrowest = &distances.bulk.widths[0];
         let wide = frame.wide_cells();
         let spacing = 1.0 / wide.edge;
@@ -92,7 +98,7 @@ impl Plateau {
             halo: narrowest.weights.reach(),
             width: f64::from(narrowest.spacings) / 4096.0 * spacing,
             apply: &|block, walls| blur(block, &narrowest.weights, walls),
-            cancel,
+            meter,
         };
         let found = GAPS.into_iter().find_map(|(gap, share)| {
             let interior = Interior::new(&blurred, gap * spacing);
@@ -106,7 +112,7 @@ impl Plateau {
     /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and
     /// the smoothing alone. Particles whose spacing is not known are taken to be a cell apart.
     #[must_use]
-    pub fn of(frame: &SampledDif, smoothing: &Smoothing, cancel: &Cancel) -> Self {
+    pub fn of(frame: &SampledDif, smoothing: &Smoothing, meter: &Meter<'_>) -> Self {
         let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
         let cells = spacing.unwrap_or(1.0);
         let blurred = Blurred {
@@ -117,7 +123,7 @@ impl Plateau {
             halo: smoothing.halo(),
             width: smoothing.width(),
             apply: &|block, walls| smoothing.apply(block, walls),
-            cancel,
+            meter,
         };
         // Symmetry does not tell how many particles there are, and any interior is better than none
         // where the spacing is not known, for nothing can be expected there.

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::sample::SHARE;
 use crate::brick::{BinPlan, CountingRoom, InvalidParticles};
-use crate::grid::{BIN, FRACTIONS, Grid, STEP_LIMIT};
+use crate::grid::{BIN, Grid};
 use crate::particles::Bounds;
 
 /// Particles that a counting cell should hold; the smaller numbers are for thin layers.
@@ -30,16 +30,19 @@ const CHUNK: usize = 1 << 16;
 /// Particles whose cells are found at once.
 const AT_ONCE: usize = 256;
 
-/// Finds the cells of particles, of which those of `grid` are sixteenths, numbered from one below
-/// the first. They are found as the grid places particles; one beyond it has the number of none.
+/// Finds the numbers of particles' cells in a list of a box of cells, x fastest, that begins one
+/// cell below `origin`.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn cells_of(grid: &Grid, positions: &[[f64; 3]], cells: &mut [[u32; 3]]) {
-    let in_cells = 1.0 / f64::from(BIN) / f64::from(FRACTIONS);
-    for (cell, &position) in cells.iter_mut().zip(positions) {
-        let steps = grid.cells_from_world(position).map(|c| (c * f64::from(FRACTIONS)).floor());
-        let within = steps.iter().fold(true, |all, s| all & (-STEP_LIMIT..STEP_LIMIT).contains(s));
-        *cell = steps
-            .map(|s| if within { ((s * in_cells).floor() + 1.0) as i32 as u32 } else { u32::MAX });
+fn numbers_of(
+    positions: &[[f64; 3]],
+    origin: [f64; 3],
+    cell: f64,
+    size: [f64; 3],
+    numbers: &mut [u32],
+) {
+    for (number, position) in numbers.iter_mut().zip(positions) {
+        let place = |axis: usize| ((position[axis] - origin[axis]) / cell).floor() + 1.0;
+        *number = (place(0) + size[0] * (place(1) + size[1] * place(2))) as i32 as u32;
     }
 }
 
@@ -158,28 +161,27 @@ enum Counts {
 impl Counts {
     /// Counts particles between two corners in the cells of edge `cell` that begin at `origin`.
     fn of(particles: &[[f64; 3]], corners: [DVec3; 2], origin: DVec3, cell: f64) -> Option<Self> {
-        // Sixteen times finer, its bins are the cells.
-        let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
         // Cells are numbered from one below the first, so that each has neighbours.
         let last = ((corners[1] - origin) / cell).floor() + 1.0;
         let size = (last + 2.0).to_array();
         let is_small = size.iter().product::<f64>() <= MOST_LISTED;
         if !is_small {
+            // Sixteen times finer, its bins are the cells.
+            let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
             let room = CountingRoom { bins: MOST_CELLS, places: 0 };
             let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).ok()?;
             return Some(Self::Hashed(
                 plan.keys().iter().map(|key| key.coord()).zip(plan.counts()).collect(),
             ));
         }
-        let size = size.map(|size| size as usize);
-        let none = || vec![0_u32; size.iter().product()];
+        let none = || vec![0_u32; size.iter().product::<f64>() as usize];
         let count = |chunk: &[[f64; 3]]| {
-            let (mut counts, mut cells) = (none(), [[0; 3]; AT_ONCE]);
+            let (mut counts, mut numbers) = (none(), [0; AT_ONCE]);
             for positions in chunk.chunks(AT_ONCE) {
-                let cells = &mut cells[..positions.len()];
-                cells_of(&grid, positions, cells);
-                for [x, y, z] in cells.iter().map(|cell| cell.map(|c| c as usize)) {
-                    if let Some(count) = counts.get_mut(x + size[0] * (y + size[1] * z)) {
+                let numbers = &mut numbers[..positions.len()];
+                numbers_of(positions, origin.into(), cell, size, numbers);
+                for &number in &*numbers {
+                    if let Some(count) = counts.get_mut(number as usize) {
                         *count += 1;
                     }
                 }
@@ -190,7 +192,8 @@ impl Counts {
             sum.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
             sum
         });
-        Some(Self::Listed { size, counts: all.unwrap_or_else(none) })
+        let counts = all.unwrap_or_else(none);
+        Some(Self::Listed { size: size.map(|size| size as usize), counts })
     }
 
     /// The counts in cells with the same corner that are twice as wide.

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::units::shown;
-use crate::particles::{Bounds, Particles, bounds, finite_chunks};
+use crate::particles::{Bounds, CHUNK, Particles, bounds};
 
 pub use clouds::spacing_by_clouds;
 pub use density::Spacings;
@@ -133,7 +133,8 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 /// their spacing; `None` where none is finite.
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     if particles.len() <= ALL {
-        return of_all(gathered(particles));
+        let (positions, bounds) = gathered(particles);
+        return of_all(positions, bounds);
     }
     let share = Share::of(particles.len());
     show_all(particles, |positions| share.look(positions));
@@ -149,7 +150,7 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
 /// neighbours say of a spacing that is known; `None` where no particle was seen.
 pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
     if particles.len() <= FEWEST_SAMPLED {
-        return Look::of(Sample::whole(gathered(particles)), spacing);
+        return Look::of(Sample::whole(gathered(particles).0), spacing);
     }
     let sample = |new: fn(Cubes, usize) -> InCubes| {
         let in_cubes = new(Cubes::for_spacing(spacing), particles.len());
@@ -184,26 +185,38 @@ impl Look {
     }
 }
 
-/// Reads the finite positions of all particles, some at once, in no order.
+/// Reads the positions of all particles, some at once, in no order.
 pub fn show_all(particles: &(impl Particles + ?Sized), look: impl Fn(&[[f64; 3]]) + Sync) {
-    finite_chunks(particles).for_each(|positions| look(&positions));
+    let buffer = || vec![[0.0; 3]; CHUNK];
+    (0..particles.len().div_ceil(CHUNK)).into_par_iter().for_each_init(buffer, |buffer, chunk| {
+        let range = chunk * CHUNK..particles.len().min((chunk + 1) * CHUNK);
+        let positions = &mut buffer[..range.len()];
+        particles.positions(range.start, positions);
+        particles.release(range);
+        look(positions);
+    });
 }
 
-/// The finite positions of all particles, in their order.
-fn gathered(particles: &(impl Particles + ?Sized)) -> Vec<[f64; 3]> {
-    const CHUNK: usize = 1 << 12;
+/// The finite positions of all particles, in their order, and their bounds.
+fn gathered(particles: &(impl Particles + ?Sized)) -> (Vec<[f64; 3]>, Bounds) {
     let mut all = vec![[0.0; 3]; particles.len()];
-    all.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, positions)| {
+    let bounds = all.par_chunks_mut(CHUNK).enumerate().map(|(chunk, positions)| {
         particles.positions(chunk * CHUNK, positions);
         particles.release(chunk * CHUNK..chunk * CHUNK + positions.len());
+        Bounds::of(positions)
     });
-    all.retain(|position| DVec3::from(*position).is_finite());
-    all
+    let bounds = bounds.reduce(|| Bounds::NONE, Bounds::joined);
+    if bounds.finite < all.len() {
+        all.retain(|position| DVec3::from(*position).is_finite());
+    }
+    (all, bounds)
 }
 
-/// Gathers the evidence of all particles.
-fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
-    let bounds = bounds(&positions[..])?;
+/// Gathers the evidence of all particles, which lie within `bounds`.
+fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
+    if positions.is_empty() {
+        return None;
+    }
     let place = Place::of(&positions, &bounds);
     let particles = positions.len();
     let mut places = particles;
@@ -340,7 +353,8 @@ impl Place {
         // A few are enough, whichever come first in the file.
         let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
         let some = |position: &&[f64; 3]| sample::lightly_scattered(**position) & (one_in - 1) == 0;
-        let mut some: Vec<[f64; 3]> = positions.iter().filter(some).copied().collect();
+        let some = |chunk: &'_ [[f64; 3]]| chunk.iter().filter(some).copied().collect::<Vec<_>>();
+        let mut some = positions.par_chunks(1 << 14).flat_map_iter(some).collect::<Vec<_>>();
         if some.is_empty() {
             some = vec![lo.into(), hi.into()];
         }

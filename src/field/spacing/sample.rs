@@ -56,16 +56,21 @@ impl Share {
 
     /// Takes its share of some particles. Those that are not finite are passed over.
     pub fn look(&self, positions: &[[f64; 3]]) {
-        let mut numbers = [0; LOOKED];
+        let mut ours = [[0.0; 3]; LOOKED];
         let mut bounds = Bounds::NONE;
         let mut taken = Vec::new();
         for positions in positions.chunks(LOOKED) {
-            let numbers = &mut numbers[..positions.len()];
-            scatter(positions, numbers, &mut bounds);
-            let ours = |&(_, number): &(_, &u64)| number & (NOT_FINITE | (self.one_in - 1)) == 0;
-            taken.extend(
-                positions.iter().zip(&*numbers).filter(ours).map(|(&position, _)| position),
-            );
+            bounds = bounds.joined(Bounds::of(positions));
+            // Without a branch, which chance would decide.
+            let mut end = 0;
+            for &position in positions {
+                ours[end] = position;
+                end += usize::from(scattered(position) & (self.one_in - 1) == 0);
+            }
+            taken.extend_from_slice(&ours[..end]);
+        }
+        if bounds.finite < positions.len() {
+            taken.retain(|position| DVec3::from(*position).is_finite());
         }
         let all = taken.len();
         taken.dedup_by_key(|position| position.map(f64::to_bits));
@@ -84,7 +89,7 @@ impl Share {
         let Self { one_in, held } = self;
         let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
         let all = held.positions.len();
-        let positions = distinct(std::mem::take(&mut held.positions));
+        let positions = without_duplicates(std::mem::take(&mut held.positions));
         let has_duplicates = held.has_duplicates || positions.len() < all;
         let bounds = held.bounds;
         let (taken, all) = (positions.len() as f64, bounds.finite as f64);
@@ -119,27 +124,6 @@ impl Taken {
 
 /// Positions whose numbers are found at once.
 const LOOKED: usize = 512;
-/// The bit of a position's number that says that it is not finite.
-const NOT_FINITE: u64 = 1 << 63;
-
-/// Finds the number of each position, with [`NOT_FINITE`] set or not, and adds the finite ones to
-/// bounds.
-#[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn scatter(positions: &[[f64; 3]], numbers: &mut [u64], bounds: &mut Bounds) {
-    let Bounds { lo, hi, mut finite } = *bounds;
-    let (mut lo, mut hi) = (lo.to_array(), hi.to_array());
-    for (number, &position) in numbers.iter_mut().zip(positions) {
-        let is_finite = position.iter().fold(true, |all, c| all & c.is_finite());
-        finite += usize::from(is_finite);
-        *number = scattered(position) & !NOT_FINITE | if is_finite { 0 } else { NOT_FINITE };
-        for axis in 0..3 {
-            let c = position[axis];
-            lo[axis] = if is_finite & (c < lo[axis]) { c } else { lo[axis] };
-            hi[axis] = if is_finite & (c > hi[axis]) { c } else { hi[axis] };
-        }
-    }
-    *bounds = Bounds { lo: lo.into(), hi: hi.into(), finite };
-}
 
 /// A number that is as good as random, and the same wherever a particle stands in its file.
 #[inline(always)]
@@ -237,6 +221,36 @@ pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let mut positions: Vec<[f64; 3]> = numbered.into_iter().map(|(_, position)| position).collect();
     positions.dedup_by_key(|position| position.map(f64::to_bits));
     positions
+}
+
+/// One position of those in each place, in no order: found sooner than by [`distinct`] where each
+/// place holds one.
+fn without_duplicates(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    let numbers: Vec<u64> = positions.par_iter().map(|&position| scattered(position)).collect();
+    if some_are_alike(&numbers) { distinct(positions) } else { positions }
+}
+
+/// Whether two numbers are the same, of many that are as good as random.
+fn some_are_alike(numbers: &[u64]) -> bool {
+    /// Numbers have a bit each, by their upper bits. Of those that differ, few share one.
+    const BITS: u32 = 23;
+    let place = |number: u64| {
+        let bit = number >> (u64::BITS - BITS);
+        ((bit / 64) as usize, 1_u64 << (bit % 64))
+    };
+    let mut bits = vec![[0; 2]; 1 << (BITS - 6)];
+    for (word, bit) in numbers.iter().map(|&number| place(number)) {
+        let [once, twice] = &mut bits[word];
+        *twice |= *once & bit;
+        *once |= bit;
+    }
+    let is_shared = |&number: &u64| {
+        let (word, bit) = place(number);
+        bits[word][1] & bit != 0
+    };
+    let mut shared: Vec<u64> = numbers.iter().copied().filter(is_shared).collect();
+    shared.sort_unstable();
+    shared.windows(2).any(|pair| pair[0] == pair[1])
 }
 
 /// All particles in some cubes: in those with the least numbers, as far as the room goes.

@@ -51,6 +51,27 @@ fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
 }
 
 #[test]
+fn a_share_holds_each_place_once_and_nothing_that_is_not_finite() {
+    let places = layers([30; 3], 1.0 / 3.0);
+    for (copies, strange) in [(1, 0), (1, 5), (2, 0), (3, 700)] {
+        let share = Share::of(places.len());
+        let strange = vec![[0.0, f64::NAN, f64::INFINITY]; strange];
+        let mut shown = places.repeat(copies);
+        shown.splice(100..100, strange);
+        shown.chunks(1000).for_each(|positions| share.look(positions));
+        let mut taken = share.taken();
+        let sorted = |positions: &mut Vec<[f64; 3]>| {
+            positions.sort_unstable_by_key(|position| position.map(f64::to_bits));
+            positions.clone()
+        };
+        assert_eq!(sorted(&mut taken.positions), sorted(&mut places.clone()));
+        assert_eq!((taken.places, taken.bounds.finite), (places.len(), copies * places.len()));
+        let all = bounds(&places[..]).unwrap();
+        assert_eq!((taken.bounds.lo, taken.bounds.hi), (all.lo, all.hi));
+    }
+}
+
+#[test]
 fn many_particles_tell_the_same_in_any_order() {
     let mut particles = layers([120; 3], 1.0 / 3.0);
     let first = evidence(&particles[..]).unwrap();

@@ -16,7 +16,9 @@ use rayon::prelude::*;
 use crate::grid::BLOCK;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::stitch::Stitched;
-use crate::system::control::Control;
+use crate::system::control::{Control, Meter, Stage};
+
+use super::MEASURING;
 
 /// How many components are left out of a surface because they are too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -57,13 +59,14 @@ pub fn smaller_than(
     control: &Control,
 ) -> io::Result<(VertexSet, TooSmall)> {
     let pieces = surface.pieces();
+    let meter = control.meter(Stage::Simplifying, 2 * pieces).between(0.0, MEASURING);
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
     // Vertices that were named before their own block, with the component that did.
     let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
     in_batches(
         pieces,
-        control,
+        &meter,
         |piece| Parts::of(surface, piece),
         |piece, parts| {
             let base = components.parents.len() as u32;
@@ -100,7 +103,7 @@ pub fn smaller_than(
     let mut vertices = VertexSet::none_of(surface.vertex_count());
     in_batches(
         pieces,
-        control,
+        &meter,
         |piece| Parts::of(surface, piece),
         |piece, parts| {
             for (vertex, part) in (surface.first_vertex(piece)..).zip(&parts.part_of) {
@@ -116,15 +119,16 @@ pub fn smaller_than(
 /// Makes something of all pieces on all threads, and takes it in order.
 fn in_batches<T: Send>(
     pieces: usize,
-    control: &Control,
+    meter: &Meter<'_>,
     make: impl Fn(usize) -> io::Result<T> + Sync,
     mut take: impl FnMut(usize, T),
 ) -> io::Result<()> {
     let batch = 4 * rayon::current_num_threads();
     for first in (0..pieces).step_by(batch) {
-        control.cancel.go_on()?;
+        meter.go_on()?;
         let range = first..(first + batch).min(pieces);
         let made: Vec<T> = range.clone().into_par_iter().map(&make).collect::<io::Result<_>>()?;
+        meter.add(made.len());
         range.zip(made).for_each(|(piece, made)| take(piece, made));
     }
     Ok(())

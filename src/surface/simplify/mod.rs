@@ -45,6 +45,8 @@ const CHUNK: i32 = 2;
 const PIN_SPACING: i32 = 16;
 /// The second pass simplifies triangles that come within so many cells of a seam of the first.
 const BAND: i32 = 4;
+/// The share of the stage in which components are measured.
+const MEASURING: f64 = 0.1;
 /// Edge of the boxes by which it is found what lies near them, in cells.
 const BOX: i32 = 4;
 
@@ -124,10 +126,12 @@ pub fn simplify(
     } else {
         (None, TooSmall::default())
     };
+    let begun = if left_out.is_some() { MEASURING } else { 0.0 };
     let blocks: Vec<IVec3> = surface.blocks().collect();
     let aligned = grouped(&blocks, aligned_chunk);
     let shifted = grouped(&blocks, shifted_chunk);
-    let meter = control.meter(Stage::Simplifying, aligned.len() + shifted.len());
+    let chunks = aligned.len() + shifted.len();
+    let meter = control.meter(Stage::Simplifying, chunks).between(begun, 1.0);
     let passes = Passes { surface: &surface, left_out, tolerance: reduction.tolerance, meter };
     let batch = 2 * rayon::current_num_threads();
 
