@@ -134,6 +134,10 @@
 //! `pictures` the module [`picture`]; `hdf5` reads HDF5. A library that only makes meshes needs
 //! none of them.
 
+// The program names the library as any other program does.
+#[cfg(feature = "cli")]
+extern crate self as meniscus;
+
 mod backend;
 mod baselines;
 mod brick;
@@ -143,6 +147,8 @@ mod frame;
 mod grid;
 mod io;
 mod particles;
+#[cfg(feature = "cli")]
+pub mod program;
 mod reconstruction;
 mod settings;
 #[rustfmt::skip]

@@ -1,9 +1,11 @@
 //! The commands that there are, each with its options.
 
+use std::ffi::OsString;
+
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use meniscus::Settings;
 
-use crate::{devices, foreign, info, inspect, options, pack, render, shells};
+use super::{devices, foreign, info, inspect, options, pack, render, shells};
 
 /// Turn particle fluids into watertight surface meshes.
 #[derive(Parser)]
@@ -36,15 +38,15 @@ pub enum Command {
 }
 
 impl Arguments {
-    /// Reads the command line, and ends the program where it is wrong or asks for help.
-    pub fn of_command_line() -> Self {
+    /// Reads a command line. An error is also what `--help` and `--version` print.
+    pub fn of_command_line(arguments: &[OsString]) -> Result<Self, clap::Error> {
         let mut command = Self::as_command();
-        let matches = command.try_get_matches_from_mut(std::env::args_os());
-        let matches = matches.unwrap_or_else(|error| {
-            let subcommand = std::env::args().nth(1);
-            foreign::explained(error, &mut command, subcommand.as_deref()).exit()
-        });
-        Self::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
+        let matches = command.try_get_matches_from_mut(arguments);
+        let matches = matches.map_err(|error| {
+            let subcommand = arguments.get(1).and_then(|word| word.to_str());
+            foreign::explained(error, &mut command, subcommand)
+        })?;
+        Self::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
     }
 
     /// The commands and options, as help, completions and manual pages show them: `pack` takes

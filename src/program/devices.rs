@@ -5,7 +5,7 @@ use meniscus::Error;
 use meniscus::devices::{DeviceInfo, Instance};
 use serde_json::json;
 
-use crate::notes::Verdict;
+use super::notes::Verdict;
 
 #[derive(Args)]
 pub struct Options {
@@ -18,16 +18,16 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     let devices = Instance::connect(false)?.devices()?;
     if options.json {
-        crate::notes::print_json(&devices.iter().map(record).collect::<Vec<_>>())?;
+        super::notes::print_json(&devices.iter().map(record).collect::<Vec<_>>())?;
     } else if devices.is_empty() {
-        crate::notes::print("no Vulkan device: the loader knows none")?;
+        super::notes::print("no Vulkan device: the loader knows none")?;
     }
     for device in devices.iter().filter(|_| !options.json) {
         let usable =
             device.lacks.map_or(String::new(), |lacks| format!("; cannot be used: {lacks}"));
         let usable =
             if device.is_conformant() { usable } else { format!("; not conformant{usable}") };
-        crate::notes::print(&format!(
+        super::notes::print(&format!(
             "{} {}: {}, Vulkan {}, {}, {}{usable}",
             device.index,
             device.name,

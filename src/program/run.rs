@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use meniscus::devices::{self, Backend, DeviceChoice, OnCpu};
 use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
-use crate::notes::Notes;
+use super::notes::Notes;
 
 /// More than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;

@@ -7,9 +7,9 @@ use clap::Args;
 use meniscus::files::InputFormat;
 use meniscus::{Error, Reconstruction, Settings};
 
-use crate::parts::PartsOptions;
-use crate::run::RunOptions;
-use crate::simulation::SimulationOptions;
+use super::parts::PartsOptions;
+use super::run::RunOptions;
+use super::simulation::SimulationOptions;
 
 const INPUT: &str = "The particles of a frame, or the frames of a simulation";
 

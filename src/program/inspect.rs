@@ -9,7 +9,7 @@ use meniscus::files::{MeshFormat, files};
 use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
-use crate::notes::{Verdict, corners, point, print, print_json};
+use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct CheckOptions {

@@ -7,8 +7,8 @@ use clap_complete::Shell;
 use meniscus::Error;
 use meniscus::error::WriteError;
 
-use crate::notes::Verdict;
-use crate::notes::print;
+use super::notes::Verdict;
+use super::notes::print;
 
 #[derive(Args)]
 pub struct CompletionOptions {

@@ -8,11 +8,11 @@ use clap::{Args, value_parser};
 use meniscus::files::Replace;
 use meniscus::{Error, Indicator, PartMade, PartTakes, Parts, Planned, Reconstruction};
 
-use crate::notes::Notes;
-use crate::notes::{Verdict, print};
-use crate::one_frame::{Ready, ready, write};
-use crate::options::Options;
-use crate::report::{report_cells, report_census, report_stages, warn_all};
+use super::notes::Notes;
+use super::notes::{Verdict, print};
+use super::one_frame::{Ready, ready, write};
+use super::options::Options;
+use super::report::{report_cells, report_census, report_stages, warn_all};
 
 /// Runs the step that is asked for of so many parts.
 pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error> {

@@ -15,7 +15,7 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
         } else {
             "nothing was written"
         };
-        crate::notes::say(&format!("meniscus: interrupted; {what}"));
+        super::notes::say(&format!("meniscus: interrupted; {what}"));
         std::process::exit(130);
     });
     Cancel::new()

@@ -8,14 +8,14 @@ use meniscus::{
     Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied, Warning,
 };
 
-use crate::advice::{doubted, told, warned};
-use crate::interrupt;
-use crate::notes::Notes;
-use crate::notes::{Verdict, print};
-use crate::options::Options;
-use crate::progress::{Progress, ProgressMode};
-use crate::report::{report_census, report_device, too_small, warn_all};
-use crate::stats::{of_failed, of_frame};
+use super::advice::{doubted, told, warned};
+use super::interrupt;
+use super::notes::Notes;
+use super::notes::{Verdict, print};
+use super::options::Options;
+use super::progress::{Progress, ProgressMode};
+use super::report::{report_census, report_device, too_small, warn_all};
+use super::stats::{of_failed, of_frame};
 
 /// Runs the command, for each simulation that is there.
 pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> {
@@ -142,7 +142,6 @@ impl Teller<'_> {
                 self.bars = None;
                 self.ended(summary);
             }
-            _ => {}
         }
     }
 

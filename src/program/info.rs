@@ -11,8 +11,8 @@ use meniscus::files::{
 };
 use meniscus::{Error, Settings, Where};
 
-use crate::advice::say_error;
-use crate::notes::{Verdict, corners, point, print, print_json};
+use super::advice::say_error;
+use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct Options {
@@ -199,7 +199,6 @@ fn describe(info: &Info) -> String {
             line("attributes", names(attributes));
             format!("{}: mesh", file.display())
         }
-        _ => String::new(),
     };
     format!("{title}\n{}", lines.join("\n"))
 }

@@ -10,11 +10,11 @@ use meniscus::{
     Comparison, Condition, Doubt, Emptiness, Mistake, Mixture, SpacingSource, TooSmall, Warning,
 };
 
-use crate::options::Options;
+use super::options::Options;
 
 /// Says an error, and what to do about it.
 pub fn say_error(error: &Error) {
-    crate::notes::say(&format!("meniscus: {}", told(error)));
+    super::notes::say(&format!("meniscus: {}", told(error)));
 }
 
 /// An error in words, and what to do about it.

@@ -8,11 +8,11 @@ use clap::Args;
 use meniscus::files::{InputFormat, Replace};
 use meniscus::{Error, Reconstruction, Settings};
 
-use crate::interrupt;
-use crate::notes::Verdict;
-use crate::one_frame::refuse_same_file;
-use crate::report::{report_census, report_opened, report_stages, warn_all};
-use crate::run::{RunOptions, bytes_of};
+use super::interrupt;
+use super::notes::Verdict;
+use super::one_frame::refuse_same_file;
+use super::report::{report_census, report_opened, report_stages, warn_all};
+use super::run::{RunOptions, bytes_of};
 
 #[derive(Args)]
 pub struct Options {

@@ -15,8 +15,8 @@ pub fn set_up() {
 
 /// Does `work` on a thread whose stack is large enough, whatever the limit on that of the process
 /// (`ulimit -s`); on this one, where the system starts no other.
-pub fn on_own_stack<T: Send + 'static>(work: fn() -> T) -> T {
-    match thread::Builder::new().stack_size(STACK).spawn(work) {
+pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send + 'static) -> T {
+    match thread::Builder::new().stack_size(STACK).spawn(work.clone()) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
         Err(_) => work(),
     }

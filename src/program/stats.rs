@@ -8,8 +8,8 @@ use meniscus::error::WriteError;
 use meniscus::{Error, FrameDone, FrameFailed, MethodName, Report, Timings, peak_memory};
 use serde_json::{Map, Value, json};
 
-use crate::advice::told;
-use crate::options::Options;
+use super::advice::told;
+use super::options::Options;
 
 /// A mesh that was made of a frame.
 pub struct Made<'a> {

@@ -8,12 +8,12 @@ use meniscus::error::shown;
 use meniscus::files::{InputFormat, MeshFormat, files};
 use meniscus::{Error, Needs, Opened, Simulation};
 
-use crate::notes::{Verdict, print};
-use crate::one_frame::{Ready, ready, write};
-use crate::options::Options;
-use crate::parts;
-use crate::report::report_opened;
-use crate::simulation;
+use super::notes::{Verdict, print};
+use super::one_frame::{Ready, ready, write};
+use super::options::Options;
+use super::parts;
+use super::report::report_opened;
+use super::simulation;
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {

@@ -11,9 +11,9 @@ use meniscus::{
     SpacingSource, Timings, Warning,
 };
 
-use crate::advice::{doubted, warned};
-use crate::notes::Notes;
-use crate::options::Options;
+use super::advice::{doubted, warned};
+use super::notes::Notes;
+use super::options::Options;
 
 /// Says what was opened, and what was chosen for it.
 pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {

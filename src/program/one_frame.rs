@@ -8,12 +8,12 @@ use meniscus::files::{Output, Replace, file_and_step, is_same_file};
 use meniscus::picture::PictureFile;
 use meniscus::{Error, Reconstruction, Surface};
 
-use crate::interrupt;
-use crate::notes::Notes;
-use crate::options::Options;
-use crate::report::{report, report_device, report_stages, warn_all};
-use crate::run::bytes_of;
-use crate::stats::{Made, record};
+use super::interrupt;
+use super::notes::Notes;
+use super::options::Options;
+use super::report::{report, report_device, report_stages, warn_all};
+use super::run::bytes_of;
+use super::stats::{Made, record};
 
 /// Refuses a file that is to be read or written and written again, which is a slip of the hand.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {

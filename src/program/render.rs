@@ -11,9 +11,9 @@ use meniscus::mesh::read_mesh;
 use meniscus::picture::{Colour, ColourMap, Picture, Pictures, Reference, View};
 use meniscus::{Error, UpAxis, default_memory};
 
-use crate::interrupt;
-use crate::notes::Notes;
-use crate::notes::Verdict;
+use super::interrupt;
+use super::notes::Notes;
+use super::notes::Verdict;
 
 #[derive(Args)]
 pub struct Options {
