@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod imports;
+mod manifests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
