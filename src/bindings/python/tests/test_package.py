@@ -73,5 +73,5 @@ def test_the_wheel_holds_the_licences_of_the_library() -> None:
     files = importlib.metadata.files("meniscus-surface") or []
     for name in "LICENSE-APACHE", "LICENSE-MIT":
         text = (ROOT / name).read_text()
-        assert (BINDINGS / name).read_text() == text
+        assert (BINDINGS / "licenses" / name).read_text() == text
         assert [file.read_text() for file in files if file.name == name] == [text]
