@@ -134,6 +134,12 @@
 //! `pictures` the module [`picture`]; `hdf5` reads HDF5. A library that only makes meshes needs
 //! none of them.
 
+#![cfg_attr(docsrs, feature(doc_cfg))]
+
+// The program names the library as any other program does.
+#[cfg(feature = "cli")]
+extern crate self as meniscus;
+
 mod backend;
 mod baselines;
 mod brick;
@@ -143,6 +149,8 @@ mod frame;
 mod grid;
 mod io;
 mod particles;
+#[cfg(feature = "cli")]
+pub mod program;
 mod reconstruction;
 mod settings;
 #[rustfmt::skip]
@@ -161,8 +169,10 @@ pub mod method {}
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
-    #[doc = include_str!("bindings/blender/animations.md")]
+    #[doc = include_str!("simulation/animations.md")]
     pub mod animations {}
+    #[doc = include_str!("changelog.md")]
+    pub mod changelog {}
     #[doc = include_str!("field/choosing.md")]
     pub mod choosing {}
     #[doc = include_str!("contributing.md")]

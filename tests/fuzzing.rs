@@ -2,13 +2,7 @@
 //! libFuzzer does for hours this does for seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as
 //! much, of the targets whose names contain `MENISCUS_FUZZ`.
 #![cfg(feature = "cli")]
-#![allow(
-    dead_code,
-    clippy::unwrap_used,
-    reason = "the program's modules are here whole, of which one target uses a part"
-)]
-
-include!("fuzz/program.rs");
+#![allow(clippy::unwrap_used)]
 
 #[path = "fuzz/mutate.rs"]
 mod mutate;

@@ -26,6 +26,7 @@ const CHUNK: u64 = 1 << 18;
 const GREATEST_RATIO: u64 = 128;
 
 /// With a byte that is read the system may map so many before it, which were given back already.
+#[cfg(unix)]
 const FAULT_AROUND: usize = 64 << 10;
 
 /// Bytes that any file may unpack to.
@@ -225,7 +226,7 @@ impl<'a> Slice<'a> {
             };
         }
         #[cfg(not(unix))]
-        let _ = range;
+        let _ = (self.map, range);
     }
 }
 

@@ -9,6 +9,7 @@ use crc32fast::Hasher;
 use tempfile::NamedTempFile;
 
 use crate::system::cancel::{BELONGINGS, remove_belongings};
+use crate::system::held;
 use crate::system::past_cache::PastCache;
 
 use super::beside::{Folder, turn};
@@ -227,11 +228,9 @@ pub fn sweep(folder: &Path) {
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
             continue;
         }
-        let unlocked =
-            File::open(&path).and_then(|file| file.try_lock().map(|()| file).map_err(Into::into));
-        // The lock is held until the name is gone: who just created the file will find that, and
-        // begin again.
-        if let Ok(_lock) = unlocked {
+        // The file is taken until the name is gone: who just created it will find that, and begin
+        // again.
+        if let Ok(_taken) = held::take(&path) {
             let _ = fs::remove_file(&path);
             remove_belongings(&path);
         }
@@ -319,12 +318,6 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     let folder = folder_of(place);
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // The system takes away what the user's mask says.
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
     loop {
         // The system would name the temporary file, of which nobody has heard.
         let refused = |fault: io::Error| match fault.kind() {
@@ -339,9 +332,7 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
                 )
             }
         };
-        let file = builder.tempfile_in(folder).map_err(refused)?;
-        // A file system without locks has nobody who sweeps by them.
-        let _ = file.as_file().lock_shared();
+        let file = builder.make_in(folder, held::create).map_err(refused)?;
         if file.path().try_exists()? {
             return Ok(file);
         }

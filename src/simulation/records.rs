@@ -6,7 +6,7 @@
 //! whoever did what.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -18,6 +18,7 @@ use crate::io::WriteError;
 use crate::io::frame_files::pieces_named;
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
+use crate::system::held;
 
 use super::frame_file::FrameFile;
 use super::frozen::Stamp;
@@ -132,11 +133,7 @@ impl Log {
 
     /// Whether another process writes a log of its own, as far as the file system's locks tell.
     pub fn others_are_open(&self) -> bool {
-        let is_open = |path: PathBuf| {
-            let Ok(file) = options().open(path) else { return false };
-            matches!(file.try_lock(), Err(TryLockError::WouldBlock))
-        };
-        logs(&self.folder).into_values().any(is_open)
+        logs(&self.folder).values().any(|path| held::is_held(path))
     }
 
     /// Keeps the record of a frame.
@@ -161,8 +158,7 @@ impl Log {
         self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
         // What cannot be locked or read stays as it is.
         let ended = |path: PathBuf| {
-            let (mut file, mut lines) = (options().open(&path).ok()?, Vec::new());
-            file.try_lock().ok()?;
+            let (mut file, mut lines) = (held::take(&path).ok()?, Vec::new());
             file.read_to_end(&mut lines).ok()?;
             Some((path, file, lines))
         };
@@ -185,7 +181,7 @@ impl Log {
             }
             Ok(())
         })?;
-        // The locks are held until the names are gone: who just created a log will find that, and
+        // The logs are taken until their names are gone: who just created one will find that, and
         // begin again.
         ended.iter().for_each(|(path, ..)| drop(fs::remove_file(path)));
         Ok(())
@@ -211,23 +207,14 @@ fn create(folder: &Path) -> io::Result<File> {
     loop {
         number += 1;
         let path = folder.join(format!("frames.{number}.jsonl"));
-        let file = match options().create_new(true).open(&path) {
+        let file = match held::create(&path) {
             Err(fault) if fault.kind() == ErrorKind::AlreadyExists => continue,
             created => created?,
         };
-        // A file system without locks has nobody who merges by them.
-        let _ = file.lock_shared();
         if has_name(&file) {
             return Ok(file);
         }
     }
-}
-
-/// Over a network some locks are for readers, and some for writers.
-fn options() -> OpenOptions {
-    let mut options = OpenOptions::new();
-    options.read(true).write(true);
-    options
 }
 
 /// Whether nobody has removed a file since it was opened.
@@ -239,7 +226,7 @@ fn has_name(file: &File) -> bool {
     }
     #[cfg(not(unix))]
     {
-        // What is open cannot be removed.
+        // Whoever removes a log takes it before, which a log that is open cannot be.
         let _ = file;
         true
     }

@@ -20,8 +20,16 @@ pub fn default_memory() -> MemoryBudget {
     MemoryBudget(available.map_or(u64::MAX, |bytes| bytes / 4 * 3))
 }
 
+#[cfg(target_os = "linux")]
 fn system_available() -> Option<u64> {
     kib_field(&read_to_string("/proc/meminfo").ok()?, "MemAvailable:")
+}
+
+#[cfg(not(target_os = "linux"))]
+fn system_available() -> Option<u64> {
+    let mut system = sysinfo::System::new();
+    system.refresh_memory_specifics(sysinfo::MemoryRefreshKind::nothing().with_ram());
+    Some(system.available_memory()).filter(|&bytes| bytes > 0)
 }
 
 /// Limit less use, of this process's control group (version 2, else 1).

@@ -4,6 +4,7 @@
 pub(crate) mod bits;
 pub mod cancel;
 pub mod control;
+pub(crate) mod held;
 pub mod memory;
 pub mod past_cache;
 pub mod reopened;

@@ -161,8 +161,8 @@ impl Drop for ReopenedFile {
 pub fn read_exact_at(file: &File, at: u64, bytes: &mut [u8]) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::read_exact_at(file, bytes, at);
-    #[cfg(not(unix))]
-    return serial::at(file, at, |file| io::Read::read_exact(file, bytes));
+    #[cfg(windows)]
+    return windows::read_exact_at(file, bytes, at);
 }
 
 /// Writes all of `bytes` from position `at` on.
@@ -172,8 +172,8 @@ pub fn read_exact_at(file: &File, at: u64, bytes: &mut [u8]) -> io::Result<()> {
 pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::write_all_at(file, bytes, at);
-    #[cfg(not(unix))]
-    return serial::at(file, at, |file| io::Write::write_all(file, bytes));
+    #[cfg(windows)]
+    return windows::write_all_at(file, bytes, at);
 }
 
 /// Tells the system that `bytes` from position `at` on are wanted soon, so that it reads them
@@ -186,23 +186,38 @@ pub fn will_read(file: &File, at: u64, bytes: u64) {
     let _ = (file, at, bytes);
 }
 
-/// Where a file has one position for all threads, they take turns.
-#[cfg(not(unix))]
-mod serial {
+/// Whole ranges by calls that read or write a part.
+#[cfg(windows)]
+mod windows {
     use std::fs::File;
-    use std::io::{self, Seek, SeekFrom};
-    use std::sync::{Mutex, PoisonError};
+    use std::io::{self, ErrorKind};
+    use std::os::windows::fs::FileExt;
 
-    static TURN: Mutex<()> = Mutex::new(());
+    pub fn read_exact_at(file: &File, mut bytes: &mut [u8], mut at: u64) -> io::Result<()> {
+        while !bytes.is_empty() {
+            match file.seek_read(bytes, at) {
+                Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
+                Ok(count) => {
+                    let all = bytes;
+                    (bytes, at) = (&mut all[count..], at + count as u64);
+                }
+                Err(fault) if fault.kind() == ErrorKind::Interrupted => {}
+                Err(fault) => return Err(fault),
+            }
+        }
+        Ok(())
+    }
 
-    pub fn at(
-        mut file: &File,
-        at: u64,
-        work: impl FnOnce(&mut &File) -> io::Result<()>,
-    ) -> io::Result<()> {
-        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        file.seek(SeekFrom::Start(at))?;
-        work(&mut file)
+    pub fn write_all_at(file: &File, mut bytes: &[u8], mut at: u64) -> io::Result<()> {
+        while !bytes.is_empty() {
+            match file.seek_write(bytes, at) {
+                Ok(0) => return Err(ErrorKind::WriteZero.into()),
+                Ok(count) => (bytes, at) = (&bytes[count..], at + count as u64),
+                Err(fault) if fault.kind() == ErrorKind::Interrupted => {}
+                Err(fault) => return Err(fault),
+            }
+        }
+        Ok(())
     }
 }
 

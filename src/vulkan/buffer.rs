@@ -16,7 +16,8 @@ use super::{Device, Faults, VulkanError};
 type Descriptor = std::os::fd::OwnedFd;
 /// Nothing is imported.
 #[cfg(not(unix))]
-type Descriptor = std::convert::Infallible;
+#[derive(Debug)]
+enum Descriptor {}
 
 #[cfg(unix)]
 fn raw_descriptor(descriptor: &Descriptor) -> i32 {

@@ -16,11 +16,10 @@ use syn::{
     Attribute, Expr, ExprCall, ExprPath, Item, ItemMod, ItemUse, Macro, UseTree, Visibility,
 };
 
-/// The crate that programs under `bin` name the library by.
+/// The crate that the program names the library by.
 const LIBRARY: &str = "meniscus";
 
-/// A module by the names of those around it: none for the library's root, `bin` and the program's
-/// name for a program's.
+/// A module by the names of those around it: none for the library's root.
 type Module = Vec<String>;
 
 /// A file that names something that is written in another.
@@ -117,7 +116,7 @@ impl Tree {
             let syntax = syn::parse_file(&fs::read_to_string(path).unwrap()).expect(&name);
             let stem = name.strip_suffix(".rs").unwrap();
             let mut module: Module = stem.split('/').map(str::to_owned).collect();
-            module.pop_if(|last| matches!(last.as_str(), "mod" | "lib" | "main"));
+            module.pop_if(|last| matches!(last.as_str(), "mod" | "lib"));
             let mut uses = BTreeMap::new();
             for item in &syntax.items {
                 if let Item::Use(item) = item {
@@ -139,10 +138,8 @@ impl Tree {
     /// `None` where it is not of this tree.
     fn find(&self, here: &[String], path: &[String]) -> Option<[Module; 2]> {
         let (first, rest) = path.split_first()?;
-        let of_program = here.first().is_some_and(|first| first == "bin");
         let start = match first.as_str() {
-            "crate" => here[..if of_program { 2 } else { 0 }].to_vec(),
-            LIBRARY if of_program => Module::new(),
+            "crate" | LIBRARY => Module::new(),
             "self" => here.to_vec(),
             "super" => here.split_last()?.1.to_vec(),
             child if self.modules.contains_key(&joined(here, child)) && !rest.is_empty() => {

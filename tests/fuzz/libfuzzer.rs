@@ -1,12 +1,6 @@
 //! What libFuzzer calls: the target that `MENISCUS_FUZZ` names. See `tools/fuzz`.
 #![cfg_attr(not(test), no_main)]
-#![allow(
-    dead_code,
-    clippy::unwrap_used,
-    reason = "the program's modules are here whole, of which one target uses a part"
-)]
-
-include!("program.rs");
+#![allow(clippy::unwrap_used)]
 
 mod c;
 #[path = "targets/mod.rs"]

@@ -1,9 +1,8 @@
 //! The program's arguments: read, and made into a request, which is not run.
 
-use clap::Parser;
+use meniscus::program::{parsed, told};
 
 use super::Target;
-use crate::arguments::{Arguments, Command};
 
 pub fn targets() -> Vec<Target> {
     vec![Target { name: "arguments", runs: 1000, run, seeds, words: WORDS }]
@@ -65,17 +64,15 @@ const WORDS: &[&str] = &[
 fn run(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     let arguments = ["meniscus"].into_iter().chain(text.split('\n'));
-    match Arguments::try_parse_from(arguments) {
-        Ok(Arguments { command: Command::Reconstruct(options) }) => {
+    match parsed(arguments.map(Into::into)) {
+        Ok(Some((settings, request))) => {
             // Numbers are checked by the library, when the request is run.
-            if let Ok(request) = options.request() {
-                assert_eq!(format!("{:?}", request.settings()), format!("{:?}", options.settings));
-                let opened = request.open("there/is/none.xyz");
-                assert!(opened.is_err_and(|error| !crate::advice::told(&error).is_empty()));
-            }
+            assert_eq!(format!("{:?}", request.settings()), format!("{settings:?}"));
+            let opened = request.open("there/is/none.xyz");
+            assert!(opened.is_err_and(|error| !told(&error).is_empty()));
         }
-        Ok(_) => {}
-        Err(error) => assert!(!error.to_string().is_empty()),
+        Ok(None) => {}
+        Err(message) => assert!(!message.is_empty()),
     }
 }
 

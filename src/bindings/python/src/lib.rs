@@ -14,6 +14,7 @@ mod memory;
 mod mesh;
 mod options;
 mod particles;
+mod program;
 mod reconstruct;
 mod report;
 mod simulation;
@@ -33,6 +34,8 @@ mod _meniscus {
     use crate::frame::Frame;
     #[pymodule_export]
     use crate::mesh::Mesh;
+    #[pymodule_export]
+    use crate::program::program;
     #[pymodule_export]
     use crate::reconstruct::reconstruct;
     #[pymodule_export]

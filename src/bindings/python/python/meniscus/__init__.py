@@ -12,6 +12,9 @@ True
 ``read_particles`` and ``list_frames`` read files. ``meniscus.compat.pysplashsurf`` takes pysplashsurf's calls.
 """
 
+import warnings as _warnings
+
+from . import _conflict
 from ._errors import DeviceError, Error, FileError, InputError, MeshWarning
 from ._meniscus import (
     Check,
@@ -27,6 +30,9 @@ from ._meniscus import (
     read_particles,
     reconstruct,
 )
+
+if _other := _conflict.other_package():
+    _warnings.warn(_other, RuntimeWarning, stacklevel=2)
 
 __all__ = [
     "Check",

@@ -18,6 +18,7 @@ __all__ = [
     "Summary",
     "__version__",
     "list_frames",
+    "program",
     "read_particles",
     "reconstruct",
 ]
@@ -111,6 +112,7 @@ def reconstruct(
     **options: Unpack[_OfArrays],
 ) -> Mesh: ...
 def list_frames(inputs: _Path | Sequence[_Path]) -> list[tuple[int, pathlib.Path]]: ...
+def program(arguments: Sequence[str]) -> int: ...
 def read_particles(path: _Path, *, format: _Format | None = None, where: str | Iterable[str] | None = None) -> Particles: ...
 
 @final

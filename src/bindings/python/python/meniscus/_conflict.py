@@ -1,0 +1,27 @@
+"""Detects the other package on PyPI that installs a folder ``meniscus``, and says what to do."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+_REMEDY = (
+    "The packages meniscus-surface and meniscus on PyPI are different projects, and both install a folder named meniscus: "
+    "one environment can hold only one of them. Run: pip uninstall meniscus meniscus-surface; pip install meniscus-surface"
+)
+
+
+def other_package() -> str | None:
+    """Names the other package if it is installed in the same folder as this one, and says what to do."""
+    for found in Path(__file__).resolve().parents[1].glob("meniscus-*.dist-info"):
+        version = found.name.removeprefix("meniscus-").removesuffix(".dist-info")
+        return f"the package meniscus {version} is installed over meniscus-surface. {_REMEDY}"
+    return None
+
+
+def require_own_package() -> None:
+    """Raises ``ImportError`` if ``import meniscus`` does not give this package, whose files another package replaced or removed."""
+    package = sys.modules["meniscus"]
+    if not hasattr(package, "reconstruct"):
+        where = getattr(package, "__file__", None) or list(package.__path__)
+        raise ImportError(f"import meniscus does not give the package meniscus-surface, but {where}. {_REMEDY}")

@@ -1,0 +1,204 @@
+//! `meniscus info`: what a file holds.
+
+use std::path::{Path, PathBuf};
+
+use bytesize::ByteSize;
+use clap::Args;
+use meniscus::error::{shown, significant};
+use meniscus::files::{
+    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, Occurring, ParticlesInfo,
+    files, info_by, is_packed,
+};
+use meniscus::{Error, Settings, Where};
+
+use super::advice::say_error;
+use super::notes::{Verdict, corners, point, print, print_json};
+
+#[derive(Args)]
+pub struct Options {
+    /// Particle files, packed frames (.mnf) or meshes; folders of them, globs, or names with {} for
+    /// the number.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// The format of particle files, whatever their extension says [default: by the extension].
+    #[arg(long, value_enum, value_name = "NAME")]
+    format: Option<InputFormat>,
+    /// Look only at particles that satisfy conditions on their attributes, such as Type=1.
+    #[arg(long, value_name = "CONDITION")]
+    r#where: Option<Vec<Where>>,
+    /// Print JSON, for programs: a list with an entry for each file.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<Verdict, Error> {
+    let Options { format, r#where, .. } = options;
+    let settings = Settings { format: *format, r#where: r#where.clone(), ..Settings::default() };
+    let (mut infos, mut errors) = (Vec::new(), Vec::new());
+    for file in files(&options.files, is_told)? {
+        match info_by(&file, &settings) {
+            Ok(info) if options.json => infos.push(info),
+            Ok(info) => print(&describe(&info))?,
+            Err(error) => errors.push(error),
+        }
+    }
+    if options.json {
+        print_json(&infos)?;
+    }
+    // The last is told by whoever calls.
+    let last = errors.pop();
+    errors.iter().for_each(say_error);
+    last.map_or(Ok(Verdict::Good), Err)
+}
+
+/// Whether a file of a folder is one that there is something to tell of.
+fn is_told(file: &Path) -> bool {
+    InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
+}
+
+fn describe(info: &Info) -> String {
+    let mut lines = Vec::new();
+    let mut line = |name: &str, text: String| lines.push(format!("  {name:<12} {text}"));
+    let names = |attributes: &[AttributeInfo]| {
+        let names: Vec<_> =
+            attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
+        if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+    };
+    let title = match info {
+        Info::Particles(ParticlesInfo {
+            file,
+            format,
+            particles,
+            not_finite,
+            bounds,
+            attributes,
+            spacing,
+            spacing_source,
+            spacing_doubts,
+            spacing_unknown,
+            nearest_neighbours,
+            slab,
+            walls,
+            memory_bytes,
+            ghosts,
+            values,
+            unselected,
+            left_out,
+            box_size,
+            unit_metres,
+            particle_types,
+            ..
+        }) => {
+            line("particles", particles.to_string());
+            match &particle_types[..] {
+                [] => {}
+                [only] => line("type", format!("{only}, the only one")),
+                [read, others @ ..] => {
+                    line("type", format!("{read}; not read: {}", others.join(", ")))
+                }
+            }
+            if *not_finite > 0 {
+                line("not finite", not_finite.to_string());
+            }
+            if *ghosts > 0 {
+                line("left out", format!("{ghosts} ghosts, copies of particles in other pieces"));
+            }
+            left_out.iter().for_each(|part| line("left out", part.clone()));
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            if let Some(edges) = box_size {
+                line("its own box", format!("edges {edges:?}; whether it is periodic is not said"));
+            }
+            if let Some(metres) = unit_metres {
+                line("unit", format!("of length {metres:?} m, by the file"));
+            }
+            if *unselected > 0 {
+                line("left out", format!("{unselected} particles that fail the conditions"));
+            }
+            line("attributes", names(attributes));
+            for Occurring { name, values } in values {
+                let listed = values.iter().map(|(value, count)| format!("{value} ({count})"));
+                line(name, listed.collect::<Vec<_>>().join(", "));
+            }
+            let source = spacing_source.as_deref().unwrap_or_default();
+            let unknown = || {
+                let why =
+                    spacing_unknown.as_deref().map_or(String::new(), |why| format!(": {why}"));
+                let suggested = nearest_neighbours
+                    .map(|d| format!("; nearest neighbours suggest {}", significant(d, 3)));
+                format!("unknown{why}{}", suggested.unwrap_or_default())
+            };
+            line(
+                "spacing",
+                spacing.map_or_else(unknown, |s| format!("{}, from {source}", shown(s))),
+            );
+            spacing_doubts.iter().for_each(|doubt| line("", format!("warning: {doubt}")));
+            slab.iter().for_each(|slab| line("plane", slab.to_string()));
+            if let Some(found) = walls.as_ref().filter(|found| !found.walls.is_open()) {
+                line("domain", format!("{found}, with --domain auto"));
+            }
+            if let Some(bytes) = memory_bytes {
+                line("memory", format!("about {:.2} by default", ByteSize(*bytes)));
+            }
+            format!("{}: {format}", file.display())
+        }
+        Info::Frame(FrameInfo {
+            file,
+            particles,
+            cells,
+            bricks,
+            bounds,
+            cell_size,
+            origin,
+            domain,
+            periodic,
+            indicator,
+            mu0,
+            ..
+        }) => {
+            line("particles", particles.to_string());
+            line("cells", cells.to_string());
+            line("bricks", bricks.to_string());
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            line("cell size", shown(*cell_size));
+            line("origin", point(origin));
+            line("domain", domain.as_ref().map_or("unbounded".into(), corners));
+            periodic.iter().for_each(|faces| {
+                let along = |(axis, faces): (_, &Option<[f64; 2]>)| {
+                    faces.map(|[lo, hi]| format!("{axis} {lo} to {hi}"))
+                };
+                line(
+                    "periodic",
+                    ["x", "y", "z"]
+                        .into_iter()
+                        .zip(faces)
+                        .filter_map(along)
+                        .collect::<Vec<_>>()
+                        .join(", "),
+                );
+            });
+            line("indicator", indicator.to_string());
+            mu0.iter().for_each(|mu0| line("mu0", shown(*mu0)));
+            format!("{}: packed frame", file.display())
+        }
+        Info::Mesh(MeshInfo {
+            file,
+            vertices,
+            triangles,
+            bounds,
+            components,
+            normals,
+            attributes,
+            ..
+        }) => {
+            line("vertices", vertices.to_string());
+            line("triangles", triangles.to_string());
+            line("components", components.to_string());
+            line("normals", if *normals { "yes" } else { "no" }.into());
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            line("attributes", names(attributes));
+            format!("{}: mesh", file.display())
+        }
+    };
+    format!("{title}\n{}", lines.join("\n"))
+}

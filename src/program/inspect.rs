@@ -1,0 +1,139 @@
+//! `meniscus check` and `meniscus compare`: what is to be thought of a mesh.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use meniscus::Error;
+use meniscus::error::shown;
+use meniscus::files::{MeshFormat, files};
+use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
+use serde::Serialize;
+
+use super::notes::{Verdict, corners, point, print, print_json};
+
+#[derive(Args)]
+pub struct CheckOptions {
+    /// Meshes, folders of them, globs, or names with {} for the number.
+    #[arg(required = true, value_name = "MESH")]
+    meshes: Vec<PathBuf>,
+    /// Print JSON, for programs: a list with an entry for each mesh.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+pub struct CompareOptions {
+    /// The mesh that distances are signed by: positive lies outside of it.
+    reference: PathBuf,
+    /// The mesh that is compared with it.
+    mesh: PathBuf,
+    /// Print JSON, for programs.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Checked {
+    mesh: PathBuf,
+    closed_oriented_manifold: bool,
+    report: CheckReport,
+    measures: Measures,
+}
+
+/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds without
+/// components that enclose nothing.
+pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
+    let mut all = Vec::new();
+    for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {
+        let mesh = read_mesh(&path)?;
+        let report = meniscus::mesh::check(&mesh);
+        let checked = Checked {
+            mesh: path.clone(),
+            closed_oriented_manifold: report.is_closed_oriented_manifold(),
+            report,
+            measures: measure(&mesh),
+        };
+        if !options.json {
+            print(&format!(
+                "{}\n{}\n{}",
+                path.display(),
+                checked.report,
+                describe(&checked.measures)
+            ))?;
+        }
+        all.push(checked);
+    }
+    if options.json {
+        print_json(&all)?;
+    }
+    let good = all
+        .iter()
+        .all(|checked| checked.closed_oriented_manifold && checked.measures.flat_components == 0);
+    Ok(if good { Verdict::Good } else { Verdict::Bad })
+}
+
+fn describe(measures: &Measures) -> String {
+    let Measures {
+        bounds,
+        area,
+        volume,
+        components,
+        flat_components,
+        euler_characteristic,
+        genus,
+        quality,
+    } = measures;
+    let known = |value: Option<String>| value.unwrap_or_else(|| "unknown".to_owned());
+    let lines = [
+        ("box", known(bounds.as_ref().map(corners))),
+        ("area", shown(*area)),
+        ("volume", known(volume.map(shown))),
+        ("components", components.to_string()),
+        ("components without volume", flat_components.to_string()),
+        (
+            "genus",
+            known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})"))),
+        ),
+        ("least angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
+        ("mean least angle", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
+        ("worst aspect", known(quality.worst_aspect.map(|a| format!("{a:.1}")))),
+        ("flat triangles", quality.flat.to_string()),
+    ];
+    lines.map(|(name, value)| format!("  {name:<25} {value}")).join("\n")
+}
+
+/// Measures the distances between two meshes.
+pub fn compare(options: &CompareOptions) -> Result<Verdict, Error> {
+    let reference = read_mesh(&options.reference)?;
+    let mesh = read_mesh(&options.mesh)?;
+    let comparison = meniscus::mesh::compare(&reference, &mesh).map_err(|fault| {
+        let path = match fault.side() {
+            Side::Reference => options.reference.clone(),
+            Side::Mesh => options.mesh.clone(),
+        };
+        Error::Mesh { path, fault }
+    })?;
+    if options.json {
+        print_json(&comparison)?;
+    } else {
+        let Comparison { hausdorff, bias, from_mesh, from_reference } = &comparison;
+        let way = |name: &str, d: &Distances| {
+            format!(
+                "{name:<15} mean {}, RMS {}, greatest {} at {}",
+                shown(d.mean),
+                shown(d.rms),
+                shown(d.max),
+                point(&d.farthest)
+            )
+        };
+        print(&format!(
+            "Hausdorff       {}\nbias            {}{}\n{}\n{}",
+            shown(*hausdorff),
+            if *bias > 0.0 { "+" } else { "" },
+            shown(*bias),
+            way("from mesh", from_mesh),
+            way("from reference", from_reference),
+        ))?;
+    }
+    Ok(Verdict::Good)
+}

@@ -1,0 +1,112 @@
+//! One frame's mesh: what is checked before the work, and what is said and written after it,
+//! however it is made.
+
+use std::path::{Path, PathBuf};
+
+use bytesize::ByteSize;
+use meniscus::files::{Output, Replace, file_and_step, is_same_file};
+use meniscus::picture::PictureFile;
+use meniscus::{Error, Reconstruction, Surface};
+
+use super::interrupt;
+use super::notes::Notes;
+use super::options::Options;
+use super::report::{report, report_device, report_stages, warn_all};
+use super::run::bytes_of;
+use super::stats::{Made, record};
+
+/// Refuses a file that is to be read or written and written again, which is a slip of the hand.
+pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
+    if is_same_file(one, other) {
+        return Err(Error::TwoPurposes { path: other.to_owned(), other: one.to_owned() });
+    }
+    Ok(())
+}
+
+/// A request of which all is checked that can be before the work, and the file that it is for.
+pub struct Ready {
+    pub request: Reconstruction,
+    pub output: Output,
+    pub preview: Option<PictureFile>,
+    pub notes: Notes,
+}
+
+/// Checks a request for one frame, and makes sure that its mesh can be written.
+pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
+    let notes = options.run.notes();
+    match options.parts.parts {
+        Some(_) => options.simulation.refuse_for_parts()?,
+        None => options.simulation.refuse_for_one_frame()?,
+    }
+    let request = options.request()?;
+    let check = |request: &Reconstruction| inputs.iter().try_for_each(|input| request.check(input));
+    check(&request)?;
+    let bytes = || bytes_of(inputs.iter().map(PathBuf::as_path));
+    let request = options.run.machine(request, &options.output, bytes)?;
+    check(&request)?;
+    for input in inputs {
+        refuse_same_file(file_and_step(input).0, &options.output)?;
+        options.stats.iter().try_for_each(|stats| refuse_same_file(input, stats))?;
+    }
+    options.stats.iter().try_for_each(|stats| refuse_same_file(&options.output, stats))?;
+    let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
+    let request = request.cancel(interrupt::handle());
+    let output = request.output(&options.output, replace)?;
+    // In the folder of the output, which is there now.
+    options.prepare_stats()?;
+    let preview =
+        options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
+    if let (Some(preview), Some(stats)) = (&preview, &options.stats) {
+        refuse_same_file(preview.path(), stats)?;
+    }
+
+    // What the file cannot hold need not be carried.
+    let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
+    let request = if carries { request } else { request.attributes([""; 0]) };
+    Ok(Ready { request, output, preview, notes })
+}
+
+/// Draws the picture beside a mesh.
+fn draw_preview(surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
+    let image = surface.preview()?;
+    let what = format!("{}: {} x {} pixels", file.path().display(), image.width(), image.height());
+    file.write(&image)?;
+    notes.say(what);
+    Ok(())
+}
+
+/// Says what there is to know of a surface, and writes it, and its picture.
+pub fn write(
+    options: &Options,
+    input: &Path,
+    surface: &Surface,
+    request: &Reconstruction,
+    (output, preview): (Output, Option<PictureFile>),
+    notes: &Notes,
+) -> Result<(), Error> {
+    let format = output.format();
+    let mut stages = surface.report().timings.clone();
+    report(options, surface.report(), surface.mesh(), notes);
+    warn_all(&surface.warnings_in(format)?, Some(options), notes);
+    stages.skip();
+    let bytes = surface.write_to(output)?;
+    stages.done("write");
+    if let Some(file) = preview {
+        draw_preview(surface, file, notes)?;
+        stages.done("picture");
+    }
+    let (mesh, report) = (surface.mesh(), surface.report());
+    notes.say(format!(
+        "{}: {} vertices, {} triangles, {} in {:.2} s",
+        options.output.display(),
+        mesh.vertex_count(),
+        mesh.triangle_count(),
+        ByteSize(bytes),
+        stages.total(),
+    ));
+    report_stages(&stages, notes);
+    report_device(request.device(), 1, notes);
+    let counts = [mesh.vertex_count(), mesh.triangle_count(), bytes];
+    let made = Made { input, output: &options.output, counts, stages: &stages, lost: report.lost };
+    options.append_stats(|| record(options, report, &made))
+}

@@ -1,0 +1,96 @@
+//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see
+//! `simulation`.
+
+use std::path::{Path, PathBuf};
+
+use bytesize::ByteSize;
+use meniscus::error::shown;
+use meniscus::files::{InputFormat, MeshFormat, files};
+use meniscus::{Error, Needs, Opened, Simulation};
+
+use super::notes::{Verdict, print};
+use super::one_frame::{Ready, ready, write};
+use super::options::Options;
+use super::parts;
+use super::report::report_opened;
+use super::simulation;
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<Verdict, Error> {
+    if options.together {
+        return run_together(options);
+    }
+    match (Simulation::if_several(&options.inputs, &options.output)?, options.parts.parts) {
+        (Some(_), Some(_)) => {
+            let what = "--parts is for one frame: jobs of a simulation take --frames of it each";
+            Err(Error::Request(what.into()))
+        }
+        (Some(simulation), None) => simulation::run(options, simulation),
+        (None, Some(count)) => parts::run(options, &options.inputs[0], count),
+        (None, None) => run_frame(options, &options.inputs[..1]),
+    }
+}
+
+/// Joins the inputs, as one frame or frame by frame.
+fn run_together(options: &Options) -> Result<Verdict, Error> {
+    if options.parts.parts.is_some() {
+        return Err(Error::Request("--parts reads one file, and --together several".into()));
+    }
+    match Simulation::if_together(&options.inputs, &options.output)? {
+        Some(simulation) => simulation::run(options, simulation),
+        None => {
+            let is_known =
+                |path: &Path| options.settings.format.is_some() || InputFormat::of(path).is_some();
+            run_frame(options, &files(&options.inputs, is_known)?)
+        }
+    }
+}
+
+fn run_frame(options: &Options, inputs: &[PathBuf]) -> Result<Verdict, Error> {
+    let Ready { request, output, preview, notes } = ready(options, inputs)?;
+    let opened = request.open_together(inputs)?;
+    let input = &inputs[0];
+    report_opened(inputs, &opened, &notes);
+    if options.dry_run {
+        print(&dry_run(options, &opened, output.format())?)?;
+        return Ok(Verdict::Good);
+    }
+    let frame = opened.sample()?;
+    let surface = frame.surface()?;
+    drop(frame);
+    write(options, input, &surface, &request, (output, preview), &notes)?;
+    Ok(Verdict::Good)
+}
+
+/// Says what would be done, and what it would take.
+fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<String, Error> {
+    let output = options.output.display();
+    let Some(needs) = opened.needs(format)? else {
+        return Ok(format!("would reconstruct {} particles into {output}", opened.particles()));
+    };
+    let Needs { census, cell_size, budget, memory, in_core, scratch, triangles, .. } = needs;
+    let [budget, memory, in_core] = [budget, memory, in_core].map(ByteSize);
+    let scratch = match scratch {
+        0 => "none".to_owned(),
+        bytes => format!("at most about {} in {}", ByteSize(bytes), needs.scratch_folder.display()),
+    };
+    let mut text = format!(
+        "would reconstruct {} particles with cells of {} into {output}\n\
+         memory: about {memory:.2} of {budget}; all in memory would take {in_core:.2}\nscratch: {scratch}",
+        census.binned,
+        shown(cell_size),
+    );
+    if let Some([threads, triangles]) = needs.simplifying.map(|bytes| bytes.map(ByteSize)) {
+        text += &format!(
+            "\nsimplifying takes up to {threads} more, and {triangles} of memory or scratch"
+        );
+    }
+    if let Some(bytes) = needs.writing {
+        text += &format!("\n{format} is written from memory: up to {} more", ByteSize(bytes));
+    }
+    text += &format!("\ntriangles: about {triangles}\ndisk: about {}", ByteSize(needs.disk));
+    if let Some(seconds) = needs.seconds {
+        text += &format!("\ntime: about {:.0} s", seconds.ceil());
+    }
+    Ok(text)
+}

@@ -1,0 +1,183 @@
+//! `meniscus render`: pictures of meshes.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use bytesize::ByteSize;
+use clap::Args;
+use clap::builder::ArgPredicate;
+use meniscus::files::Replace;
+use meniscus::mesh::read_mesh;
+use meniscus::picture::{Colour, ColourMap, Picture, Pictures, Reference, View};
+use meniscus::{Error, UpAxis, default_memory};
+
+use super::interrupt;
+use super::notes::Notes;
+use super::notes::Verdict;
+
+#[derive(Args)]
+pub struct Options {
+    /// The mesh; or those of a simulation: files, a folder, a glob, or a name with {} for the
+    /// number.
+    #[arg(required = true, value_name = "MESH")]
+    meshes: Vec<PathBuf>,
+    /// The picture: .png. Of several meshes a folder, or a name with {}, takes one of each, .apng
+    /// an animation, and .png a sheet of all.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Width and height in pixels
+    /// [default: 1920x1080; 960x540 in an animation, 640x360 on a sheet].
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[usize; 2]>,
+    /// Where it is seen from [default: from the front and above, whole].
+    ///
+    /// Two or three numbers: degrees around and above what is seen, and how much larger than whole.
+    /// Six: the eye, and what it looks at.
+    #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
+    camera: Option<Vec<f64>>,
+    /// The axis that points up [default: the one that the mesh's file or its listing says, else y].
+    #[arg(long, value_enum)]
+    up: Option<UpAxis>,
+    /// Show the floor of the box, and the shadow on it.
+    #[arg(long)]
+    ground: bool,
+    /// Show the edges of the triangles.
+    #[arg(long)]
+    wireframe: bool,
+    /// water, a colour as ff8800, an attribute as velocity or velocity:turbo, by its length; or
+    /// distance:red-blue, with --reference.
+    #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
+    colour: Asked,
+    /// A mesh: --colour distance is by the distance from it, negative inside, in the meshes' unit
+    /// of length.
+    #[arg(long, value_name = "MESH")]
+    reference: Option<PathBuf>,
+    /// Pictures of an animation a second.
+    #[arg(long, value_name = "RATE")]
+    fps: Option<f64>,
+    /// Threads to use [default: all cores].
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Memory for a mesh and its picture, as 512MiB; a larger .ply is drawn in a stream
+    /// [default: three quarters of what is available].
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<ByteSize>,
+    /// Replace a picture that exists.
+    #[arg(long)]
+    overwrite: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<Verdict, Error> {
+    let notes = Notes::new(options.quiet, false);
+    let memory = options.memory.map_or_else(|| default_memory().0, |size| size.as_u64());
+    let mut picture = Picture::new()
+        .ground(options.ground)
+        .wireframe(options.wireframe)
+        .colour(options.colour()?);
+    if let Some(up) = options.up {
+        picture = picture.up(up);
+    }
+    if let Some(numbers) = &options.camera {
+        picture = picture.view(view(numbers)?);
+    }
+    let mut pictures = Pictures::new(picture, &options.meshes, &options.output)
+        .replace(if options.overwrite { Replace::Allow } else { Replace::Refuse })
+        .memory(memory)
+        .cancel(interrupt::handle());
+    if let Some([width, height]) = options.size {
+        pictures = pictures.size(width, height);
+    }
+    if let Some(fps) = options.fps {
+        pictures = pictures.fps(fps);
+    }
+    if let Some(threads) = options.threads {
+        pictures = pictures.threads(threads);
+    }
+    pictures.run(|done| {
+        notes.say(format!(
+            "{}: {} ({} of {})",
+            done.output.display(),
+            done.mesh.display(),
+            done.done,
+            done.all
+        ));
+    })?;
+    Ok(Verdict::Good)
+}
+
+fn size(text: &str) -> Result<[usize; 2], String> {
+    let both = text
+        .split_once(['x', 'X'])
+        .and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
+    both.ok_or_else(|| "a width and a height, as 1920x1080".to_owned())
+}
+
+fn view(numbers: &[f64]) -> Result<View, Error> {
+    match *numbers {
+        [azimuth, elevation] => Ok(View::From { azimuth, elevation, zoom: 1.0 }),
+        [azimuth, elevation, zoom] => Ok(View::From { azimuth, elevation, zoom }),
+        [a, b, c, d, e, f] => Ok(View::At { eye: [a, b, c], target: [d, e, f] }),
+        _ => {
+            let what = "--camera takes degrees around and above, and perhaps a zoom; or six numbers: the eye, and what it looks at";
+            Err(Error::Request(what.to_owned()))
+        }
+    }
+}
+
+/// Colours as the command line says them.
+#[derive(Clone)]
+enum Asked {
+    Colour(Colour),
+    Named(String, Option<ColourMap>),
+}
+
+/// The name of the distance from a reference.
+const DISTANCE: &str = "distance";
+
+impl Options {
+    fn colour(&self) -> Result<Colour, Error> {
+        let (name, map) = match (&self.colour, &self.reference) {
+            (Asked::Named(name, map), Some(path)) if name == DISTANCE => {
+                let mesh = read_mesh(path)?;
+                let fail = |fault| Error::Picture { path: Some(path.clone()), fault };
+                let from = Reference::new(&mesh).map_err(fail)?;
+                return Ok(Colour::Distance {
+                    from,
+                    map: map.unwrap_or_else(ColourMap::diverging),
+                });
+            }
+            (_, Some(path)) => {
+                let what = format!("{}: a reference is for --colour {DISTANCE}", path.display());
+                return Err(Error::Request(what));
+            }
+            (Asked::Colour(colour), None) => return Ok(colour.clone()),
+            (Asked::Named(name, map), None) => (name.clone(), map.unwrap_or_default()),
+        };
+        Ok(Colour::Attribute { name, map })
+    }
+}
+
+fn colour(text: &str) -> Result<Asked, String> {
+    if text == "water" {
+        return Ok(Asked::Colour(Colour::Water));
+    }
+    let digits = text.strip_prefix('#').unwrap_or(text);
+    if digits.len() == 6
+        && let Ok(rgb) = u32::from_str_radix(digits, 16)
+    {
+        return Ok(Asked::Colour(Colour::Solid(
+            [rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8),
+        )));
+    }
+    let (name, map) = match text.rsplit_once(':') {
+        Some((name, map)) => {
+            (name, Some(ColourMap::from_str(map).map_err(|error| error.to_string())?))
+        }
+        None => (text, None),
+    };
+    Ok(Asked::Named(name.to_owned(), map))
+}

@@ -1,0 +1,182 @@
+//! The report of a frame, for people.
+
+use std::path::PathBuf;
+
+use bytesize::ByteSize;
+use meniscus::devices::{Counters, Device, Timing};
+use meniscus::error::{shown, significant};
+use meniscus::mesh::MeshSource;
+use meniscus::{
+    Calibrated, Cells, Census, Doubt, IndicatorKind, Isovalue, Opened, Plateau, Report,
+    SpacingSource, Timings, Warning,
+};
+
+use super::advice::{doubted, warned};
+use super::notes::Notes;
+use super::options::Options;
+
+/// Says what was opened, and what was chosen for it.
+pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
+    let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
+    notes.say(format!(
+        "{}: {} particles, {}",
+        names.join(" and "),
+        opened.particles(),
+        opened.format()
+    ));
+    if opened.ghosts() > 0 {
+        notes.say(format!(
+            "{} ghosts left out, copies of particles in other pieces",
+            opened.ghosts()
+        ));
+    }
+    if opened.unselected() > 0 {
+        let all = opened.particles() + opened.unselected();
+        notes.say(format!("{} of {all} particles left out by --where", opened.unselected()));
+    }
+    opened.left_out().iter().for_each(|part| notes.warn(&format!("left out: {part}")));
+    if let Some(cells) = opened.cells() {
+        report_cells(cells, opened.indicator(), opened.moved_to(), notes);
+    }
+    match opened.walls() {
+        Some((found, true)) => notes.say(found.to_string()),
+        Some((_, false)) => notes.say("the particles end at planes: try --domain auto"),
+        None => {}
+    }
+}
+
+/// Says which cells were chosen, for which indicator, and where the grid was moved to.
+pub fn report_cells(
+    cells: &Cells,
+    indicator: Option<IndicatorKind>,
+    moved_to: Option<[f64; 3]>,
+    notes: &Notes,
+) {
+    let by = indicator.map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
+    notes.say(format!("{cells}{by}"));
+    cells.slab.iter().for_each(|slab| notes.say(slab.to_string()));
+    cells.doubts.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
+    if let Some(corner) = moved_to {
+        let corner = corner.map(shown).join(",");
+        notes.say(format!("all particles stand on a lattice: the grid's origin is {corner}"));
+    }
+}
+
+/// Says all that there is to know of a surface.
+pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
+    warn_all(&report.warnings, Some(options), notes);
+    report
+        .measured
+        .iter()
+        .for_each(|measured| report_calibration(report, measured, options, notes));
+    report_census(&report.facts.census, notes);
+    let Some(left_out) = report.too_small else { return };
+    if let Some(volume) = options.settings.smallest_component {
+        notes.say(format!(
+            "{} components of less than {volume} cells left out",
+            left_out.components
+        ));
+    }
+    if let Some(particles) = options.settings.smallest_drop.filter(|&particles| particles > 1) {
+        notes.say(too_small(left_out.drops, particles));
+    }
+    if let Some(tolerance) = options.settings.simplify {
+        let whole = report.whole_triangles;
+        let share = 100.0 * mesh.triangle_count() as f64 / whole as f64;
+        notes
+            .say(format!("simplified within {tolerance} cells: {share:.1} % of {whole} triangles"));
+    }
+}
+
+/// Says where the surface is drawn, and how finely the field tells it.
+fn report_calibration(report: &Report, measured: &Calibrated, options: &Options, notes: &Notes) {
+    let &Calibrated { calibration, plateau, step_cells } = measured;
+    let facts = &report.facts;
+    notes.detail(format!(
+        "a step of the field moves the surface by {} cells",
+        significant(step_cells, 3)
+    ));
+    let Some(iso) = calibration.iso().map(Isovalue::value) else {
+        let density = measured.density(facts.spacing_cells_or_one());
+        notes.say(match plateau {
+            Plateau::Interior { .. } => {
+                format!("measured density: {density:.3} particles per cubed spacing")
+            }
+            Plateau::Shallow { .. } => {
+                let spacing = match facts.spacing {
+                    Some(_) => "spacing",
+                    None => "spacing of one cell, for none is known,",
+                };
+                format!("density: one particle per cubed {spacing} assumed, as no fluid is deep enough to measure it")
+            }
+        });
+        return;
+    };
+    let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
+    let [iso, fluid] = [iso, plateau.fraction()].map(|value| significant(value, 4));
+    match plateau {
+        _ if options.settings.isovalue().is_some() => {}
+        Plateau::Interior { .. } => {
+            notes.say(format!("isovalue {iso}, {share} of the interior plateau {fluid}"));
+        }
+        Plateau::Shallow { .. } => notes.say(format!(
+            "isovalue {iso}, {share} of the plateau {fluid} that {} tells: next to no fluid so dense is deeper than the \
+             filters reach",
+            if facts.spacing.is_some() { "the spacing" } else { "a spacing of one cell, for none is known," }
+        )),
+    }
+}
+
+/// Says how many particles are left out, and why.
+pub fn report_census(census: &Census, notes: &Notes) {
+    for (count, what) in [
+        (census.not_finite, "skipped: a coordinate is not finite"),
+        (census.too_far, "skipped: beyond the addressable grid"),
+        (census.outside, "not counted: outside of the domain or the periodic box"),
+    ] {
+        if count > 0 {
+            notes.say(format!("{count} particles {what}"));
+        }
+    }
+}
+
+/// The sentence about drops of few particles.
+pub fn too_small(drops: u64, particles: u32) -> String {
+    format!("{drops} drops of fewer than {particles} particles left out")
+}
+
+/// Says what a device was asked to do for so many frames, and how long it took for each stage.
+pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
+    let Some(device) = device else { return };
+    let Counters { submissions, allocations, sent, received } = device.take_counters();
+    let each = |count: u64| count as f64 / frames.max(1) as f64;
+    notes.detail(format!(
+        "{}, a frame: {:.1} submissions, {:.1} buffers made, {} sent, {} received",
+        device.name(),
+        each(submissions),
+        each(allocations),
+        ByteSize(each(sent) as u64),
+        ByteSize(each(received) as u64),
+    ));
+    for Timing { stage, seconds, .. } in device.take_timings() {
+        notes.detail(format!("  {stage:<20} {:>9.1} ms", seconds * 1e3 / frames.max(1) as f64));
+    }
+}
+
+/// Says what every stage took.
+pub fn report_stages(timings: &Timings, notes: &Notes) {
+    for (stage, seconds) in timings.seconds() {
+        notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
+    }
+}
+
+/// Prints the warnings about a surface with advice that suits the options. Doubts about the spacing
+/// were printed when it was chosen.
+pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
+    let was_said = |warning: &&Warning| match warning {
+        Warning::Spacing(Doubt::Contradicted { source, .. }) => *source != SpacingSource::Packed,
+        warning => matches!(warning, Warning::Spacing(_)),
+    };
+    let others = warnings.iter().filter(|warning| !was_said(warning));
+    others.for_each(|warning| notes.warn(&warned(warning, options)));
+}

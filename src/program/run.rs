@@ -1,0 +1,135 @@
+//! Options on what a run takes and says: threads, memory, scratch.
+
+use std::path::{Path, PathBuf};
+
+use bytesize::ByteSize;
+use clap::{Args, ValueEnum};
+use meniscus::devices::{self, Backend, DeviceChoice, OnCpu};
+use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
+
+use super::notes::Notes;
+
+/// More than any machine has cores, and few enough to start.
+const MOST_THREADS: usize = 1024;
+
+#[derive(Args)]
+pub struct RunOptions {
+    /// Where the stages run.
+    #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
+    backend: BackendName,
+    /// The Vulkan device, by its number, its UUID or a part of its name: see `meniscus devices`
+    /// [default: the best].
+    #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
+    device: Option<String>,
+    /// Threads to use [default: all cores].
+    #[arg(long, value_name = "N", help_heading = "Machine", hide_short_help = true)]
+    threads: Option<usize>,
+    /// Memory to use, as 512MiB or 8GiB.
+    ///
+    /// By default three quarters of what is available.
+    #[arg(long, value_name = "SIZE", help_heading = "Machine")]
+    memory: Option<ByteSize>,
+    /// Folder for scratch files, where a frame exceeds its memory [default: the output's folder].
+    #[arg(long, value_name = "DIR", help_heading = "Machine", hide_short_help = true)]
+    scratch: Option<PathBuf>,
+    /// Replace an output that exists.
+    #[arg(long, help_heading = "Output")]
+    pub overwrite: bool,
+    /// Say nothing but errors.
+    #[arg(short, long, conflicts_with = "verbose", help_heading = "Messages")]
+    quiet: bool,
+    /// Say more.
+    #[arg(short, long, help_heading = "Messages")]
+    verbose: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum BackendName {
+    /// A discrete GPU where there is one, else the CPU.
+    Auto,
+    /// All cores of this machine.
+    Cpu,
+    /// A Vulkan device.
+    Vulkan,
+}
+
+impl RunOptions {
+    /// Sets what the machine gives: threads, memory, scratch files, and a backend that suits inputs
+    /// of as many bytes as is told where it matters, if that is known.
+    pub fn machine(
+        &self,
+        request: Reconstruction,
+        output: &Path,
+        input_bytes: impl FnOnce() -> Option<u64>,
+    ) -> Result<Reconstruction, Error> {
+        let mut request = request;
+        if let Some(threads) = self.threads {
+            if !(1..=MOST_THREADS).contains(&threads) {
+                return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
+            }
+            request = request.threads(threads);
+        }
+        let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
+        // A folder that is not there yet will be made in the first that is.
+        let beside =
+            output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
+        let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
+        request = request.memory(budget);
+        if let Some(folder) = scratch {
+            request = request.scratch(folder);
+        }
+        Ok(match self.backend(budget, input_bytes)? {
+            Some(backend) => request.backend(backend),
+            None => request,
+        })
+    }
+
+    /// Whether a device was asked for.
+    pub fn vulkan_given(&self) -> bool {
+        matches!(self.backend, BackendName::Vulkan)
+    }
+
+    fn backend(
+        &self,
+        budget: MemoryBudget,
+        input_bytes: impl FnOnce() -> Option<u64>,
+    ) -> Result<Option<Backend>, Error> {
+        let cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
+        match (self.backend, &self.device) {
+            (BackendName::Cpu, Some(_)) => {
+                Err(Error::Request("--device needs --backend vulkan".into()))
+            }
+            (BackendName::Cpu, None) => Ok(None),
+            (BackendName::Auto, None) => {
+                let (backend, on_cpu) = devices::fastest(budget, input_bytes, cache.as_deref());
+                if let Some(why) = on_cpu {
+                    let advice = match why {
+                        OnCpu::LittleMemory(_) => "; --memory says how much",
+                        OnCpu::NotConformant(_) => "; --backend vulkan takes it",
+                        _ => "",
+                    };
+                    self.notes().detail(format!("on the CPU: {why}{advice}"));
+                }
+                Ok(Some(backend))
+            }
+            (BackendName::Auto, Some(_)) | (BackendName::Vulkan, _) => {
+                let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
+                Ok(Some(devices::device(&choice, cache.as_deref())?))
+            }
+        }
+    }
+
+    pub fn notes(&self) -> Notes {
+        Notes::new(self.quiet, self.verbose)
+    }
+}
+
+/// Bytes of particles in some files, if all of them are there and tell.
+pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
+    devices::bytes_of(files)
+}
+
+/// Whether an output is a device, beside which nothing else is to be written.
+fn is_device(output: &Path) -> bool {
+    output.starts_with("/dev")
+}

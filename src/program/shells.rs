@@ -1,0 +1,38 @@
+//! `meniscus completions` and `meniscus manual`: what shells and man know of the program.
+
+use std::path::PathBuf;
+
+use clap::{Args, Command};
+use clap_complete::Shell;
+use meniscus::Error;
+use meniscus::error::WriteError;
+
+use super::notes::Verdict;
+use super::notes::print;
+
+#[derive(Args)]
+pub struct CompletionOptions {
+    /// The shell.
+    shell: Shell,
+}
+
+#[derive(Args)]
+pub struct ManualOptions {
+    /// The folder for the pages, which has to be there.
+    folder: PathBuf,
+}
+
+/// Prints what a shell has to read to complete the program's options.
+pub fn completions(options: &CompletionOptions, mut program: Command) -> Result<Verdict, Error> {
+    let mut text = Vec::new();
+    clap_complete::generate(options.shell, &mut program, "meniscus", &mut text);
+    print(String::from_utf8_lossy(&text).trim_end())?;
+    Ok(Verdict::Good)
+}
+
+/// Writes a page of the manual for each command.
+pub fn manual(options: &ManualOptions, program: Command) -> Result<Verdict, Error> {
+    clap_mangen::generate_to(program, &options.folder)
+        .map_err(|fault| WriteError::new(&options.folder, fault))?;
+    Ok(Verdict::Good)
+}

@@ -1,0 +1,336 @@
+//! `meniscus reconstruct` for the frames of a simulation: what is said of its events.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use clap::Args;
+use meniscus::devices::Device;
+use meniscus::{
+    Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied, Warning,
+};
+
+use super::advice::{doubted, told, warned};
+use super::interrupt;
+use super::notes::Notes;
+use super::notes::{Verdict, print};
+use super::options::Options;
+use super::progress::{Progress, ProgressMode};
+use super::report::{report_census, report_device, too_small, warn_all};
+use super::stats::{of_failed, of_frame};
+
+/// Runs the command, for each simulation that is there.
+pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> {
+    let mut simulation = options.simulation.of(simulation);
+    if options.run.overwrite {
+        simulation = simulation.overwrite();
+    }
+    if let Some(stats) = &options.stats {
+        simulation = simulation.beside(stats);
+    }
+    let request = options.request()?;
+    let simulation = simulation.reconstruction(request.clone());
+    simulation.check()?;
+    let cancel = interrupt::handle();
+    let frame = options.output.join("frame");
+    let request =
+        options.run.machine(request, &frame, || simulation.input_bytes())?.cancel(cancel.clone());
+    let device = request.device().cloned();
+    let mut simulation = simulation.reconstruction(request);
+    simulation.check()?;
+    options.prepare_stats()?;
+    let notes = options.run.notes();
+    let mut teller = Teller {
+        options,
+        notes,
+        bars: None,
+        left_out: BTreeMap::new(),
+        broken: None,
+        bad: false,
+        cancel,
+        device,
+    };
+    let hear = |event: Event| teller.hear(&event);
+    if options.dry_run {
+        for forecast in simulation.forecast(hear)? {
+            print(&forecast.to_string())?;
+        }
+        return Ok(teller.verdict());
+    }
+    let sheet = options.preview.then(|| simulation.sheet()).transpose()?;
+    interrupt::resumable();
+    if options.simulation.plan {
+        let numbers: Vec<String> = simulation.plan(hear)?.iter().map(i64::to_string).collect();
+        print(&numbers.join("\n"))?;
+        return Ok(teller.verdict());
+    }
+    let converted = simulation.run(hear);
+    // What stopped all others is what went wrong.
+    if let Some(error) = teller.broken.take() {
+        return Err(error);
+    }
+    converted?;
+    if let Some(sheet) = sheet {
+        let done = sheet.draw()?;
+        done.warning().iter().for_each(|warning| teller.notes.warn(warning));
+        teller.notes.say(done.to_string());
+    }
+    Ok(teller.verdict())
+}
+
+/// Says what happens.
+struct Teller<'a> {
+    options: &'a Options,
+    notes: Notes,
+    /// Bars of the simulation that is under way, with the notes that go above them.
+    bars: Option<(Progress, Notes)>,
+    /// Parts of frames that are not read, and the number of frames of each.
+    left_out: BTreeMap<String, usize>,
+    /// The failure of a file beside the meshes.
+    broken: Option<Error>,
+    bad: bool,
+    cancel: Cancel,
+    device: Option<Device>,
+}
+
+impl Teller<'_> {
+    fn verdict(&self) -> Verdict {
+        if self.bad { Verdict::Bad } else { Verdict::Good }
+    }
+
+    fn progress(&self) -> Option<&Progress> {
+        self.bars.as_ref().map(|(progress, _)| progress)
+    }
+
+    fn notes(&self) -> &Notes {
+        self.bars.as_ref().map_or(&self.notes, |(_, notes)| notes)
+    }
+
+    fn hear(&mut self, event: &Event) {
+        match event {
+            Event::Doubted(doubt) => self.notes().warn(&doubted(doubt)),
+            Event::Waiting { .. }
+            | Event::Anew { .. }
+            | Event::GoesOn { .. }
+            | Event::Measured { .. } => {
+                self.notes().say(event.to_string());
+            }
+            &Event::Begins { frames, done, bytes, lanes, followed } => {
+                if done > 0 {
+                    self.notes().say(event.to_string());
+                }
+                let idle = frames == done && !followed;
+                let mode =
+                    if idle { ProgressMode::Never } else { self.options.simulation.progress };
+                self.bars = Some(Progress::start(mode, bytes, lanes, self.notes.clone()));
+            }
+            Event::Came { bytes } => {
+                self.progress().into_iter().for_each(|bars| bars.lengthen(*bytes))
+            }
+            &Event::Stage { lane, progress, .. } => {
+                let what = || {
+                    progress.map_or(String::new(), |at| format!("{event} {:.0} %", 100.0 * at.done))
+                };
+                self.progress().into_iter().for_each(|bars| bars.stage(lane, what));
+            }
+            Event::Done(done) => self.done(done),
+            Event::Failed(failed) => self.failed(failed),
+            Event::SimulationFailed(error) => {
+                self.notes().error(format!("meniscus: {}", told(error)));
+                self.bad = true;
+            }
+            Event::Ended(summary) => {
+                self.progress().into_iter().for_each(Progress::finish);
+                self.bars = None;
+                self.ended(summary);
+            }
+        }
+    }
+
+    /// Keeps statistics; where they cannot be written, no further frame is begun.
+    fn append(&mut self, record: impl FnOnce() -> serde_json::Value) {
+        if let Err(error) = self.options.append_stats(record) {
+            self.broken.get_or_insert(error);
+            self.cancel.cancel();
+        }
+    }
+
+    fn done(&mut self, done: &FrameDone) {
+        for warning in &done.warnings {
+            if let Warning::LeftOut(part) = warning {
+                let frames = self.left_out.entry(part.to_string()).or_insert(0);
+                *frames += 1;
+                if *frames > 1 {
+                    continue;
+                }
+            }
+            let warning = warned(warning, Some(self.options));
+            self.notes().warn(&format!("{}: {warning}", done.input.display()));
+        }
+        if self.progress().is_some_and(Progress::has_bars) {
+            self.notes().detail(done.to_string());
+        } else {
+            self.notes().say(done.to_string());
+        }
+        self.append(|| of_frame(self.options, done));
+        self.advance(&done.progress);
+    }
+
+    fn failed(&mut self, failed: &FrameFailed) {
+        self.notes().error(format!("meniscus: {}", told(&failed.error)));
+        self.append(|| of_failed(failed));
+        self.advance(&failed.progress);
+    }
+
+    fn advance(&self, &Tallied { done, total, failed, bytes, .. }: &Tallied) {
+        self.progress().into_iter().for_each(|bars| bars.advance(done, total, failed, bytes));
+    }
+
+    fn ended(&mut self, summary: &Summary) {
+        let notes = &self.notes;
+        for (part, frames) in std::mem::take(&mut self.left_out) {
+            if frames > 1 {
+                notes.warn(&format!("left out of {frames} frames: {part}"));
+            }
+        }
+        report_device(self.device.as_ref(), summary.made + summary.failed.len(), notes);
+        if let Some(missing) = &summary.chosen {
+            notes.say(format!("{}: there are no frames {missing}", summary.inputs));
+        }
+        notes.say(summary.to_string());
+        let left_out = &summary.left_out;
+        if let Some(particles) =
+            self.options.settings.smallest_drop.filter(|&particles| particles > 1)
+        {
+            notes.say(too_small(left_out.drops, particles));
+        }
+        if left_out.unselected > 0 {
+            notes.say(format!("{} particles left out by --where", left_out.unselected));
+        }
+        report_census(&left_out.census, notes);
+        warn_all(summary.lost().as_slice(), None, notes);
+        if !summary.is_complete() {
+            self.bad = true;
+            notes.error(lacking(summary));
+        }
+    }
+}
+
+/// The frames that are not there, a line each, in order.
+fn lacking(summary: &Summary) -> String {
+    let failed = summary.failed.iter();
+    let failed = failed
+        .map(|failed| (failed.frame, format!("frame {}: {}", failed.frame, told(&failed.error))));
+    let missing = summary.missing.iter().map(|missing| (missing.first, missing.to_string()));
+    let lines: BTreeSet<(i64, String)> = failed.chain(missing).collect();
+    let lacking = summary.lacking();
+    let mut list =
+        format!("meniscus: {lacking} frame{} failed:", if lacking == 1 { "" } else { "s" });
+    lines.iter().for_each(|(_, line)| list += &format!("\n  {line}"));
+    list
+}
+
+#[derive(Args)]
+pub struct SimulationOptions {
+    /// The first frame of the simulation.
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        help_heading = "Simulations",
+        hide_short_help = true
+    )]
+    start: Option<i64>,
+    /// The last frame of the simulation.
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        help_heading = "Simulations",
+        hide_short_help = true
+    )]
+    end: Option<i64>,
+    /// Every Nth frame.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
+    step: Option<u64>,
+    /// Convert these frames of the simulation only, both ends included, as one of several jobs.
+    #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
+    frames: Option<(i64, i64)>,
+    /// Go on with a conversion that was begun.
+    ///
+    /// Skip what is done and whole; make the rest. Other settings are refused, unless --overwrite
+    /// allows to make all frames anew.
+    #[arg(long, help_heading = "Simulations")]
+    pub resume: bool,
+    /// Follow a simulation that runs.
+    ///
+    /// Until --end, or until nothing has come for so many seconds.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Simulations")]
+    pub watch: Option<f64>,
+    /// Frames a second, for times where the files have none.
+    #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
+    pub fps: Option<f64>,
+    /// Measure what all frames have in common, write the state file, print the frames' numbers, one
+    /// a line, and stop; with --parts plan these.
+    #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Simulations", hide_short_help = true)]
+    pub plan: bool,
+    /// Bars on a terminal, or a line for each frame.
+    #[arg(long, value_enum, default_value_t = ProgressMode::Auto, help_heading = "Messages", hide_short_help = true)]
+    pub progress: ProgressMode,
+}
+
+fn range(text: &str) -> Result<(i64, i64), String> {
+    let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
+    numbers.filter(|(a, b)| a <= b).ok_or_else(|| "two numbers in order, as 100..199".to_owned())
+}
+
+/// Refuses an option that was given, and has no meaning but for simulations.
+fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
+    match options.iter().find(|(_, given)| *given) {
+        None => Ok(()),
+        Some((name, _)) => {
+            Err(Error::Request(format!("{name} needs a simulation: an output with {{}}")))
+        }
+    }
+}
+
+impl SimulationOptions {
+    /// Refuses what has no meaning for a single frame.
+    pub fn refuse_for_one_frame(&self) -> Result<(), Error> {
+        refuse_of_sequences(&[("--resume", self.resume), ("--plan", self.plan)])?;
+        self.refuse_for_parts()
+    }
+
+    /// Refuses what has no meaning for a single frame in parts.
+    pub fn refuse_for_parts(&self) -> Result<(), Error> {
+        refuse_of_sequences(&[
+            ("--start", self.start.is_some()),
+            ("--end", self.end.is_some()),
+            ("--step", self.step.is_some()),
+            ("--frames", self.frames.is_some()),
+            ("--watch", self.watch.is_some()),
+            ("--fps", self.fps.is_some()),
+        ])
+    }
+
+    /// Adds these options to the request for a simulation.
+    pub fn of(&self, mut simulation: Simulation) -> Simulation {
+        if let Some(start) = self.start {
+            simulation = simulation.start(start);
+        }
+        if let Some(end) = self.end {
+            simulation = simulation.end(end);
+        }
+        if let Some(step) = self.step {
+            simulation = simulation.step(step);
+        }
+        if let Some((first, last)) = self.frames {
+            simulation = simulation.frames(first..=last);
+        }
+        if let Some(seconds) = self.watch {
+            simulation = simulation.watch(seconds);
+        }
+        if let Some(fps) = self.fps {
+            simulation = simulation.fps(fps);
+        }
+        if self.resume { simulation.resume() } else { simulation }
+    }
+}

@@ -1,0 +1,138 @@
+//! `--stats`: what a program wants to know of a frame, a line of JSON each.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::Path;
+
+use meniscus::error::WriteError;
+use meniscus::{Error, FrameDone, FrameFailed, MethodName, Report, Timings, peak_memory};
+use serde_json::{Map, Value, json};
+
+use super::advice::told;
+use super::options::Options;
+
+/// A mesh that was made of a frame.
+pub struct Made<'a> {
+    pub input: &'a Path,
+    pub output: &'a Path,
+    /// Vertices, triangles, and bytes of the file.
+    pub counts: [u64; 3],
+    pub stages: &'a Timings,
+    /// Particles in no surface, at the least.
+    pub lost: u64,
+}
+
+impl Options {
+    /// Makes sure, before the work, that statistics can be appended; a file that was not there is
+    /// not there then. A folder that is made for the meshes need not be there yet.
+    pub fn prepare_stats(&self) -> Result<(), Error> {
+        let Some(path) = self
+            .stats
+            .as_ref()
+            .filter(|path| path.metadata().is_ok_and(|m| m.is_file()) || !path.exists())
+        else {
+            return Ok(());
+        };
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if folder.is_some_and(|folder| !folder.exists() && self.output.starts_with(folder)) {
+            return Ok(());
+        }
+        let is_new = !path.exists();
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        file.map_err(|e| WriteError::new(path, e))?;
+        if is_new {
+            let _ = std::fs::remove_file(path);
+        }
+        Ok(())
+    }
+
+    /// Appends a line to the statistics, if they are asked for.
+    pub fn append_stats(&self, record: impl FnOnce() -> Value) -> Result<(), Error> {
+        let Some(path) = &self.stats else { return Ok(()) };
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        let written = file.and_then(|mut file| writeln!(file, "{}", record()));
+        Ok(written.map_err(|e| WriteError::new(path, e))?)
+    }
+}
+
+/// Writes the record of a frame among others.
+pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
+    let FrameDone { input, output, mesh, report, lost, .. } = done;
+    let mut stats = match report {
+        Some(report) => {
+            let counts = [mesh.vertices, mesh.triangles, mesh.bytes];
+            record(
+                options,
+                report,
+                &Made { input, output, counts, stages: &report.timings, lost: *lost },
+            )
+        }
+        None => {
+            json!({ "input": input, "output": output, "particles": 0, "vertices": 0, "triangles": 0 })
+        }
+    };
+    stats["frame"] = json!(mesh.frame);
+    stats["in_no_surface"] = json!(lost);
+    stats["time"] = json!(done.time);
+    stats
+}
+
+/// Writes the record of a frame that failed.
+pub fn of_failed(failed: &FrameFailed) -> Value {
+    json!({ "frame": failed.frame, "input": failed.input, "error": told(&failed.error) })
+}
+
+/// Writes the record of a frame.
+pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
+    let Made { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
+    let seconds =
+        stages.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
+    let facts = &report.facts;
+    let of_run = json!({
+        "particles": facts.census.binned,
+        "not_finite": facts.census.not_finite,
+        "too_far": facts.census.too_far,
+        "outside_domain": facts.census.outside,
+        "cell_size": facts.grid.cell_size(),
+        "origin": facts.grid.origin().to_array(),
+        "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+        "periodic": facts.periodic.map(|periodic| periodic.faces()),
+        "input": input,
+        "output": output,
+        "method": options.settings.method.unwrap_or(MethodName::Dif),
+        "simplify": options.settings.simplify,
+        "smallest_component": options.settings.smallest_component,
+        "smallest_drop": options.settings.smallest_drop,
+        "vertices": vertices,
+        "triangles": triangles,
+        "output_bytes": bytes,
+        "seconds": seconds.collect::<Map<_, _>>(),
+        "total_seconds": stages.total(),
+        "threads": report.threads,
+        "peak_resident_bytes": peak_memory(),
+        "in_no_surface": lost,
+        "isovalue": report.isovalue(),
+        "backend": report.backend,
+    });
+    let of_field = match report.indicator {
+        Some(indicator) => json!({
+            "indicator": indicator.kind().name(),
+            "mu0": indicator.mean().map(|mean| mean.particles()),
+            "smooth": report.smooth,
+            "sigma": report.sigma,
+            "detail": options.settings.detail,
+            "pages_on_device": report.on_device.pages,
+            "regions_on_device": report.on_device.regions,
+        }),
+        None => json!({ "spacing": facts.spacing }),
+    };
+    joined(of_run, of_field)
+}
+
+/// All fields of two objects.
+fn joined(mut one: Value, other: Value) -> Value {
+    if let (Value::Object(one), Value::Object(other)) = (&mut one, other) {
+        one.extend(other);
+    }
+    one
+}

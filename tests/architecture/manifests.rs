@@ -1,0 +1,66 @@
+//! Manifests agree: what is published together has one version, one repository and one oldest Rust.
+
+use std::fs;
+use std::path::Path;
+
+/// Manifests with a version of their own, and the key before it.
+const VERSIONED: [&str; 6] = [
+    "Cargo.toml",
+    "src/bindings/c/Cargo.toml",
+    "src/bindings/c/header/Cargo.toml",
+    "src/bindings/python/Cargo.toml",
+    "src/bindings/blender/extension/blender_manifest.toml",
+    "tools/package/recipe.yaml",
+];
+
+fn read(name: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).expect(name)
+}
+
+/// The first value of a key, in TOML or YAML.
+fn field<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let value = |line: &'a str| {
+        let rest = line.trim().strip_prefix(key)?.trim_start();
+        Some(rest.strip_prefix(['=', ':'])?.trim().trim_matches('"'))
+    };
+    text.lines().find_map(value)
+}
+
+#[test]
+fn what_is_published_has_one_version_that_the_changelog_describes() {
+    let version = env!("CARGO_PKG_VERSION");
+    for name in VERSIONED {
+        assert_eq!(field(&read(name), "version"), Some(version), "{name}");
+    }
+    let changelog = read("src/changelog.md");
+    assert!(changelog.lines().any(|line| line == format!("# {version}")));
+    assert!(changelog.contains(&format!("version = {{{version}}}")));
+}
+
+#[test]
+fn the_oldest_rust_is_the_same_for_all_that_is_built() {
+    let oldest = env!("CARGO_PKG_RUST_VERSION");
+    for name in ["src/bindings/c/Cargo.toml", "src/bindings/python/Cargo.toml"] {
+        assert_eq!(field(&read(name), "rust-version"), Some(oldest), "{name}");
+    }
+    assert!(read("README.md").contains(oldest), "README.md names another Rust");
+}
+
+#[test]
+fn addresses_are_those_of_the_repository() {
+    let address = env!("CARGO_PKG_REPOSITORY");
+    let named = [
+        "src/changelog.md",
+        "src/bindings/python/pyproject.toml",
+        "src/bindings/blender/extension/blender_manifest.toml",
+        "tools/package/recipe.yaml",
+        "tools/package/Dockerfile",
+    ];
+    for name in named {
+        let text = read(name);
+        let others = text
+            .match_indices("https://github.com/")
+            .filter(|(at, _)| !text[*at..].starts_with(address));
+        assert!(text.contains(address) && others.count() == 0, "{name} names another repository");
+    }
+}
