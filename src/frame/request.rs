@@ -1,5 +1,7 @@
 //! Requests: how a frame is sampled, and how a surface is drawn through it.
 
+use std::sync::Arc;
+
 use glam::IVec3;
 
 use crate::baselines::KernelMethod;
@@ -15,6 +17,7 @@ use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::particles::kind::SettledKind;
 use crate::surface::dual_mc::{Normals, dual_cells};
+use crate::surface::solid::Solid;
 use crate::system::cancel::Cancel;
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
@@ -80,7 +83,7 @@ impl Sampling {
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 
 /// How a surface is drawn through a frame. For kernels only the normals have a meaning.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Surfacing {
     /// How calm the water is; of clouds alone.
     pub smooth: Smooth,
@@ -97,6 +100,8 @@ pub struct Surfacing {
     pub normals: Normals,
     /// Where the mesh ends at the faces of a periodic box.
     pub periodic_mesh: PeriodicMesh,
+    /// Solids that the fluid ends at, if there are any; of clouds alone.
+    pub solid: Option<Arc<Solid>>,
 }
 
 impl Surfacing {
@@ -109,6 +114,7 @@ impl Surfacing {
         detail: Detail::Smoothed,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
+        solid: None,
     };
 
     /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there

@@ -1,6 +1,7 @@
 //! Doubts about a frame, or about the request for it, although there is a surface.
 
 use std::fmt;
+use std::path::PathBuf;
 
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
@@ -108,6 +109,8 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
+    /// A solid's triangles face inwards, and are taken to face outwards.
+    Turned(PathBuf),
     /// A part of the input is not read.
     LeftOut(LeftOut),
     /// None of a frame's particles satisfies the conditions: its mesh is empty.
@@ -213,6 +216,11 @@ impl fmt::Display for Warning {
             Self::Coarse { format } => {
                 write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
             }
+            Self::Turned(path) => write!(
+                f,
+                "{}: the triangles of the solid face inwards; they are taken to face outwards",
+                path.display()
+            ),
             Self::LeftOut(part) => write!(f, "left out: {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {
