@@ -2,26 +2,44 @@
 //! cut by them after.
 //!
 //! Of a cell's cloud density rho a share w lies outside of the solid, that of a plane as far from
-//! the cell's centre as the solid is. What a solid takes away is filled with the density of the
-//! fluid beside it, by normalised convolution: rho + (1 - w) (G * rho) / (G * w), with a Gaussian G
-//! of 1 d, and of 2.5 d where that finds nothing. So the bulk does not end at a solid, and its
-//! surface meets the solid as it would go on. The field is then the smaller one of its distance and
-//! that of the solid.
+//! the cell's centre as the solid is. Where w is less than 1, the density of the fluid beside it is
+//! taken, by as much as w falls from 1 to 0.9: the value at the cell of the linear function that
+//! fits rho / w best under a Gaussian of 1 d, with weights that fall with w in the same way (moving
+//! least squares, Lancaster and Salkauskas 1981). A mean would bend the fluid's level where it meets
+//! a slope, and so would cells that a solid takes much of. Where that finds too little, as deeper in
+//! a solid and in a narrow channel, (1 - w) of a mean under a Gaussian of 2.5 d is added to rho
+//! (normalised convolution). So the bulk does not end at a solid, and its surface meets the solid as
+//! it would go on. The field is then the smaller one of its distance and that of the solid.
+//!
+//! Sums are integers, and each cell's is made by itself: the result does not depend on the block.
+
+use glam::{DMat3, DVec3, IVec3};
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{NONE, ZERO};
 use crate::grid::CellBox;
 
-/// The standard deviations of the Gaussians, in spacings, and where they are cut off, in those.
-const WIDTHS: [f64; 2] = [1.0, 2.5];
-const CUT: f64 = 2.2;
+/// The share of a cell that has to be outside of a solid for its density to tell anything.
+const TOLD: u16 = WHOLE / 10 * 9;
+/// The standard deviation of the Gaussian under which a linear function is fitted, in spacings, and
+/// where it is cut off, in those.
+const FIT: f64 = 1.0;
+const FIT_CUT: f64 = 2.5;
+/// The least part of it that has to lie outside.
+const FIT_LEAST: f64 = 0.004;
+/// What is added to the variances of the places that tell the function, in those of the Gaussian:
+/// where they lie in a plane or are few, it hardly changes across.
+const FIT_STIFFNESS: f64 = 0.02;
+/// The standard deviation of the Gaussian of means, in spacings, and where it is cut off, in those.
+const MEAN: f64 = 2.5;
+const MEAN_CUT: f64 = 2.2;
 /// Bits that the smoothed density gains: as many as that of the bulk does.
 const GAIN: u32 = 2;
 /// The share of a cell that is all outside.
 pub const WHOLE: u16 = 1 << 15;
-/// The least share of a Gaussian that has to be outside to tell the density, for each width.
-const LEAST: [u16; 2] = [WHOLE >> 5, WHOLE >> 7];
+/// The least share of that Gaussian that has to be outside.
+const MEAN_LEAST: u16 = WHOLE >> 7;
 /// Steps of a distance in a cell's edge, for shares.
 pub const STEPS: f64 = 4096.0;
 /// How far outside a cell's cloud reaches, in such steps.
@@ -30,25 +48,29 @@ pub const FARTHEST: i16 = 3 * 2048;
 /// The filters that continue clouds into solids.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fill {
-    widths: [Weights; 2],
+    fit: Weights,
+    /// The variance of a fit along each axis that is added, in squared cells.
+    stiffness: f64,
+    mean: Weights,
 }
 
 impl Fill {
     /// In cells of `edge` spacings.
     #[must_use]
     pub fn new(edge: f64) -> Self {
-        let gaussian = |width: f64| {
+        let gaussian = |width: f64, cut: f64| {
             let variance = (width / edge).powi(2).max(0.35);
-            let reach = (CUT * variance.sqrt()).round().max(1.0) as i32;
-            Weights::of_variance(variance, reach)
+            Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32)
         };
-        Self { widths: WIDTHS.map(gaussian) }
+        let fit = gaussian(FIT, FIT_CUT);
+        let stiffness = FIT_STIFFNESS * fit.variance();
+        Self { fit, stiffness, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
     }
 
     /// How far from a cell others decide its density, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
-        self.widths.iter().map(Weights::reach).max().unwrap_or(0)
+        self.fit.reach().max(self.mean.reach())
     }
 
     /// The samples of `cells`, continued into a solid, of which the shares outside are known.
@@ -69,36 +91,108 @@ impl Fill {
         if part.is_empty() {
             return filled;
         }
-        let smooth = |block: &Block, weights: &Weights| {
-            let around = part.grown(weights.reach(), weights.reach());
-            blur(block.part(around), weights, None)
-        };
-        let [near, far] = &self.widths;
-        let [near, far] = [near, far].map(|weights| {
-            [smooth(clouds, &weights.clone().gaining(GAIN)), smooth(outside, weights)]
-        });
-        for z in part.lo.z..part.hi.z {
-            for y in part.lo.y..part.hi.y {
-                for x in part.lo.x..part.hi.x {
-                    let cell = glam::IVec3::new(x, y, z);
-                    let missing = WHOLE - outside.at(cell);
-                    let told = |[density, share]: &[Block; 2], least: u16| {
-                        let share = share.at(cell);
-                        (share >= least).then(|| {
-                            (u64::from(density.at(cell)) << (15 - GAIN)) / u64::from(share)
-                        })
-                    };
-                    let density = told(&near, LEAST[0]).or_else(|| told(&far, LEAST[1]));
-                    let added = (density.unwrap_or(0) * u64::from(missing)) >> 15;
-                    let index = filled.index(cell);
-                    let sample = u64::from(filled.samples()[index]) + added;
-                    filled.samples_mut()[index] = sample.min(u16::MAX.into()) as u16;
-                }
+        let around = part.grown(self.mean.reach(), self.mean.reach());
+        let around_fit = part.grown(self.fit.reach(), self.fit.reach());
+        let (mut told, mut dense) = (outside.part(around_fit), clouds.part(around_fit));
+        for (share, cloud) in told.samples_mut().iter_mut().zip(dense.samples_mut()) {
+            *cloud = (u32::from(*cloud) * u32::from(WHOLE) / u32::from((*share).max(TOLD)))
+                .min(u16::MAX.into()) as u16;
+            let beyond = u32::from(share.saturating_sub(TOLD));
+            *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - TOLD)) as u16;
+        }
+        let density = blur(clouds.part(around), &self.mean, None);
+        let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
+        for cell in places(part) {
+            let missing = WHOLE - outside.at(cell);
+            if missing == 0 {
+                continue;
             }
+            let index = filled.index(cell);
+            let own = u64::from(filled.samples()[index]);
+            let sample = match self.fitted(&dense, &told, cell) {
+                Some(fitted) => {
+                    let told = u64::from(told.at(cell));
+                    (own * told + fitted * (u64::from(WHOLE) - told)) >> 15
+                }
+                None => {
+                    let share = u64::from(share.at(cell));
+                    let density = u64::from(density.at(cell)) << (15 - GAIN);
+                    let mean = if share < u64::from(MEAN_LEAST) { 0 } else { density / share };
+                    own + ((mean * u64::from(missing)) >> 15)
+                }
+            };
+            filled.samples_mut()[index] = sample.min(u16::MAX.into()) as u16;
         }
         walls.into_iter().for_each(|walls| filled.repeat_edges(walls));
         filled
     }
+
+    /// The value at a cell of the linear function that fits the density around it best, no less than
+    /// 0 and no more than is found there; `None` where too little is outside.
+    fn fitted(&self, dense: &Block, told: &Block, cell: IVec3) -> Option<u64> {
+        let (half, reach) = (self.fit.half(), self.fit.reach());
+        let weight = |offset: i32| u64::from(half[offset.unsigned_abs() as usize]);
+        // Of the weights: their sum, and first and second moments; of the densities the sum and
+        // first moments. Each has 62 bits at the most.
+        let (mut sum, mut first, mut second) = (0_i64, [0_i64; 3], [0_i64; 6]);
+        let (mut total, mut moment, mut most) = (0_i64, [0_i64; 3], 0);
+        for z in -reach..=reach {
+            for y in -reach..=reach {
+                let across = (weight(z) * weight(y)) >> 16;
+                let row = cell + IVec3::new(-reach, y, z);
+                let [at_dense, at_told] = [dense.index(row), told.index(row)];
+                for x in -reach..=reach {
+                    let step = (x + reach) as usize;
+                    let share = told.samples()[at_told + step];
+                    if share == 0 {
+                        continue;
+                    }
+                    let cloud = dense.samples()[at_dense + step];
+                    let weight = ((across * weight(x)) >> 16) as i64;
+                    let of_share = weight * i64::from(share);
+                    let of_cloud = of_share * i64::from(cloud);
+                    let [x, y, z] = [x, y, z].map(i64::from);
+                    sum += of_share;
+                    total += of_cloud;
+                    for (axis, along) in [x, y, z].into_iter().enumerate() {
+                        first[axis] += of_share * along;
+                        moment[axis] += of_cloud * along;
+                    }
+                    let products = [x * x, y * y, z * z, x * y, x * z, y * z];
+                    for (second, product) in second.iter_mut().zip(products) {
+                        *second += of_share * product;
+                    }
+                    most = most.max(cloud);
+                }
+            }
+        }
+        let whole = f64::from(1 << 16) * f64::from(WHOLE);
+        let sum = sum as f64;
+        if sum < FIT_LEAST * whole {
+            return None;
+        }
+        let of = |moments: [i64; 3]| DVec3::from(moments.map(|moment| moment as f64)) / sum;
+        let (middle, mean, slope) = (of(first), total as f64 / sum, of(moment));
+        let [xx, yy, zz, xy, xz, yz] = second.map(|moment| moment as f64 / sum);
+        let moments = DMat3::from_cols(
+            DVec3::new(xx, xy, xz),
+            DVec3::new(xy, yy, yz),
+            DVec3::new(xz, yz, zz),
+        );
+        let spread = moments
+            - DMat3::from_cols(middle * middle.x, middle * middle.y, middle * middle.z)
+            + DMat3::from_diagonal(DVec3::splat(self.stiffness));
+        let rise = spread.inverse() * (slope - middle * mean);
+        let density = mean - rise.dot(middle);
+        Some(density.round().clamp(0.0, f64::from(most)) as u64)
+    }
+}
+
+/// Each of some cells, x fastest.
+fn places(cells: CellBox) -> impl Iterator<Item = IVec3> {
+    let CellBox { lo, hi } = cells;
+    let rows = (lo.z..hi.z).flat_map(move |z| (lo.y..hi.y).map(move |y| (y, z)));
+    rows.flat_map(move |(y, z)| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
 }
 
 /// The share of each cell's cloud that lies outside of a solid, in units of 1 / [`WHOLE`], by the
@@ -139,8 +233,6 @@ pub fn cut(field: &mut Block, distances: &Block<i16>, offset: i32, most: i16) {
 
 #[cfg(test)]
 mod tests {
-    use glam::IVec3;
-
     use super::*;
 
     #[test]
@@ -164,15 +256,11 @@ mod tests {
         let cells = CellBox { lo: IVec3::splat(-4), hi: IVec3::splat(5) };
         let around = cells.grown(fill.reach(), fill.reach());
         let mut distances = Block::zero(around);
-        for z in around.lo.z..around.hi.z {
-            for y in around.lo.y..around.hi.y {
-                for x in around.lo.x..around.hi.x {
-                    let index = distances.index(IVec3::new(x, y, z));
-                    let steps = f64::from(x) * STEPS;
-                    distances.samples_mut()[index] =
-                        steps.clamp(f64::from(-FARTHEST), f64::from(FARTHEST)) as i16;
-                }
-            }
+        for cell in places(around) {
+            let index = distances.index(cell);
+            let steps = f64::from(cell.x) * STEPS;
+            distances.samples_mut()[index] =
+                steps.clamp(f64::from(-FARTHEST), f64::from(FARTHEST)) as i16;
         }
         let outside = outside(&distances);
         let mut clouds = Block::zero(around);
