@@ -1,12 +1,13 @@
 //! Solids that the fluid ends at: their files, and the memory that they take.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::error::Error;
+use crate::error::{Error, ReadError};
 use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::grid::units::{MemoryBudget, SolidOffset};
 use crate::io::output::read_mesh;
+use crate::io::stamp::Stamp;
 use crate::settings::Settings;
 use crate::surface::solid::Solid;
 
@@ -17,6 +18,12 @@ use super::warning::Warning;
 const BYTES_A_BYTE: u64 = 2;
 
 impl Settings {
+    /// The stamp of an input with those of the solids.
+    pub(crate) fn stamp(&self, input: &Path) -> Result<Stamp, ReadError> {
+        let solids = self.solid_files().iter().map(Path::new);
+        Stamp::of_all(std::iter::once(input).chain(solids))
+    }
+
     /// The files of the solids.
     pub(crate) fn solid_files(&self) -> &[String] {
         self.solid.as_deref().unwrap_or_default()

@@ -69,7 +69,13 @@ pub(super) fn cut_fields<'a>(
     let volume = |cells: CellBox| looked_at(distances, cells);
     let all =
         boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
-    let fits = distances.bulk_bytes(distances.wide_cells(all)) <= most_bytes;
+    let filled = |_: &Solid| {
+        let fill = fill(sampled, distances.level);
+        let around = distances.wide_halo() + fill.reach();
+        Fill::bytes(distances.wide_cells(all).grown(around, around))
+    };
+    let bytes = distances.bulk_bytes(distances.wide_cells(all)) + solid.map_or(0, filled);
+    let fits = bytes <= most_bytes;
     let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let together = fits && volume(all) <= apart;
     let whole = if together { volume(all) } else { apart };
@@ -99,6 +105,11 @@ pub(super) fn cut_fields<'a>(
         block(joined_fields(distances, &mut blocks(cells, looking), wide?))
     };
     Box::new(boxes.map(field))
+}
+
+/// The filters that continue clouds in cells 2^`level` times as wide into solids.
+fn fill(sampled: &SampledDif, level: u32) -> Fill {
+    Fill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
 }
 
 /// Cuts the field on some cells by a solid.
@@ -286,7 +297,7 @@ impl Fields for Blocks<'_> {
         let is_near = |solid: &&Solid| solid.is_near(grid, level, cells.grown(2, 2));
         let Some(solid) = self.solid.filter(is_near) else { return Ok(clouds.clone()) };
         let width = grid.cell_size() * f64::from(1_u32 << level);
-        let fill = Fill::new(width / self.sampled.facts.spacing.unwrap_or(grid.cell_size()));
+        let fill = fill(self.sampled, level);
         let around = cells.grown(fill.reach(), fill.reach());
         let mut shares = outside(&solid.distances(grid, level, around, width / STEPS, FARTHEST));
         let walls = self.walls(level);
