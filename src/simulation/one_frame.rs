@@ -111,7 +111,7 @@ impl Conversion<'_> {
         };
         let replace = if replaces == Replaces::Nothing { Replace::Refuse } else { Replace::Allow };
         let target = self.output(frame);
-        for path in frame.paths() {
+        for path in frame.paths().chain(frame.solids.iter().map(PathBuf::as_path)) {
             refuse_same_file(&target, file_and_step(path).0)?;
         }
         let orientation =
