@@ -3,7 +3,7 @@
 //!
 //! Of a cell's cloud density rho a share w lies outside of the solid, that of a plane as far from
 //! the cell's centre as the solid is. Where w is less than 1, the density of the fluid beside it is
-//! taken, by as much as w falls from 1 to 0.9: the value at the cell of the linear function that
+//! taken, by as much as w falls from 1 to 0.8: the value at the cell of the linear function that
 //! fits rho / w best under a Gaussian of 1 d, with weights that fall with w in the same way (moving
 //! least squares, Lancaster and Salkauskas 1981). A mean would bend the fluid's level where it meets
 //! a slope, and so would cells that a solid takes much of. Where that finds too little, as deeper in
@@ -21,7 +21,7 @@ use crate::field::distance::{NONE, ZERO};
 use crate::grid::CellBox;
 
 /// The share of a cell that has to be outside of a solid for its density to tell anything.
-const TOLD: u16 = WHOLE / 10 * 9;
+const TOLD: u16 = WHOLE / 10 * 8;
 /// The standard deviation of the Gaussian under which a linear function is fitted, in spacings, and
 /// where it is cut off, in those.
 const FIT: f64 = 1.0;
@@ -30,7 +30,7 @@ const FIT_CUT: f64 = 2.5;
 const FIT_LEAST: f64 = 0.004;
 /// What is added to the variances of the places that tell the function, in those of the Gaussian:
 /// where they lie in a plane or are few, it hardly changes across.
-const FIT_STIFFNESS: f64 = 0.02;
+const FIT_STIFFNESS: f64 = 0.01;
 /// The standard deviation of the Gaussian of means, in spacings, and where it is cut off, in those.
 const MEAN: f64 = 2.5;
 const MEAN_CUT: f64 = 2.2;

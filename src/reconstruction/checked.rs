@@ -1,6 +1,6 @@
 //! A request whose numbers are in range and whose settings go together, and the threads to run it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
 
@@ -51,6 +51,8 @@ pub(crate) struct Checked {
     pub(crate) resources: Resources,
     /// Solids that face inwards.
     pub(crate) turned: Vec<Warning>,
+    /// The files of the solids that were read.
+    pub(crate) solid_files: Vec<PathBuf>,
 }
 
 /// A request with threads of its own.
@@ -115,6 +117,7 @@ impl Reconstruction {
             pool,
             resources,
             turned: Vec::new(),
+            solid_files: Vec::new(),
         })
     }
 }

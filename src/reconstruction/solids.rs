@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::brick::FrameFacts;
 use crate::error::{Error, ReadError};
 use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::grid::units::{MemoryBudget, SolidOffset};
@@ -64,7 +65,21 @@ impl Checked {
         self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
         let turned = solid.turned().iter();
         self.turned = turned.map(|&number| Warning::Turned(paths[number].clone())).collect();
+        self.solid_files = paths.to_vec();
         self.surfacing.solid = Some(Arc::new(solid));
         Ok(self)
+    }
+
+    /// Doubts about the solids, for a surface in such cells.
+    pub(super) fn doubts_about_solids(&self, facts: &FrameFacts) -> Vec<Warning> {
+        let Some(solid) = &self.surfacing.solid else { return Vec::new() };
+        let cell_size = facts.grid.cell_size();
+        let wider = 2.0 * solid.offset() * facts.spacing.unwrap_or(cell_size);
+        let thickness = solid.thickness().iter().map(|thickness| (thickness + wider).max(0.0));
+        let thin = self.solid_files.iter().zip(thickness);
+        let thin = thin.filter(|&(_, thickness)| thickness < cell_size).map(|(path, thickness)| {
+            Warning::ThinSolid { path: path.clone(), thickness, cell_size }
+        });
+        self.turned.iter().cloned().chain(thin).collect()
     }
 }

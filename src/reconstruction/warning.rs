@@ -111,6 +111,15 @@ pub enum Warning {
     },
     /// A solid's triangles face inwards, and are taken to face outwards.
     Turned(PathBuf),
+    /// A solid is thinner than a cell, and may have holes.
+    ThinSolid {
+        /// The mesh of the solid.
+        path: PathBuf,
+        /// How thick what the fluid ends at is, about.
+        thickness: f64,
+        /// Edge of a cell.
+        cell_size: f64,
+    },
     /// A part of the input is not read.
     LeftOut(LeftOut),
     /// None of a frame's particles satisfies the conditions: its mesh is empty.
@@ -220,6 +229,13 @@ impl fmt::Display for Warning {
                 f,
                 "{}: the triangles of the solid face inwards; they are taken to face outwards",
                 path.display()
+            ),
+            Self::ThinSolid { path, thickness, cell_size } => write!(
+                f,
+                "{}: what the fluid ends at is about {} thick, less than a cell of {}: it may have holes",
+                path.display(),
+                significant(*thickness, 2),
+                significant(*cell_size, 3)
             ),
             Self::LeftOut(part) => write!(f, "left out: {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),

@@ -56,6 +56,7 @@ pub struct Solid {
     offset: SolidOffset,
     triangles: u64,
     turned: Vec<usize>,
+    thickness: Vec<f64>,
 }
 
 impl Solid {
@@ -64,14 +65,23 @@ impl Solid {
     /// # Errors
     /// [`SolidFault`], with the number of the mesh.
     pub fn new(meshes: Vec<Mesh>, offset: SolidOffset) -> Result<Self, (usize, SolidFault)> {
-        let mut solid = Self { meshes: Vec::new(), offset, triangles: 0, turned: Vec::new() };
+        let mut solid = Self {
+            meshes: Vec::new(),
+            offset,
+            triangles: 0,
+            turned: Vec::new(),
+            thickness: Vec::new(),
+        };
         for (number, mesh) in meshes.into_iter().enumerate() {
             let mesh = joined(mesh);
             let surface = Surface::reference(&mesh).map_err(|fault| (number, fault.into()))?;
             refuse_unclosed(&mesh).map_err(|fault| (number, fault))?;
-            if measure(&mesh).volume.is_some_and(|volume| volume < 0.0) {
+            let measures = measure(&mesh);
+            let volume = measures.volume.unwrap_or(f64::INFINITY);
+            if volume < 0.0 {
                 solid.turned.push(number);
             }
+            solid.thickness.push(2.0 * volume.abs() / measures.area);
             solid.triangles += mesh.triangles.len() as u64;
             solid.meshes.push(surface);
         }
@@ -88,6 +98,13 @@ impl Solid {
     #[must_use]
     pub fn turned(&self) -> &[usize] {
         &self.turned
+    }
+
+    /// How thick each mesh is, as a plate of its volume and area would be; infinite where that is
+    /// not known.
+    #[must_use]
+    pub fn thickness(&self) -> &[f64] {
+        &self.thickness
     }
 
     /// Bytes of memory.
