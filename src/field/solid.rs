@@ -3,7 +3,7 @@
 //!
 //! Of a cell's cloud density rho a share w lies outside of the solid, that of a plane as far from
 //! the cell's centre as the solid is. Where w is less than 1, the density of the fluid beside it is
-//! taken, by as much as w falls from 1 to 0.8: the value at the cell of the linear function that
+//! taken, by as much as w falls from 1 to 0.9: the value at the cell of the linear function that
 //! fits rho / w best under a Gaussian of 1 d, with weights that fall with w in the same way (moving
 //! least squares, Lancaster and Salkauskas 1981). A mean would bend the fluid's level where it meets
 //! a slope, and so would cells that a solid takes much of. Where that finds too little, as deeper in
@@ -21,7 +21,7 @@ use crate::field::distance::{NONE, ZERO};
 use crate::grid::CellBox;
 
 /// The share of a cell that has to be outside of a solid for its density to tell anything.
-const TOLD: u16 = WHOLE / 10 * 8;
+const TOLD: u16 = WHOLE / 10 * 9;
 /// The standard deviation of the Gaussian under which a linear function is fitted, in spacings, and
 /// where it is cut off, in those.
 const FIT: f64 = 1.0;
