@@ -28,7 +28,7 @@ const FIT: f64 = 1.0;
 const FIT_CUT: f64 = 2.5;
 /// The least part of it that has to lie outside.
 const FIT_LEAST: f64 = 0.004;
-/// What is added to the variances of the places that tell the function, in those of the Gaussian:
+/// The variance that is added to those of the places that tell the function, in those of the Gaussian:
 /// where they lie in a plane or are few, it hardly changes across.
 const FIT_STIFFNESS: f64 = 0.01;
 /// The standard deviation of the Gaussian of means, in spacings, and where it is cut off, in those.
@@ -55,7 +55,7 @@ pub struct Fill {
 }
 
 impl Fill {
-    /// In cells of `edge` spacings.
+    /// Makes the filters for cells of `edge` spacings.
     #[must_use]
     pub fn new(edge: f64) -> Self {
         let gaussian = |width: f64, cut: f64| {
