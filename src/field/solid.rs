@@ -28,8 +28,8 @@ const FIT: f64 = 1.0;
 const FIT_CUT: f64 = 2.5;
 /// The least part of it that has to lie outside.
 const FIT_LEAST: f64 = 0.004;
-/// The variance that is added to those of the places that tell the function, in those of the Gaussian:
-/// where they lie in a plane or are few, it hardly changes across.
+/// The variance that is added to those of the places that tell the function, in those of the
+/// Gaussian: where they lie in a plane or are few, it hardly changes across.
 const FIT_STIFFNESS: f64 = 0.01;
 /// The standard deviation of the Gaussian of means, in spacings, and where it is cut off, in those.
 const MEAN: f64 = 2.5;

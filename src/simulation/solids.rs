@@ -68,3 +68,26 @@ fn there(pattern: &Pattern) -> BTreeMap<i64, PathBuf> {
         |name: String| Some((pattern.digits(&name)?.parse().ok()?, pattern.folder.join(name)));
     names.into_iter().filter_map(numbered).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_have_the_solids_of_all_and_those_of_their_numbers_however_many_zeros_these_have() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::write(path("ship_0002.obj"), "").unwrap();
+        let text = |name: &str| path(name).to_str().unwrap().to_owned();
+        let solid = Some(vec![text("tank.obj"), text("ship_{}.obj")]);
+        let names = SolidNames::of(&Settings { solid, ..Settings::default() }).unwrap();
+        assert!(names.are_numbered());
+        let frame = |number: i64| FrameFile::new(number, number.to_string(), path("water"));
+        let frames = names.with_files(vec![frame(2), frame(3)]);
+        assert_eq!(frames[0].solids, [path("tank.obj"), path("ship_0002.obj")]);
+        // A missing one has the name that it should have.
+        assert_eq!(frames[1].solids, [path("tank.obj"), path("ship_3.obj")]);
+        let timed = Some(vec![text("ship_{time}.obj")]);
+        assert!(SolidNames::of(&Settings { solid: timed, ..Settings::default() }).is_err());
+    }
+}
