@@ -198,6 +198,21 @@ settings! {
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
+    /// A closed mesh that the fluid ends at, such as an obstacle, in any mesh format that is read.
+    ///
+    /// May be given several times. Its units and axes are those of the particles. {} in the name
+    /// stands for the frame's number: solid.{}.obj gives each frame a mesh of its own. For the
+    /// indicator cloud.
+    #[arg(value_name = "MESH", help_heading = "Input")]
+    solid: Option<Vec<String>>,
+
+    /// Distance between the fluid and solids, in spacings [default: -0.1].
+    ///
+    /// More than 0 leaves a gap. Less than 0 lets the fluid reach into solids, so that no gap shows
+    /// in a picture.
+    #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Input", hide_short_help = true)]
+    solid_offset: Option<f64>,
+
     /// How a cell's share of fluid is told from its particles [default: cloud].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorKind>,
@@ -434,6 +449,8 @@ mod tests {
                 [None, Some(2.0)],
             ]))),
             periodic: Some(Faces([None, Some([0.0, 4.0]), None])),
+            solid: Some(vec!["ball.obj".into()]),
+            solid_offset: Some(0.2),
             indicator: Some(IndicatorKind::Counting),
             mu0: Some(3.0),
             skip_invalid: true,
@@ -518,7 +535,7 @@ mod tests {
         let (all, nothing) = (all(), Settings::default());
         assert_eq!(all.given_otherwise(&nothing, |_| true), Some(Setting("spacing")));
         let of_surface = |setting: Setting| !setting.needs_particles();
-        assert_eq!(all.given_otherwise(&nothing, of_surface), Some(Setting("smooth")));
+        assert_eq!(all.given_otherwise(&nothing, of_surface), Some(Setting("solid")));
         assert_eq!(all.given_otherwise(&all, |_| true), None);
         assert_eq!(nothing.given_otherwise(&all, |_| true), None);
     }

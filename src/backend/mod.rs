@@ -26,6 +26,7 @@ use crate::grid::units::MemoryBudget;
 use crate::grid::{BLOCK, CellBox, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::surface::mesh::BlockMesh;
+use crate::surface::solid::Solid;
 use crate::system::control::Meter;
 use crate::vulkan::Device;
 
@@ -117,6 +118,8 @@ pub struct Surfaces<'a> {
     pub sampled: &'a SampledDif,
     /// From its DIF to the field.
     pub recipe: &'a Recipe,
+    /// Solids that cut the field, if there are any.
+    pub solid: Option<&'a Solid>,
     /// Whether vertices get normals.
     pub normals: Normals,
     /// Where the mesh ends at periodic faces.
@@ -136,12 +139,28 @@ impl Surfaces<'_> {
         let faces = walls.filter(|_| self.sampled.facts.periodic.is_some());
         let not_inside = |cells: CellBox| match faces {
             Some(faces) if !faces.covers(&dual_cells(cells)) => cells,
+            _ if self.is_at_solid(cells) => cells,
             _ => self.recipe.filters.not_inside(cells),
         };
         let regions = dif.regions(reach + 1, reach);
         let regions =
             regions.into_par_iter().map(cut).filter(|cells| !cells.is_empty()).map(not_inside);
         regions.filter(|cells| !cells.is_empty()).collect()
+    }
+
+    /// Whether a solid may decide the surface through a region: it is among the cells that its
+    /// field is made of.
+    fn is_at_solid(&self, region: CellBox) -> bool {
+        let Filters::Distances(distances) = &self.recipe.filters else { return false };
+        let wide = distances.wide_cells(self.normals.cells(region));
+        // Beyond a solid that fills, fluid ends as far away as it is offset.
+        let facts = &self.sampled.facts;
+        let is_near = |solid: &&Solid| {
+            let offset = solid.offset().abs() * facts.spacing_cells_or_one();
+            let further = distances.wide_halo().max(offset.ceil() as i32) + 4;
+            solid.is_near(&facts.grid, distances.level, wide.grown(further, further))
+        };
+        self.solid.filter(is_near).is_some()
     }
 
     /// Has all fields made that samples are cut out of.

@@ -25,6 +25,7 @@ pub use crate::settings::Setting;
 pub use crate::surface::mesh::compare::CompareError;
 #[cfg(feature = "pictures")]
 pub use crate::surface::picture::PictureError;
+pub use crate::surface::solid::SolidFault;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
 pub use parts::PartsError;
@@ -105,6 +106,15 @@ pub enum Error {
         /// The fault.
         #[source]
         fault: CompareError,
+    },
+    /// A mesh that no fluid can end at.
+    #[error("{}: {fault}", path.display())]
+    Solid {
+        /// The file.
+        path: PathBuf,
+        /// The fault.
+        #[source]
+        fault: SolidFault,
     },
     /// A mesh of which no picture can be drawn.
     #[cfg(feature = "pictures")]
@@ -307,6 +317,7 @@ impl Error {
             }
             | Self::NoSpacing { .. }
             | Self::Mesh { .. }
+            | Self::Solid { .. }
             | Self::Read(_) => Cause::Input,
             Self::Simulation(
                 SimulationError::NoFrames(_)

@@ -14,6 +14,8 @@ use crate::settings::Setting;
 pub enum Conflict {
     /// A setting that says the same.
     Setting(Setting),
+    /// A setting that it is about, and that is not given.
+    Needs(Setting),
     /// The indicator that makes the field.
     Indicator(IndicatorKind),
     /// The kernel method that makes the field.
@@ -54,6 +56,7 @@ impl Unfit {
             (Conflict::Setting(other), _) => {
                 format!("{setting} and {} exclude each other", name(*other))
             }
+            (Conflict::Needs(other), _) => format!("{setting} needs {}", name(*other)),
             (Conflict::Packed(path), "format") => {
                 format!(
                     "{}: {setting} is for particles, and this is a packed frame",
@@ -74,6 +77,9 @@ impl Unfit {
                 },
                 named("smooth"),
             ),
+            (Conflict::Indicator(_), "solid" | "solid_offset") => {
+                format!("{setting} is for {} cloud", named("indicator"))
+            }
             (Conflict::Indicator(_), _) => format!(
                 "{setting} is for {} cloud: {} says how smooth the surface of others is",
                 named("indicator"),

@@ -14,5 +14,6 @@ pub mod distance;
 pub mod indicator;
 pub mod recipe;
 pub mod sheets;
+pub mod solid;
 pub mod spacing;
 pub mod walls;

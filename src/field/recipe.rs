@@ -194,9 +194,11 @@ pub fn bulk<F: Fields>(
 ) -> Result<WideFields<F::Field>, F::Error> {
     let Distances { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
-    let mut share = |width: &Width| fields.blur(clouds.clone(), &width.weights);
+    let filled = fields.filled(&clouds)?;
+    let mut share = |width: &Width| fields.blur(filled.clone(), &width.weights);
     let [narrow, middle, wide] = &bulk.widths;
     let shares = [share(narrow)?, share(middle)?, share(wide)?];
+    drop(filled);
     let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
     let outlying = fields.outlying(&calm, clouds, *least)?;
     let apart = fields.blur(apart, &bulk.around)?;
@@ -249,6 +251,9 @@ pub trait Fields {
     /// The samples of the cells that the field is asked for on, and of as many around as `halo`
     /// says: cells 2^`level` times as wide, between whose middles those cells lie.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
+
+    /// Clouds that are continued into solids: see [`solid`](crate::field::solid).
+    fn filled(&mut self, clouds: &Self::Field) -> Result<Self::Field, Self::Error>;
 
     /// One separable filter (section 4.2); at a wall it sees the edge cells repeated.
     fn blur(&mut self, field: Self::Field, weights: &Weights) -> Result<Self::Field, Self::Error>;

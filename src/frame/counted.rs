@@ -110,7 +110,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
             sampling,
             plan,
             census,
-            surfacing: *surfacing,
+            surfacing: surfacing.clone(),
             stretch: wanted.stretch,
         })
     }
@@ -125,7 +125,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         plan: Option<BinPlan>,
     ) -> Result<Self, FrameError> {
         sampling.refuse_unfit(surfacing)?;
-        Ok(Self { surfacing: *surfacing, ..Self::planned(particles, sampling, plan)? })
+        Ok(Self { surfacing: surfacing.clone(), ..Self::planned(particles, sampling, plan)? })
     }
 
     /// Returns how many particles went into bins, and how many were left out and why.

@@ -320,7 +320,15 @@ impl Engine {
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(kind, *spacing, grid);
                 (
-                    Drawable::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh),
+                    Drawable::of_dif(
+                        sampled,
+                        &**stages,
+                        recipe,
+                        surfacing.solid.clone(),
+                        smoothing,
+                        normals,
+                        periodic_mesh,
+                    ),
                     measured,
                 )
             }

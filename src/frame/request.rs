@@ -1,5 +1,7 @@
 //! Requests: how a frame is sampled, and how a surface is drawn through it.
 
+use std::sync::Arc;
+
 use glam::IVec3;
 
 use crate::baselines::KernelMethod;
@@ -9,12 +11,14 @@ use crate::field::calibration::{Calibrated, Calibration, TooFine, calibrate, ref
 use crate::field::distance::{BULK_GAIN, Distances, Inside};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
+use crate::field::solid::Fill;
 use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::particles::kind::SettledKind;
 use crate::surface::dual_mc::{Normals, dual_cells};
+use crate::surface::solid::Solid;
 use crate::system::control::Control;
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
@@ -65,7 +69,8 @@ impl Sampling {
         let filters = surfacing.filters(kind, self.spacing, &self.grid);
         // A particle leaves something in the cells around its own.
         let ghost_layer = kind.shape(self.side).ghost_layer;
-        let of_field = filters.seen(surfacing.normals.cells(block)).grown(ghost_layer, ghost_layer);
+        let further = ghost_layer + surfacing.fill_reach(self.spacing, &self.grid);
+        let of_field = filters.seen(surfacing.normals.cells(block)).grown(further, further);
         let halo = surfacing.attribute_smoothing(kind, self.spacing, &self.grid).halo();
         let of_attributes = if self.carried.is_empty() {
             CellBox::EMPTY
@@ -80,7 +85,7 @@ impl Sampling {
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;
 
 /// How a surface is drawn through a frame. For kernels only the normals have a meaning.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Surfacing {
     /// How calm the water is; of clouds alone.
     pub smooth: Smooth,
@@ -97,6 +102,8 @@ pub struct Surfacing {
     pub normals: Normals,
     /// Where the mesh ends at the faces of a periodic box.
     pub periodic_mesh: PeriodicMesh,
+    /// Solids that the fluid ends at, if there are any; of clouds alone.
+    pub solid: Option<Arc<Solid>>,
 }
 
 impl Surfacing {
@@ -109,6 +116,7 @@ impl Surfacing {
         detail: Detail::Smoothed,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
+        solid: None,
     };
 
     /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there
@@ -150,6 +158,28 @@ impl Surfacing {
         }
     }
 
+    /// How far beyond those that its field is made of particles decide what goes on into a solid, in
+    /// cells; 0 where there is none.
+    fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
+        if self.solid.is_none() {
+            return 0;
+        }
+        let wide = WideCells::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()));
+        (Fill::new(wide.edge).reach() + 1) << wide.level
+    }
+
+    /// Bytes that clouds take while they are continued into a solid.
+    fn fill_bytes(&self, filters: &Filters, spacing: Option<f64>, grid: &Grid) -> u64 {
+        let Filters::Distances(distances) = filters else { return 0 };
+        let further = self.fill_reach(spacing, grid);
+        if further == 0 {
+            return 0;
+        }
+        let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2 * BLOCK + 2) };
+        let wide = distances.wide_cells(blocks.grown(further, further));
+        Fill::bytes(wide.grown(distances.wide_halo(), distances.wide_halo()))
+    }
+
     /// Memory that the surface takes through the field of particles so far apart, with attributes
     /// of so many components.
     pub(super) fn drawing(
@@ -173,7 +203,7 @@ impl Surfacing {
         let Some(kind) = method.indicator() else { return plain };
         let filters = self.filters(kind, spacing, grid);
         Drawing {
-            block_bytes: filters.block_bytes(),
+            block_bytes: filters.block_bytes() + self.fill_bytes(&filters, spacing, grid),
             carried_halo: self.attribute_smoothing(kind, spacing, grid).halo(),
             keeps_details: filters.keeps_details(),
             wide_levels: match kind {

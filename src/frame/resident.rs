@@ -191,7 +191,7 @@ impl Pipeline {
             // SAFETY: the caller vouches for the semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
-        let &DeviceRequest { grid, domain, invalid, spacing, surfacing, calibration, .. } =
+        let &DeviceRequest { grid, domain, invalid, spacing, ref surfacing, calibration, .. } =
             settings;
         let (kind, mean) = (settings.indicator, settings.mean);
         let device = self.vulkan.device();
@@ -225,8 +225,13 @@ impl Pipeline {
         }
         let recipe = surfacing.recipe(&sampled, &calibration);
         let periodic_mesh = surfacing.periodic_mesh;
-        let surfaces =
-            Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None, periodic_mesh };
+        let surfaces = Surfaces {
+            sampled: &sampled,
+            recipe: &recipe,
+            solid: None,
+            normals: Normals::None,
+            periodic_mesh,
+        };
         let parts = frame.contour(&surfaces)?;
         frame.check()?;
         if parts.blocks.is_empty() {

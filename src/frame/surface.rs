@@ -21,6 +21,7 @@ use crate::surface::attribute::{nearest_values, vertex_values};
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, blocks_bytes};
+use crate::surface::solid::Solid;
 use crate::surface::stitch::Stitched;
 use crate::system::control::{Control, Meter, Stage};
 use crate::system::timings::Timings;
@@ -53,17 +54,21 @@ impl<'a> Drawable<'a> {
         sampled: &'a SampledDif,
         stages: &'a dyn Stages,
         recipe: Recipe,
+        solid: Option<Arc<Solid>>,
         attribute_smoothing: Smoothing,
         normals: Normals,
         periodic_mesh: PeriodicMesh,
     ) -> Self {
+        let all =
+            Surfaces { sampled, recipe: &recipe, solid: solid.as_deref(), normals, periodic_mesh };
         Self {
-            regions: Surfaces { sampled, recipe: &recipe, normals, periodic_mesh }.regions(),
+            regions: all.regions(),
             crossings: recipe.iso.into(),
             nothing: FrameError::no_surface(&recipe),
             attribute_smoothing,
             contour: Box::new(move |regions, meter, finish, push| {
-                let surfaces = Surfaces { sampled, recipe: &recipe, normals, periodic_mesh };
+                let solid = solid.as_deref();
+                let surfaces = Surfaces { sampled, recipe: &recipe, solid, normals, periodic_mesh };
                 stages.contour(&surfaces, regions, meter, &mut |blocks| {
                     let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
                     blocks.par_iter_mut().try_for_each(finish)?;

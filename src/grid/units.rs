@@ -26,6 +26,9 @@ pub enum UnitError {
     /// How far sheets are stretched until they tear.
     #[error("sheets must be 0, or from {least} to {most} spacings, not {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
+    /// How far before a solid the fluid ends.
+    #[error("solid-offset must be from {least} to {most} spacings, not {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
+    SolidOffset(f64),
     /// How far a simplified surface may lie from the one that it replaces.
     #[error("simplify must be more than 0 and at most {max} cells, not {0}", max = Tolerance::MAX)]
     Tolerance(f64),
@@ -59,6 +62,7 @@ impl UnitError {
             Self::MeanCount(_) => "mu0",
             Self::Smooth(_) => "smooth",
             Self::SheetStretch(_) => "sheets",
+            Self::SolidOffset(_) => "solid-offset",
             Self::Tolerance(_) => "simplify",
             Self::Volume(_) => "smallest-component",
             Self::NotFinite { name, .. } | Self::Length { name, .. } => name,
@@ -244,6 +248,39 @@ impl SheetStretch {
     /// The distance in spacings; `None` where there are no sheets.
     #[must_use]
     pub fn spacings(self) -> Option<f64> {
+        self.0
+    }
+}
+
+/// How far before a solid the fluid ends, in spacings: less than 0, it reaches into the solid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SolidOffset(f64);
+
+impl SolidOffset {
+    /// The farthest that the fluid reaches into a solid: the field is continued no deeper.
+    pub const LEAST: f64 = -0.5;
+    /// The widest gap.
+    pub const MOST: f64 = 2.0;
+
+    /// The default: in a picture no gap shows between the fluid and a solid. It is more than what
+    /// cells round at curved solids and their edges.
+    pub const DEFAULT: Self = Self(-0.1);
+
+    /// The offset of so many spacings.
+    ///
+    /// # Errors
+    /// [`UnitError::SolidOffset`] unless it is from [`Self::LEAST`] to [`Self::MOST`].
+    pub fn new(spacings: f64) -> Result<Self, UnitError> {
+        if (Self::LEAST..=Self::MOST).contains(&spacings) {
+            Ok(Self(spacings))
+        } else {
+            Err(UnitError::SolidOffset(spacings))
+        }
+    }
+
+    /// The offset in spacings.
+    #[must_use]
+    pub fn spacings(self) -> f64 {
         self.0
     }
 }

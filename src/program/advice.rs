@@ -190,6 +190,9 @@ pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
             format!("{warning}; --origin {corner} moves the grid off them")
         }
         Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
+        Warning::ThinSolid { .. } => {
+            "; use smaller cells, a thicker mesh or a greater --solid-offset".into()
+        }
         Warning::Shortfall { clouds, measured_on, .. }
         | Warning::Empty { why: Emptiness::Field, clouds, measured_on } => {
             format!("{warning}{}", on_shortfall(options, *clouds, *measured_on))

@@ -113,6 +113,12 @@ impl Reconstruction {
         self
     }
 
+    /// Sets closed meshes that the fluid ends at, such as obstacles, by their files.
+    pub fn solids(mut self, files: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        self.settings.solid = Some(files.into_iter().map(Into::into).collect());
+        self
+    }
+
     /// Finds the walls of the tank: those of the scene beside the file, or the planes at which the
     /// particles end. No particle is outside of them, and a side that is not certain stays open.
     ///
@@ -323,6 +329,8 @@ setters! {
     /// Joins neighbours in a sheet or a thread up to so many spacings apart, 2.15 by default; 0 joins
     /// none. For clouds.
     sheets: f64,
+    /// Sets by how many spacings the fluid ends before solids; less than 0, it reaches into them.
+    solid_offset: f64,
     /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the
     /// paper's indicators.
     sigma: f64,

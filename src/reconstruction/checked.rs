@@ -1,6 +1,6 @@
 //! A request whose numbers are in range and whose settings go together, and the threads to run it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
 
@@ -31,6 +31,7 @@ use crate::system::memory::default_memory;
 
 use super::builder::Reconstruction;
 use super::threads::Threads;
+use super::warning::Warning;
 use super::{CellSize, SamplingRequest, Search};
 
 /// Threads that a call may have at the most: more than any machine has cores, and few enough to
@@ -48,6 +49,10 @@ pub(crate) struct Checked {
     pub(crate) threads: usize,
     pub(crate) pool: Option<Arc<ThreadPool>>,
     pub(crate) resources: Resources,
+    /// Solids that face inwards.
+    pub(crate) turned: Vec<Warning>,
+    /// The files of the solids that were read.
+    pub(crate) solid_files: Vec<PathBuf>,
 }
 
 /// A request with threads of its own.
@@ -60,9 +65,14 @@ pub(crate) struct Started {
 impl Reconstruction {
     /// Checks all numbers, and what of the settings can be checked without an input.
     pub(crate) fn checked(&self) -> Result<Checked, Error> {
+        self.checked_but_solids()?.at_solids()
+    }
+
+    /// Checks all but the solids, which may be other ones in each frame.
+    pub(crate) fn checked_but_solids(&self) -> Result<Checked, Error> {
         let settings = &self.settings;
         let surfacing = surfacing(settings)?;
-        let sampling = sampling(settings, surfacing)?;
+        let sampling = sampling(settings, &surfacing)?;
         let reduction = reduction(settings)?;
         let budget = self.memory.unwrap_or_else(default_memory);
         let threads =
@@ -106,6 +116,8 @@ impl Reconstruction {
             threads,
             pool,
             resources,
+            turned: Vec::new(),
+            solid_files: Vec::new(),
         })
     }
 }
@@ -133,14 +145,19 @@ pub(super) fn refuse_named(
     refuse(settings, &Settings::default(), |setting| names.contains(&setting.name()), with)
 }
 
-fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest, Error> {
+fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingRequest, Error> {
     let exclusive = [
         ("radius", settings.radius.is_some() && settings.spacing.is_some(), "spacing"),
         ("cell_size", settings.cell_size.is_some() && settings.cell.is_some(), "cell"),
+        ("solid", settings.solid.is_some() && settings.periodic.is_some(), "periodic"),
     ];
     if let Some((setting, _, other)) = exclusive.into_iter().find(|(_, both, _)| *both) {
         let (setting, with) = (Setting::named(setting), Conflict::Setting(Setting::named(other)));
         return Err(Unfit { setting, with }.into());
+    }
+    if settings.solid_offset.is_some() && settings.solid.is_none() {
+        let with = Conflict::Needs(Setting::named("solid"));
+        return Err(Unfit { setting: Setting::named("solid_offset"), with }.into());
     }
     let length =
         |name, length: Option<f64>| length.map(|length| positive_length(name, length)).transpose();
@@ -170,7 +187,7 @@ fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest
             (Some(UpAxis::Z), _) | (None, Some(InputFormat::Bi4)) => Some(2),
             (None, _) => None,
         },
-        periodic: settings.periodic.map(|faces| (faces.0, surfacing)),
+        periodic: settings.periodic.map(|faces| (faces.0, surfacing.clone())),
         spacing: length("spacing", settings.spacing_or_radius())?,
         cell,
     };
@@ -190,7 +207,9 @@ fn method(settings: &Settings) -> Result<Method, Error> {
         return Ok(Method::Indicator { kind, mean });
     };
     let conflict = || Conflict::Method(kernels);
-    refuse_named(settings, &["indicator", "mu0", "smooth", "sheets", "sigma", "detail"], conflict)?;
+    let of_indicators =
+        ["indicator", "mu0", "smooth", "sheets", "sigma", "detail", "solid", "solid_offset"];
+    refuse_named(settings, &of_indicators, conflict)?;
     if kernels == KernelMethod::ZhuBridson && settings.isovalue().is_some() {
         refuse_named(settings, &["iso"], conflict)?;
     }
@@ -212,6 +231,7 @@ fn surfacing(settings: &Settings) -> Result<Surfacing, Error> {
         detail: if settings.detail { Detail::Recovered } else { Detail::Smoothed },
         normals: if settings.normals { Normals::Gradient } else { Normals::None },
         periodic_mesh: settings.periodic_mesh.unwrap_or_default(),
+        solid: None,
     })
 }
 
@@ -235,7 +255,9 @@ impl Settings {
         let meaningless: &[&'static str] = match kind {
             IndicatorKind::Cloud if self.isovalue().is_some() => &["sigma", "iso", "detail"],
             IndicatorKind::Cloud => &["sigma", "detail"],
-            IndicatorKind::Counting | IndicatorKind::Symmetry => &["smooth", "sheets"],
+            IndicatorKind::Counting | IndicatorKind::Symmetry => {
+                &["smooth", "sheets", "solid", "solid_offset"]
+            }
         };
         refuse_named(self, meaningless, || Conflict::Indicator(kind))
     }

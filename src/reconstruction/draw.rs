@@ -145,6 +145,7 @@ impl Checked {
     ) {
         let doubt = report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
         report.warnings.extend(doubt);
+        report.warnings.extend(self.doubts_about_solids(&report.facts));
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
         report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));

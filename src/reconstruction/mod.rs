@@ -31,6 +31,7 @@ mod parts;
 mod report;
 mod request;
 mod run;
+mod solids;
 mod spacing;
 mod surface;
 mod threads;

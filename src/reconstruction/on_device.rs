@@ -11,10 +11,12 @@ use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
 /// Settings that need a host, or a mesh that is simplified or written.
-const OF_HOST: [&str; 13] = [
+const OF_HOST: [&str; 15] = [
     "method",
     "periodic",
     "periodic_mesh",
+    "solid",
+    "solid_offset",
     "normals",
     "attributes",
     "simplify",
@@ -46,7 +48,7 @@ impl Reconstruction {
         }
         let checked = self.checked()?;
         checked.refuse_of_indicator()?;
-        let (request, surfacing) = (&checked.sampling, checked.surfacing);
+        let (request, surfacing) = (&checked.sampling, checked.surfacing.clone());
         let size = match (request.cell_size(), request.spacing) {
             (CellSize::Length(size), _) => size,
             (CellSize::Spacings(ratio), Some(spacing)) => {

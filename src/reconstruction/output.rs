@@ -94,6 +94,9 @@ impl Output {
         replace: Replace,
         cancel: &Cancel,
     ) -> Result<Self, Error> {
+        for solid in settings.solid_files() {
+            refuse_same_file(path, Path::new(solid))?;
+        }
         let prepare = || {
             let folders = MadeFolders::of(path)?;
             Ok::<_, WriteError>((MeshOutput::prepare(path, replace)?, folders))

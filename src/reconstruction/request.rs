@@ -209,7 +209,7 @@ impl SamplingRequest {
     /// Whether the caller asked for nothing where the fluid ends along an axis.
     fn is_open(&self, axis: usize) -> bool {
         self.walls.is_none_or(|[lo, hi]| !lo[axis].is_finite() && !hi[axis].is_finite())
-            && self.periodic.is_none_or(|(faces, _)| faces[axis].is_none())
+            && self.periodic.as_ref().is_none_or(|(faces, _)| faces[axis].is_none())
     }
 
     /// The spacing that the caller, the file or a scene beside it gives.
@@ -563,11 +563,11 @@ impl SamplingRequest {
             spacing,
             resources,
         };
-        if let Some((faces, surfacing)) = self.periodic {
+        if let Some((faces, surfacing)) = &self.periodic {
             // How far filters reach can only be told of cells that they can be made for.
-            sampling.refuse_unfit(&surfacing)?;
+            sampling.refuse_unfit(surfacing)?;
             let reach = surfacing.reach(method, spacing, &grid);
-            sampling.periodic = Some(Periodic::new(&grid, faces, reach)?);
+            sampling.periodic = Some(Periodic::new(&grid, *faces, reach)?);
         }
         Ok(sampling)
     }

@@ -17,7 +17,7 @@ impl Reconstruction {
     /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
     /// [`Error::Threads`].
     pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
-        let (checked, input) = (self.checked()?, input.as_ref());
+        let (checked, input) = (self.checked_but_solids()?, input.as_ref());
         if is_packed(input) {
             self.settings.refuse_of_packed(input)
         } else {

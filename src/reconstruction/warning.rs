@@ -1,6 +1,7 @@
 //! Doubts about a frame, or about the request for it, although there is a surface.
 
 use std::fmt;
+use std::path::PathBuf;
 
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
@@ -108,6 +109,17 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
+    /// A solid's triangles face inwards, and are taken to face outwards.
+    Turned(PathBuf),
+    /// A solid is thinner than a cell, and may have holes.
+    ThinSolid {
+        /// The mesh of the solid.
+        path: PathBuf,
+        /// How thick what the fluid ends at is, about.
+        thickness: f64,
+        /// Edge of a cell.
+        cell_size: f64,
+    },
     /// A part of the input is not read.
     LeftOut(LeftOut),
     /// None of a frame's particles satisfies the conditions: its mesh is empty.
@@ -213,6 +225,18 @@ impl fmt::Display for Warning {
             Self::Coarse { format } => {
                 write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
             }
+            Self::Turned(path) => write!(
+                f,
+                "{}: the triangles of the solid face inwards; they are taken to face outwards",
+                path.display()
+            ),
+            Self::ThinSolid { path, thickness, cell_size } => write!(
+                f,
+                "{}: what the fluid ends at is about {} thick, less than a cell of {}: it may have holes",
+                path.display(),
+                significant(*thickness, 2),
+                significant(*cell_size, 3)
+            ),
             Self::LeftOut(part) => write!(f, "left out: {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {

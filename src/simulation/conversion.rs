@@ -280,11 +280,14 @@ impl Conversion<'_> {
                     continue;
                 }
                 let number = frame.number;
-                let (teller, checked) = (self.setup.teller, self.checked_in(lane, number));
-                let opened = self.open(&checked, &frame, particles, again);
+                let teller = self.setup.teller;
+                let opened = self.checked_in(lane, &frame).and_then(|checked| {
+                    let opened = self.open(&checked, &frame, particles, again)?;
+                    Ok((checked, opened))
+                });
                 let Some(settled) = self.settled.wait() else { return };
-                let result =
-                    opened.and_then(|opened| self.convert(&checked, &frame, opened, settled));
+                let result = opened
+                    .and_then(|(checked, opened)| self.convert(&checked, &frame, opened, settled));
                 teller.tell(Event::Stage { lane, frame: number, progress: None });
                 if to_disk.send(Outcome { frame, result }).is_err() {
                     return;
@@ -293,9 +296,10 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame, whose progress is told as that of its lane: where a stage begins and
+    /// The request for a frame at its solids, whose progress is told as that of its lane: where a stage begins and
     /// ends, and now and then in between, for every event wakes the caller's thread.
-    fn checked_in(&self, lane: usize, frame: i64) -> Checked {
+    fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<Checked, Error> {
+        let FrameFile { number: frame, ref solids, .. } = *frame;
         let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
         let told = Mutex::new(Instant::now());
         let tell = move |progress: Progress| {
@@ -310,7 +314,8 @@ impl Conversion<'_> {
             teller.tell(Event::Stage { lane, frame, progress: Some(progress) });
         };
         checked.resources.control.progress = Some(Arc::new(tell));
-        checked
+        let is_of_all = solids.is_empty() || checked.surfacing.solid.is_some();
+        if is_of_all { Ok(checked) } else { checked.at_solids_in(solids) }
     }
 
     /// Waits for the disk, so that no lane has to.

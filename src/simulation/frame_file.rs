@@ -22,13 +22,15 @@ pub struct FrameFile {
     pub path: PathBuf,
     /// Other files whose particles are of this frame too.
     pub others: Vec<PathBuf>,
+    /// The files of the solids that its fluid ends at.
+    pub solids: Vec<PathBuf>,
 }
 
 impl FrameFile {
     /// A frame in one file.
     #[must_use]
     pub fn new(number: i64, digits: String, path: PathBuf) -> Self {
-        Self { number, digits, time: None, path, others: Vec::new() }
+        Self { number, digits, time: None, path, others: Vec::new(), solids: Vec::new() }
     }
 
     /// All files whose particles are the frame's.
@@ -43,9 +45,10 @@ impl FrameFile {
         self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
     }
 
-    /// The stamp of its files as they are now.
+    /// The stamp of its files as they are now, with those of its solids that are there.
     pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
-        Stamp::of_all(self.paths())
+        let solids = self.solids.iter().map(PathBuf::as_path).filter(|path| path.exists());
+        Stamp::of_all(self.paths().chain(solids))
     }
 
     /// Opens its particles.

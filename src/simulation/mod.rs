@@ -34,6 +34,7 @@ pub mod records;
 mod run;
 mod setup;
 mod small_meshes;
+mod solids;
 pub mod state;
 mod tally;
 mod watch;

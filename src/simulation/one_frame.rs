@@ -111,7 +111,7 @@ impl Conversion<'_> {
         };
         let replace = if replaces == Replaces::Nothing { Replace::Refuse } else { Replace::Allow };
         let target = self.output(frame);
-        for path in frame.paths() {
+        for path in frame.paths().chain(frame.solids.iter().map(PathBuf::as_path)) {
             refuse_same_file(&target, file_and_step(path).0)?;
         }
         let orientation =
@@ -250,7 +250,7 @@ impl Conversion<'_> {
         path: &Path,
         timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
-        let budget = self.frame_budget(self.division.share);
+        let budget = self.frame_budget(checked, self.division.share);
         let permit = self.gate.enter();
         let scratch = &checked.resources.scratch;
         let sampled = open_frame(path, budget.0 / 4)?.with_scratch(scratch);
@@ -280,8 +280,8 @@ impl Conversion<'_> {
         let Checked { settings, surfacing, resources, .. } = checked;
         let control = &resources.control;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
-        let [share, alone] =
-            [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
+        let [share, alone] = [self.division.share, self.division.alone]
+            .map(|whole| self.frame_budget(checked, whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
@@ -333,8 +333,11 @@ impl Conversion<'_> {
 
     /// The part of a lane's memory that is left for the frame, where as much as its surface takes
     /// is needed beside it: for the triangles that are left, or for a writer that holds them all.
-    fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
-        let Checked { settings, reduction, .. } = self.setup.checked;
+    /// Solids of its own take of it as well.
+    fn frame_budget(&self, checked: &Checked, lane: MemoryBudget) -> MemoryBudget {
+        let Checked { settings, reduction, surfacing, .. } = self.setup.checked;
+        let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());
+        let lane = MemoryBudget(lane.0.saturating_sub(own.map_or(0, |solid| solid.bytes())));
         let holds = settings.holds_whole_mesh(self.format);
         if self.division.lanes > 1 && (holds || !reduction.is_none()) {
             MemoryBudget(lane.0 / 2)

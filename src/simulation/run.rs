@@ -24,6 +24,7 @@ use super::inputs::{Inputs, Sequence};
 use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
 use super::small_meshes::SmallMeshes;
+use super::solids::SolidNames;
 use super::state::{Found, State, Store};
 
 /// How often all is measured again where files are replaced that nobody watches.
@@ -166,7 +167,10 @@ impl Simulation {
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
             return Err(SimulationError::Steps(inputs.describe()).into());
         }
-        let mut checked = self.request.checked()?;
+        let mut checked = self.request.checked_but_solids()?;
+        if !SolidNames::of(&checked.settings)?.are_numbered() {
+            checked = checked.at_solids()?;
+        }
         if self.request.scratch.is_none() {
             checked.resources.scratch = naming.folder().to_owned();
         }
@@ -189,7 +193,10 @@ impl Simulation {
     ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
         let look = || {
             let simulations = inputs.simulations(self.watch)?;
-            let frames = simulations.iter().map(|sequence| Ok(self.selection.of(sequence.list()?)));
+            let solids = SolidNames::of(&checked.settings)?;
+            let frames = simulations
+                .iter()
+                .map(|sequence| Ok(solids.with_files(self.selection.of(sequence.list()?))));
             let frames = frames.collect::<Result<Vec<_>, SimulationError>>()?;
             Ok::<_, Error>((simulations, frames))
         };

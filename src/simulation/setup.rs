@@ -27,6 +27,7 @@ use super::frozen::Frozen;
 use super::inputs::Sequence;
 use super::lanes::Division;
 use super::pattern::Pattern;
+use super::solids::SolidNames;
 use super::state::{Found, State, Store};
 
 /// Between two looks at a simulation that runs.
@@ -55,7 +56,8 @@ impl Setup<'_> {
 
     /// All frames that are there now.
     pub(super) fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
-        Ok(self.sequence.list()?)
+        let solids = SolidNames::of(&self.checked.settings)?;
+        Ok(solids.with_files(self.sequence.list()?))
     }
 
     /// The mesh's file of a frame: its number padded as it is in the input's name, unless the

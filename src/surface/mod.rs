@@ -7,4 +7,5 @@ pub mod mesh;
 #[cfg(feature = "pictures")]
 pub mod picture;
 pub mod simplify;
+pub mod solid;
 pub mod stitch;

@@ -52,7 +52,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
         mean: None,
         invalid: InvalidParticles::Refuse,
         spacing: sampling.spacing,
-        surfacing: *surfacing,
+        surfacing: surfacing.clone(),
         calibration: None,
     }
 }

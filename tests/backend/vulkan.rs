@@ -574,6 +574,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let surfaces = Surfaces {
         sampled: &sampled(dif),
         recipe: &recipe,
+        solid: None,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
     };

@@ -15,5 +15,6 @@ mod parts_reading;
 mod periodic;
 mod random_frames;
 mod sheets;
+mod solids;
 mod spacing;
 mod thread_pool;

@@ -602,7 +602,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
                 // is not.
                 let alone =
                     Engine::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
-                let none = Surfacing { detail: Detail::Smoothed, ..plain };
+                let none = Surfacing { detail: Detail::Smoothed, ..plain.clone() };
                 let smoothed = none.recipe(dif(&alone), &calibration(1));
                 threshold = field(&smoothed, dif(&alone), CellBox { lo: between, hi: between + 1 })
                     .at(between);

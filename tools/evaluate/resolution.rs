@@ -94,6 +94,7 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let regions = Surfaces {
         sampled,
         recipe: &recipe,
+        solid: None,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
     }

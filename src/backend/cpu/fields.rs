@@ -6,16 +6,18 @@ use crate::brick::Block;
 use crate::field::blur::{Weights, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
-    Bulk, Depths, Distances, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part,
-    quotient, refined, spread, wide_cells,
+    Bulk, Depths, Distances, Drops, Gate, Inside, NONE, UNITS, depths, joined, mixed, outlying,
+    outlying_part, quotient, refined, spread, wide_cells,
 };
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
     Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at,
 };
 use crate::field::sheets::{Sheeted, Sheets, blend, holds_any, sheets};
+use crate::field::solid::{FARTHEST, Fill, STEPS, WHOLE, cut, outside};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
+use crate::surface::solid::Solid;
 
 /// Spray has particles in no more than one of so many cells.
 const FEW: usize = 16;
@@ -40,18 +42,25 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
 
 /// Makes, one after the other, the final field on each of some boxes of cells near one another
 /// where the surface can pass between them, as far as can be told before there is a field, by
-/// whether each is away from walls. They share what they can in so many bytes.
+/// whether each is away from walls. They share what they can in so many bytes. A solid near any of
+/// them cuts the field.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
+    solid: Option<&'a Solid>,
     boxes: &'a [(CellBox, bool)],
     most_bytes: u64,
 ) -> Box<dyn Iterator<Item = Option<Block>> + 'a> {
     let boxes = boxes.iter().map(|&(cells, away_from_walls)| {
         (cells, Looking::For { iso: recipe.iso, away_from_walls })
     });
-    let blocks = |cells, looking| Blocks::new(recipe, sampled, cells, looking);
-    let block = |field: Result<Field, Stopped>| Some(Rc::unwrap_or_clone(field.ok()?.block));
+    let blocks =
+        move |cells, looking| Blocks { solid, ..Blocks::new(recipe, sampled, cells, looking) };
+    let block = move |field: Result<Field, Stopped>| {
+        let mut block = Rc::unwrap_or_clone(field.ok()?.block);
+        solid.into_iter().for_each(|solid| cut_by(solid, sampled, &mut block));
+        Some(block)
+    };
     let Filters::Distances(distances) = &recipe.filters else {
         return Box::new(
             boxes.map(move |(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))),
@@ -60,11 +69,18 @@ pub(super) fn cut_fields<'a>(
     let volume = |cells: CellBox| looked_at(distances, cells);
     let all =
         boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
-    let fits = distances.bulk_bytes(distances.wide_cells(all)) <= most_bytes;
+    let filled = |_: &Solid| {
+        let fill = fill(sampled, distances.level);
+        let around = distances.wide_halo() + fill.reach();
+        Fill::bytes(distances.wide_cells(all).grown(around, around))
+    };
+    let bytes = distances.bulk_bytes(distances.wide_cells(all)) + solid.map_or(0, filled);
+    let fits = bytes <= most_bytes;
     let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let together = fits && volume(all) <= apart;
     let whole = if together { volume(all) } else { apart };
-    if FEW * sampled.dif.full_volume(all) <= all.volume()
+    if solid.is_none()
+        && FEW * sampled.dif.full_volume(all) <= all.volume()
         && let Some(near) =
             parts_of_spray(distances, sampled, boxes.clone().map(|(cells, _)| cells), whole)
     {
@@ -80,7 +96,7 @@ pub(super) fn cut_fields<'a>(
     }
     let made = move |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
     let of_all = if together {
-        made(all, Looking::For { iso: recipe.iso, away_from_walls: true })
+        made(all, Looking::For { iso: recipe.iso, away_from_walls: solid.is_none() })
     } else {
         None
     };
@@ -89,6 +105,23 @@ pub(super) fn cut_fields<'a>(
         block(joined_fields(distances, &mut blocks(cells, looking), wide?))
     };
     Box::new(boxes.map(field))
+}
+
+/// The filters that continue clouds in cells 2^`level` times as wide into solids.
+fn fill(sampled: &SampledDif, level: u32) -> Fill {
+    Fill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
+}
+
+/// Cuts the field on some cells by a solid.
+fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
+    let facts = &sampled.facts;
+    let (cell, spacing) = (facts.grid.cell_size(), facts.spacing.unwrap_or(facts.grid.cell_size()));
+    let offset = solid.offset() * UNITS;
+    // Normals look two cells beyond a vertex's.
+    let most = (offset.abs() + 3.0 * cell / spacing * UNITS).ceil().min(f64::from(i16::MAX)) as i16;
+    let mut distances = solid.distances(&facts.grid, 0, field.cells(), spacing / UNITS, most);
+    facts.walls().into_iter().for_each(|walls| distances.repeat_edges(walls));
+    cut(field, &distances, offset.round() as i32, most);
 }
 
 /// Wide cells that the field on a box of cells is made of.
@@ -194,6 +227,10 @@ impl Looking {
 /// Fields in blocks.
 struct Blocks<'a> {
     sampled: &'a SampledDif,
+    /// A solid that may be near.
+    solid: Option<&'a Solid>,
+    /// The shares outside of it, once clouds were continued into it.
+    outside: Option<Rc<Block>>,
     /// Cells on which the field is asked for.
     cells: CellBox,
     /// The part of `cells` that samples are taken for.
@@ -210,7 +247,8 @@ impl<'a> Blocks<'a> {
         // The paper's smoothing is a mean of the DIF, and decides where nothing brings details
         // back.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
-        Self { sampled, cells, wanted: cells, looking, decides, few: false }
+        let (solid, outside) = (None, None);
+        Self { sampled, solid, outside, cells, wanted: cells, looking, decides, few: false }
     }
 }
 
@@ -250,6 +288,24 @@ impl Fields for Blocks<'_> {
             self.looking.may_show_any(&block)
         };
         if goes_on { Ok(Field { block: Rc::new(block), level }) } else { Err(Stopped) }
+    }
+
+    fn filled(&mut self, clouds: &Field) -> Result<Field, Stopped> {
+        let (level, cells) = (clouds.level, clouds.block.cells());
+        let grid = &self.sampled.facts.grid;
+        // A cell's cloud reaches beyond it.
+        let is_near = |solid: &&Solid| solid.is_near(grid, level, cells.grown(2, 2));
+        let Some(solid) = self.solid.filter(is_near) else { return Ok(clouds.clone()) };
+        let width = grid.cell_size() * f64::from(1_u32 << level);
+        let fill = fill(self.sampled, level);
+        let around = cells.grown(fill.reach(), fill.reach());
+        let mut shares = outside(&solid.distances(grid, level, around, width / STEPS, FARTHEST));
+        let walls = self.walls(level);
+        walls.into_iter().for_each(|walls| shares.repeat_edges(walls));
+        let clouds = self.sampled.wide(level).gather_within(around, walls);
+        let filled = fill.filled(&clouds, &shares, cells, walls);
+        self.outside = Some(Rc::new(shares));
+        Ok(Field { block: Rc::new(filled), level })
     }
 
     fn blur(&mut self, Field { block, level }: Field, weights: &Weights) -> Result<Field, Stopped> {
@@ -296,7 +352,16 @@ impl Fields for Blocks<'_> {
     }
 
     fn outlying(&mut self, calm: &Field, clouds: Field, least: u16) -> Result<Field, Stopped> {
-        Ok(Field { block: Rc::new(outlying(&calm.block, &clouds.block, least)), level: calm.level })
+        let mut block = outlying(&calm.block, &clouds.block, least);
+        // In a solid the surface goes on, and nothing stands out.
+        let outside = self.outside.take().map(|outside| outside.part(block.cells()));
+        let shares = outside.iter().flat_map(|outside| outside.samples());
+        for (sample, _) in
+            block.samples_mut().iter_mut().zip(shares).filter(|(_, share)| **share < WHOLE / 2)
+        {
+            *sample = (*sample).max(NONE + 1);
+        }
+        Ok(Field { block: Rc::new(block), level: calm.level })
     }
 
     fn spread(&mut self, Field { block, level }: Field, reach: i32) -> Result<Field, Stopped> {

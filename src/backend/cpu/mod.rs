@@ -119,9 +119,13 @@ fn meshes(
     let &Surfaces { sampled, recipe, normals, .. } = surfaces;
     let walls = surfaces.mesh_walls();
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+    let solid =
+        surfaces.solid.filter(|_| regions.iter().any(|&region| surfaces.is_at_solid(region)));
+    // Fluid that is all around ends at a solid.
+    let away = |region| solid.is_none() && away(region);
     let boxes: Vec<_> =
         regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
-    let mut fields = cut_fields(recipe, sampled, &boxes, together);
+    let mut fields = cut_fields(recipe, sampled, solid, &boxes, together);
     let mesh = |&region: &CellBox| {
         let field = fields.next().filter(|_| meter.goes_on()).flatten();
         meter.add(1);

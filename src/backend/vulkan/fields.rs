@@ -107,6 +107,11 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
+    /// Regions near solids are made on the processor.
+    fn filled(&mut self, clouds: &Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
+        Ok(Rc::clone(clouds))
+    }
+
     fn blur(&mut self, field: Rc<Padded>, weights: &Weights) -> Result<Rc<Padded>, VulkanError> {
         let of = field.of;
         self.stage("blur", 3, of);

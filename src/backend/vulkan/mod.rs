@@ -33,7 +33,7 @@ use crate::system::control::Meter;
 use crate::vulkan::{Device, VulkanError};
 
 use super::cpu::CpuStages;
-use super::{Executor, Stages, Surfaces, Take, Work};
+use super::{Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
 use bins::{Fault, Made, bin_bytes};
 pub use blocks::DeviceSurfaces;
 use frame::{DeviceFrame, Kept, LANES, State};
@@ -269,6 +269,59 @@ impl Stages for Arc<DeviceFrame> {
         take: &mut Take<'_>,
     ) -> io::Result<()> {
         surfaces.prepare();
+        if surfaces.solid.is_none() {
+            return self.contour_away_from_solids(surfaces, regions, meter, take);
+        }
+        // Near solids the processor makes the same bytes.
+        for regions in regions.chunks(REGIONS_TOGETHER) {
+            let (near, away): (Vec<CellBox>, Vec<CellBox>) =
+                regions.iter().partition(|&&region| surfaces.is_at_solid(region));
+            let (mut of_near, mut of_away) = (Vec::new(), Vec::new());
+            let mut collect = |meshes: Vec<_>| {
+                of_away.extend(meshes);
+                Ok(())
+            };
+            self.contour_away_from_solids(surfaces, &away, meter, &mut collect)?;
+            CpuStages::STAND_IN.contour(surfaces, &near, meter, &mut |meshes| {
+                of_near.extend(meshes);
+                Ok(())
+            })?;
+            meter.go_on()?;
+            let (mut of_near, mut of_away) = (of_near.into_iter(), of_away.into_iter());
+            let mut near = near.into_iter().peekable();
+            let in_order = regions.iter().map(|region| match near.next_if_eq(region) {
+                Some(_) => of_near.next().flatten(),
+                None => of_away.next().flatten(),
+            });
+            take(in_order.collect())?;
+        }
+        Ok(())
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        let state = self.state();
+        let mut warnings = state.warnings.clone();
+        let failed = self.reader.failed().filter(|_| !state.on_cpu);
+        warnings.extend(
+            failed.map(|error| format!("{error}; what was on the device is made again on the CPU")),
+        );
+        warnings
+    }
+
+    fn on_device(&self) -> Work {
+        self.state().done
+    }
+}
+
+impl DeviceFrame {
+    /// The surfaces through regions that no solid cuts.
+    fn contour_away_from_solids(
+        &self,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        meter: &Meter<'_>,
+        take: &mut Take<'_>,
+    ) -> io::Result<()> {
         let mut state = self.state();
         let mut taken = 0;
         while !state.on_cpu && taken < regions.len() && meter.goes_on() {
@@ -288,19 +341,5 @@ impl Stages for Arc<DeviceFrame> {
             }
         }
         CpuStages::STAND_IN.contour(surfaces, &regions[taken..], meter, take)
-    }
-
-    fn warnings(&self) -> Vec<String> {
-        let state = self.state();
-        let mut warnings = state.warnings.clone();
-        let failed = self.reader.failed().filter(|_| !state.on_cpu);
-        warnings.extend(
-            failed.map(|error| format!("{error}; what was on the device is made again on the CPU")),
-        );
-        warnings
-    }
-
-    fn on_device(&self) -> Work {
-        self.state().done
     }
 }

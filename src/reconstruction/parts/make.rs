@@ -5,7 +5,6 @@ use crate::field::indicator::IndicatorKind;
 use crate::frame::{Counted, Engine};
 use crate::grid::stretch::WantedBins;
 use crate::io::input::open_wanted;
-use crate::io::stamp::Stamp;
 use crate::io::wanted::{Wanted, WantedPieces};
 use crate::io::whole::{Replace, WholeFile, sweep};
 use crate::io::{ReadError, ReadFault};
@@ -63,7 +62,7 @@ impl Parts {
         let meshed = self
             .meshed(&ready, &plan, indicator, mark, &mut timings)
             .map_err(|error| error.of_file(&self.input))?;
-        let stamp = Stamp::of(&self.input)?;
+        let stamp = ready.checked.settings.stamp(&self.input)?;
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }

@@ -227,6 +227,9 @@ impl Parts {
         };
         checked.refuse_of_indicator()?;
         refuse_same_file(&self.output, file_and_step(&self.input).0)?;
+        for solid in checked.settings.solid_files() {
+            refuse_same_file(&self.output, Path::new(solid))?;
+        }
         if self.output.metadata().is_ok_and(|found| !found.is_file()) {
             return Err(PartsError::NoFile(self.output.clone()).into());
         }

@@ -104,7 +104,7 @@ impl Parts {
         timings: &mut Timings,
     ) -> Result<(Plan, Vec<PartTakes>), Error> {
         let (Started { checked, threads }, input) = (ready, &self.input);
-        let stamp = || Stamp::of(input);
+        let stamp = || checked.settings.stamp(input);
         let before = stamp()?;
         let measured = threads.install(|| {
             let open = || {

@@ -174,7 +174,7 @@ impl Plan {
         if !differing.is_empty() {
             return Err(PartsError::Settings { path, differing }.into());
         }
-        let stamp = Stamp::of(input)?;
+        let stamp = checked.settings.stamp(input)?;
         if stamp != self.input {
             return Err(PartsError::Changed { input: input.to_owned(), plan: path }.into());
         }

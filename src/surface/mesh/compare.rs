@@ -172,6 +172,38 @@ impl Surface {
         places.iter().map(&mut distance).collect()
     }
 
+    /// The distance of a place from the nearest point of the surface, if that is at most `most`.
+    /// It does not depend on `most`.
+    #[must_use]
+    pub fn distance_within(&self, place: DVec3, most: f64) -> Option<f64> {
+        let bound = most * (1.0 + 1e-9) + f64::MIN_POSITIVE;
+        self.nearest_within(place - self.origin, bound * bound)
+            .map(|nearest| nearest.squared.sqrt())
+            .filter(|&distance| distance <= most)
+    }
+
+    /// Whether the box around any triangle meets the box from `lo` to `hi`.
+    #[must_use]
+    pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
+        let around = Aabb::new(lo - self.origin, hi - self.origin);
+        self.tree.intersect_aabb(&around).next().is_some()
+    }
+
+    /// Where a line along x, at some y and z, passes through triangles, from x = `from` on: each
+    /// with 1 where the triangle faces along x and -1 where it faces back, in no order.
+    ///
+    /// Which triangles a line passes is decided edge by edge, and for an edge the same way for all
+    /// of its triangles: of a closed surface the signs beyond a place sum to how often the surface
+    /// winds around it, wherever the line goes.
+    #[must_use]
+    pub fn crossings(&self, [y, z]: [f64; 2], from: f64) -> Vec<(f64, i32)> {
+        let at = DVec3::new(from, y, z) - self.origin;
+        let line = Aabb::new(at, DVec3::new(f64::MAX, at.y, at.z));
+        let passed = self.tree.intersect_aabb(&line);
+        let crossing = |triangle: u32| crossing(self.corners(triangle as usize), [at.y, at.z]);
+        passed.filter_map(crossing).map(|(x, sign)| (x + self.origin.x, sign)).collect()
+    }
+
     fn new(mesh: &Mesh, origin: DVec3, side: Side) -> Result<Self, CompareError> {
         let sound = mesh.triangles.iter().copied().filter(|&t| is_sound(t, mesh.positions.len()));
         let triangles: Vec<[u32; 3]> = sound.collect();
@@ -271,28 +303,33 @@ impl Surface {
 
     /// The nearest point of the surface; sooner found when a triangle `near` it is known.
     fn nearest(&self, point: DVec3, near: Option<usize>) -> Nearest {
-        let on = |triangle: usize| {
-            let [a, b, c] = self.corners(triangle);
-            let (projection, location) =
-                Triangle::new(a, b, c).project_local_point_and_get_location(point, false);
-            let at = projection.point;
-            Nearest { triangle, squared: point.distance_squared(at), at, location }
-        };
-        let known = near.map(on);
+        let known = near.map(|triangle| self.nearest_on(triangle, point));
         let bound = known.as_ref().map_or(f64::INFINITY, |known| known.squared);
+        self.nearest_within(point, bound)
+            .or(known)
+            .expect("there are triangles, and finite points are at a finite distance from each")
+    }
+
+    /// The nearest point of the surface, if its squared distance is less than `bound`.
+    fn nearest_within(&self, point: DVec3, bound: f64) -> Option<Nearest> {
         let box_cost = |node: &BvhNode, _| {
             let outside = (node.mins() - point).max(point - node.maxs()).max(DVec3::ZERO);
             outside.length_squared()
         };
         let triangle_cost = |triangle: u32, _| {
-            let nearest = on(triangle as usize);
+            let nearest = self.nearest_on(triangle as usize, point);
             Some((nearest.squared, nearest))
         };
         let found = self.tree.find_best(bound, box_cost, triangle_cost);
-        let nearer = found.map(|(_, (_, nearest))| nearest);
-        nearer
-            .or(known)
-            .expect("there are triangles, and finite points are at a finite distance from each")
+        found.map(|(_, (_, nearest))| nearest)
+    }
+
+    fn nearest_on(&self, triangle: usize, point: DVec3) -> Nearest {
+        let [a, b, c] = self.corners(triangle);
+        let (projection, location) =
+            Triangle::new(a, b, c).project_local_point_and_get_location(point, false);
+        let at = projection.point;
+        Nearest { triangle, squared: point.distance_squared(at), at, location }
     }
 
     /// A vector that points outwards at the nearest point: the triangle's normal, on an edge the
@@ -332,6 +369,31 @@ fn around<'a>(
 ) -> impl Iterator<Item = [DVec3; 3]> + 'a {
     let star = stars.of(vertex as usize).iter();
     star.map(move |&[p, q]| [vertex, p, q].map(|vertex| positions[vertex as usize]))
+}
+
+/// Where a line along x, at some y and z, passes through a triangle, and whether the triangle faces
+/// along it.
+fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
+    let [a, b, c] = corners;
+    // Of three edges none or two go from below z to it or above.
+    let mut across = [(a, b), (b, c), (c, a)].into_iter().filter_map(|(from, to)| {
+        let rises = from.z <= z;
+        if rises == (to.z <= z) {
+            return None;
+        }
+        // An edge has the same place for both of its triangles.
+        let (low, high) = if rises { (from, to) } else { (to, from) };
+        let share = (z - low.z) / (high.z - low.z);
+        let at = low + (high - low) * share;
+        Some((at.y, at.x, if rises { 1 } else { -1 }))
+    });
+    let (one, other) = (across.next()?, across.next()?);
+    let (left, right) = if one.0 > y { (other, one) } else { (one, other) };
+    if left.0 > y || right.0 <= y {
+        return None;
+    }
+    let share = (y - left.0) / (right.0 - left.0);
+    Some((left.1 + (right.1 - left.1) * share, right.2))
 }
 
 /// Twice the triangle's area long.

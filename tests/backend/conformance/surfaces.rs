@@ -112,6 +112,7 @@ fn surface_of(
     let surfaces = Surfaces {
         sampled: &sampled(dif),
         recipe: &recipe,
+        solid: None,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
     };

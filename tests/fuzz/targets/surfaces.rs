@@ -99,6 +99,7 @@ fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> St
     let surfaces = Surfaces {
         sampled: &sampled,
         recipe: &recipe,
+        solid: None,
         normals: Normals::None,
         periodic_mesh: PeriodicMesh::Cut,
     };

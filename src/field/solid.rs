@@ -1,0 +1,283 @@
+//! Solids: clouds are continued into them before the surface of the bulk is made, and the field is
+//! cut by them after.
+//!
+//! Of a cell's cloud density rho a share w lies outside of the solid, that of a plane as far from
+//! the cell's centre as the solid is. Where w is less than 1, the density of the fluid beside it is
+//! taken, by as much as w falls from 1 to 0.9: the value at the cell of the linear function that
+//! fits rho / w best under a Gaussian of 1 d, with weights that fall with w in the same way (moving
+//! least squares, Lancaster and Salkauskas 1981). A mean would bend the fluid's level where it meets
+//! a slope, and so would cells that a solid takes much of. Where that finds too little, as deeper in
+//! a solid and in a narrow channel, (1 - w) of a mean under a Gaussian of 2.5 d is added to rho
+//! (normalised convolution). So the bulk does not end at a solid, and its surface meets the solid as
+//! it would go on. The field is then the smaller one of its distance and that of the solid.
+//!
+//! Sums are integers, and each cell's is made by itself: the result does not depend on the block.
+
+use glam::{DMat3, DVec3, IVec3};
+
+use crate::brick::Block;
+use crate::field::blur::{Weights, blur};
+use crate::field::distance::{NONE, ZERO};
+use crate::grid::CellBox;
+
+/// The share of a cell that has to be outside of a solid for its density to tell anything.
+const TOLD: u16 = WHOLE / 10 * 9;
+/// The standard deviation of the Gaussian under which a linear function is fitted, in spacings, and
+/// where it is cut off, in those.
+const FIT: f64 = 1.0;
+const FIT_CUT: f64 = 2.5;
+/// The least part of it that has to lie outside.
+const FIT_LEAST: f64 = 0.004;
+/// The variance that is added to those of the places that tell the function, in those of the
+/// Gaussian: where they lie in a plane or are few, it hardly changes across.
+const FIT_STIFFNESS: f64 = 0.01;
+/// The standard deviation of the Gaussian of means, in spacings, and where it is cut off, in those.
+const MEAN: f64 = 2.5;
+const MEAN_CUT: f64 = 2.2;
+/// Bits that the smoothed density gains: as many as that of the bulk does.
+const GAIN: u32 = 2;
+/// The share of a cell that is all outside.
+pub const WHOLE: u16 = 1 << 15;
+/// The least share of that Gaussian that has to be outside.
+const MEAN_LEAST: u16 = WHOLE >> 7;
+/// Steps of a distance in a cell's edge, for shares.
+pub const STEPS: f64 = 4096.0;
+/// How far outside a cell's cloud reaches, in such steps.
+pub const FARTHEST: i16 = 3 * 2048;
+
+/// The filters that continue clouds into solids.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fill {
+    fit: Weights,
+    /// The variance of a fit along each axis that is added, in squared cells.
+    stiffness: f64,
+    mean: Weights,
+}
+
+impl Fill {
+    /// Makes the filters for cells of `edge` spacings.
+    #[must_use]
+    pub fn new(edge: f64) -> Self {
+        let gaussian = |width: f64, cut: f64| {
+            let variance = (width / edge).powi(2).max(0.35);
+            Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32)
+        };
+        let fit = gaussian(FIT, FIT_CUT);
+        let stiffness = FIT_STIFFNESS * fit.variance();
+        Self { fit, stiffness, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
+    }
+
+    /// How far from a cell others decide its density, in cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        self.fit.reach().max(self.mean.reach())
+    }
+
+    /// Bytes that clouds on some cells take while they are continued, reach and all.
+    #[must_use]
+    pub fn bytes(cells: CellBox) -> u64 {
+        // Clouds, distances twice, shares, what is told and how dense that is, both means with room
+        // to be smoothed in, and the result.
+        11 * (cells.volume() * size_of::<u16>()) as u64
+    }
+
+    /// The samples of `cells`, continued into a solid, of which the shares outside are known.
+    ///
+    /// # Panics
+    /// If `clouds` and `outside` do not cover the cells and as many around them as the
+    /// [reach](Self::reach).
+    #[must_use]
+    pub fn filled(
+        &self,
+        clouds: &Block,
+        outside: &Block,
+        cells: CellBox,
+        walls: Option<CellBox>,
+    ) -> Block {
+        let mut filled = clouds.part(cells);
+        let part = outside.part(cells).box_of(|share| share < WHOLE);
+        if part.is_empty() {
+            return filled;
+        }
+        let around = part.grown(self.mean.reach(), self.mean.reach());
+        let around_fit = part.grown(self.fit.reach(), self.fit.reach());
+        let (mut told, mut dense) = (outside.part(around_fit), clouds.part(around_fit));
+        for (share, cloud) in told.samples_mut().iter_mut().zip(dense.samples_mut()) {
+            *cloud = (u32::from(*cloud) * u32::from(WHOLE) / u32::from((*share).max(TOLD)))
+                .min(u16::MAX.into()) as u16;
+            let beyond = u32::from(share.saturating_sub(TOLD));
+            *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - TOLD)) as u16;
+        }
+        let density = blur(clouds.part(around), &self.mean, None);
+        let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
+        for cell in places(part) {
+            let missing = WHOLE - outside.at(cell);
+            if missing == 0 {
+                continue;
+            }
+            let index = filled.index(cell);
+            let own = u64::from(filled.samples()[index]);
+            let sample = match self.fitted(&dense, &told, cell) {
+                Some(fitted) => {
+                    let told = u64::from(told.at(cell));
+                    (own * told + fitted * (u64::from(WHOLE) - told)) >> 15
+                }
+                None => {
+                    let share = u64::from(share.at(cell));
+                    let density = u64::from(density.at(cell)) << (15 - GAIN);
+                    let mean = if share < u64::from(MEAN_LEAST) { 0 } else { density / share };
+                    own + ((mean * u64::from(missing)) >> 15)
+                }
+            };
+            filled.samples_mut()[index] = sample.min(u16::MAX.into()) as u16;
+        }
+        walls.into_iter().for_each(|walls| filled.repeat_edges(walls));
+        filled
+    }
+
+    /// The value at a cell of the linear function that fits the density around it best, no less than
+    /// 0 and no more than is found there; `None` where too little is outside.
+    fn fitted(&self, dense: &Block, told: &Block, cell: IVec3) -> Option<u64> {
+        let (half, reach) = (self.fit.half(), self.fit.reach());
+        let weight = |offset: i32| u64::from(half[offset.unsigned_abs() as usize]);
+        // Of the weights: their sum, and first and second moments; of the densities the sum and
+        // first moments. Each has 62 bits at the most.
+        let (mut sum, mut first, mut second) = (0_i64, [0_i64; 3], [0_i64; 6]);
+        let (mut total, mut moment, mut most) = (0_i64, [0_i64; 3], 0);
+        for z in -reach..=reach {
+            for y in -reach..=reach {
+                let across = (weight(z) * weight(y)) >> 16;
+                let row = cell + IVec3::new(-reach, y, z);
+                let [at_dense, at_told] = [dense.index(row), told.index(row)];
+                for x in -reach..=reach {
+                    let step = (x + reach) as usize;
+                    let share = told.samples()[at_told + step];
+                    if share == 0 {
+                        continue;
+                    }
+                    let cloud = dense.samples()[at_dense + step];
+                    let weight = ((across * weight(x)) >> 16) as i64;
+                    let of_share = weight * i64::from(share);
+                    let of_cloud = of_share * i64::from(cloud);
+                    let [x, y, z] = [x, y, z].map(i64::from);
+                    sum += of_share;
+                    total += of_cloud;
+                    for (axis, along) in [x, y, z].into_iter().enumerate() {
+                        first[axis] += of_share * along;
+                        moment[axis] += of_cloud * along;
+                    }
+                    let products = [x * x, y * y, z * z, x * y, x * z, y * z];
+                    for (second, product) in second.iter_mut().zip(products) {
+                        *second += of_share * product;
+                    }
+                    most = most.max(cloud);
+                }
+            }
+        }
+        let whole = f64::from(1 << 16) * f64::from(WHOLE);
+        let sum = sum as f64;
+        if sum < FIT_LEAST * whole {
+            return None;
+        }
+        let of = |moments: [i64; 3]| DVec3::from(moments.map(|moment| moment as f64)) / sum;
+        let (middle, mean, slope) = (of(first), total as f64 / sum, of(moment));
+        let [xx, yy, zz, xy, xz, yz] = second.map(|moment| moment as f64 / sum);
+        let moments = DMat3::from_cols(
+            DVec3::new(xx, xy, xz),
+            DVec3::new(xy, yy, yz),
+            DVec3::new(xz, yz, zz),
+        );
+        let spread = moments
+            - DMat3::from_cols(middle * middle.x, middle * middle.y, middle * middle.z)
+            + DMat3::from_diagonal(DVec3::splat(self.stiffness));
+        let rise = spread.inverse() * (slope - middle * mean);
+        let density = mean - rise.dot(middle);
+        Some(density.round().clamp(0.0, f64::from(most)) as u64)
+    }
+}
+
+/// Each of some cells, x fastest.
+fn places(cells: CellBox) -> impl Iterator<Item = IVec3> {
+    let CellBox { lo, hi } = cells;
+    let rows = (lo.z..hi.z).flat_map(move |z| (lo.y..hi.y).map(move |y| (y, z)));
+    rows.flat_map(move |(y, z)| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z)))
+}
+
+/// The share of each cell's cloud that lies outside of a solid, in units of 1 / [`WHOLE`], by the
+/// distance of its centre in 1 / [`STEPS`] of its edge.
+#[must_use]
+pub fn outside(distances: &Block<i16>) -> Block {
+    let mut shares = Block::zero(distances.cells());
+    for (share, &distance) in shares.samples_mut().iter_mut().zip(distances.samples()) {
+        // The integral of the quadratic B-spline.
+        let at = f64::from(distance) / STEPS;
+        let beyond = (1.5 - at.abs()).max(0.0);
+        let farther = if at.abs() < 0.5 {
+            0.5 - at.abs() * (0.75 - at * at / 3.0)
+        } else {
+            beyond * beyond * beyond / 6.0
+        };
+        let outside = if at > 0.0 { 1.0 - farther } else { farther };
+        *share = (outside * f64::from(WHOLE)).round() as u16;
+    }
+    shares
+}
+
+/// Cuts a field by a solid's distances, in its units; less than `most`, the solid is told to be as
+/// far as it is.
+///
+/// # Panics
+/// Unless both are of the same cells.
+pub fn cut(field: &mut Block, distances: &Block<i16>, offset: i32, most: i16) {
+    assert_eq!(field.cells(), distances.cells(), "a field is cut on all of its cells");
+    for (sample, &distance) in field.samples_mut().iter_mut().zip(distances.samples()) {
+        if distance < most {
+            let to_solid = ZERO + i32::from(distance) - offset;
+            let to_solid = to_solid.clamp(i32::from(NONE) + 1, i32::from(u16::MAX)) as u16;
+            *sample = (*sample).min(to_solid);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_outside_rise_from_none_to_all_and_sum_to_one_on_both_sides() {
+        let cells = CellBox { lo: IVec3::ZERO, hi: IVec3::new(101, 1, 1) };
+        let mut distances = Block::zero(cells);
+        for (to, at) in distances.samples_mut().iter_mut().zip(-50..) {
+            *to = at * (FARTHEST / 50 + 1);
+        }
+        let shares = outside(&distances);
+        assert!(shares.samples().is_sorted());
+        assert_eq!([shares.samples()[0], shares.samples()[100]], [0, WHOLE]);
+        for (a, b) in shares.samples().iter().zip(shares.samples().iter().rev()) {
+            assert!((i32::from(a + b) - i32::from(WHOLE)).abs() <= 1);
+        }
+    }
+
+    #[test]
+    fn a_fluid_of_even_density_goes_on_into_a_solid_and_air_stays_empty() {
+        let fill = Fill::new(0.7);
+        let cells = CellBox { lo: IVec3::splat(-4), hi: IVec3::splat(5) };
+        let around = cells.grown(fill.reach(), fill.reach());
+        let mut distances = Block::zero(around);
+        for cell in places(around) {
+            let index = distances.index(cell);
+            let steps = f64::from(cell.x) * STEPS;
+            distances.samples_mut()[index] =
+                steps.clamp(f64::from(-FARTHEST), f64::from(FARTHEST)) as i16;
+        }
+        let outside = outside(&distances);
+        let mut clouds = Block::zero(around);
+        for (cloud, share) in clouds.samples_mut().iter_mut().zip(outside.samples()) {
+            *cloud = (u32::from(*share) * 4096 / u32::from(WHOLE)) as u16;
+        }
+        let filled = fill.filled(&clouds, &outside, cells, None);
+        assert!(filled.samples().iter().all(|sample| sample.abs_diff(4096) < 80));
+        let empty = fill.filled(&Block::zero(around), &outside, cells, None);
+        assert!(empty.samples().iter().all(|&sample| sample == 0));
+    }
+}

@@ -1,0 +1,85 @@
+//! Solids that the fluid ends at: their files, and the memory that they take.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::brick::FrameFacts;
+use crate::error::{Error, ReadError};
+use crate::frame::estimate::SMALLEST_BUDGET;
+use crate::grid::units::{MemoryBudget, SolidOffset};
+use crate::io::output::read_mesh;
+use crate::io::stamp::Stamp;
+use crate::settings::Settings;
+use crate::surface::solid::Solid;
+
+use super::checked::Checked;
+use super::warning::Warning;
+
+/// Bytes of memory for each of a mesh file, at the least, while it is read.
+const BYTES_A_BYTE: u64 = 2;
+
+impl Settings {
+    /// The stamp of an input with those of the solids.
+    pub(crate) fn stamp(&self, input: &Path) -> Result<Stamp, ReadError> {
+        let solids = self.solid_files().iter().map(Path::new);
+        Stamp::of_all(std::iter::once(input).chain(solids))
+    }
+
+    /// The files of the solids.
+    pub(crate) fn solid_files(&self) -> &[String] {
+        self.solid.as_deref().unwrap_or_default()
+    }
+}
+
+impl Checked {
+    /// Takes the solids that were asked for, which are the same in all frames.
+    pub(crate) fn at_solids(self) -> Result<Self, Error> {
+        let paths = self.settings.solid_files().iter().map(PathBuf::from).collect::<Vec<_>>();
+        if paths.is_empty() { Ok(self) } else { self.at_solids_in(&paths) }
+    }
+
+    /// Reads solids, whose memory is taken from the budget.
+    ///
+    /// # Errors
+    /// [`Error::Read`] and [`Error::Solid`] with the file, and [`Error::LittleMemory`].
+    pub(crate) fn at_solids_in(mut self, paths: &[PathBuf]) -> Result<Self, Error> {
+        let offset = self.settings.solid_offset.map(SolidOffset::new).transpose()?;
+        let room = self.resources.budget.0.saturating_sub(SMALLEST_BUDGET.0);
+        let refuse_beyond_room = |bytes: u64| {
+            let least = SMALLEST_BUDGET.0.saturating_add(bytes);
+            if bytes > room {
+                Err(Error::LittleMemory { least, simplifying: None })
+            } else {
+                Ok(())
+            }
+        };
+        let mut meshes = Vec::new();
+        for path in paths {
+            let bytes = std::fs::metadata(path).map_or(0, |file| file.len());
+            refuse_beyond_room(bytes.saturating_mul(BYTES_A_BYTE))?;
+            meshes.push(read_mesh(path)?);
+        }
+        let solid = Solid::new(meshes, offset.unwrap_or(SolidOffset::DEFAULT))
+            .map_err(|(number, fault)| Error::Solid { path: paths[number].clone(), fault })?;
+        refuse_beyond_room(solid.bytes())?;
+        self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
+        let turned = solid.turned().iter();
+        self.turned = turned.map(|&number| Warning::Turned(paths[number].clone())).collect();
+        self.solid_files = paths.to_vec();
+        self.surfacing.solid = Some(Arc::new(solid));
+        Ok(self)
+    }
+
+    /// Doubts about the solids, for a surface in such cells.
+    pub(super) fn doubts_about_solids(&self, facts: &FrameFacts) -> Vec<Warning> {
+        let Some(solid) = &self.surfacing.solid else { return Vec::new() };
+        let cell_size = facts.grid.cell_size();
+        let wider = 2.0 * solid.offset() * facts.spacing.unwrap_or(cell_size);
+        let thickness = solid.thickness().iter().map(|thickness| (thickness + wider).max(0.0));
+        let thin = self.solid_files.iter().zip(thickness);
+        let thin = thin.filter(|&(_, thickness)| thickness < cell_size).map(|(path, thickness)| {
+            Warning::ThinSolid { path: path.clone(), thickness, cell_size }
+        });
+        self.turned.iter().cloned().chain(thin).collect()
+    }
+}

@@ -1,0 +1,93 @@
+//! Solids of a simulation's frames: the same ones in all of them, or one for each number.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use crate::error::SimulationError;
+use crate::settings::Settings;
+
+use super::frame_file::FrameFile;
+use super::pattern::{Numbers, Pattern};
+
+/// The names of solids.
+#[derive(Debug, Default)]
+pub(super) struct SolidNames {
+    same: Vec<PathBuf>,
+    numbered: Vec<Pattern>,
+}
+
+impl SolidNames {
+    /// Reads the names that were asked for: with `{}` for the number, or another program's notation,
+    /// each frame has a mesh of its own.
+    ///
+    /// # Errors
+    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    pub(super) fn of(settings: &Settings) -> Result<Self, SimulationError> {
+        let mut names = Self::default();
+        for path in settings.solid_files().iter().map(PathBuf::from) {
+            match Pattern::parse(&path)? {
+                None => names.same.push(path),
+                Some(pattern) if pattern.has_pieces() || pattern.numbers == Numbers::Times => {
+                    let what = "a solid has one file a frame, with {} for the frame's number";
+                    return Err(SimulationError::Names(format!("{}: {what}", path.display())));
+                }
+                Some(pattern) => names.numbered.push(pattern),
+            }
+        }
+        Ok(names)
+    }
+
+    /// Whether frames have solids of their own.
+    pub(super) fn are_numbered(&self) -> bool {
+        !self.numbered.is_empty()
+    }
+
+    /// Frames with the files of their solids, which need not be there.
+    pub(super) fn with_files(&self, mut frames: Vec<FrameFile>) -> Vec<FrameFile> {
+        let numbered: Vec<_> =
+            self.numbered.iter().map(|pattern| (pattern, there(pattern))).collect();
+        for frame in &mut frames {
+            let own = numbered.iter().map(|(pattern, there)| {
+                let found = there.get(&frame.number).cloned();
+                found.unwrap_or_else(|| pattern.path(frame.number, &frame.digits))
+            });
+            frame.solids = self.same.iter().cloned().chain(own).collect();
+        }
+        frames
+    }
+}
+
+/// The files of a pattern by their numbers.
+fn there(pattern: &Pattern) -> BTreeMap<i64, PathBuf> {
+    let Ok(files) = std::fs::read_dir(pattern.folder()) else { return BTreeMap::new() };
+    let mut names: Vec<String> =
+        files.filter_map(|file| file.ok()?.file_name().into_string().ok()).collect();
+    // Of names with one number the last is taken, the one with the fewest zeros.
+    names.sort_unstable();
+    let numbered =
+        |name: String| Some((pattern.digits(&name)?.parse().ok()?, pattern.folder.join(name)));
+    names.into_iter().filter_map(numbered).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_have_the_solids_of_all_and_those_of_their_numbers_however_many_zeros_these_have() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::write(path("ship_0002.obj"), "").unwrap();
+        let text = |name: &str| path(name).to_str().unwrap().to_owned();
+        let solid = Some(vec![text("tank.obj"), text("ship_{}.obj")]);
+        let names = SolidNames::of(&Settings { solid, ..Settings::default() }).unwrap();
+        assert!(names.are_numbered());
+        let frame = |number: i64| FrameFile::new(number, number.to_string(), path("water"));
+        let frames = names.with_files(vec![frame(2), frame(3)]);
+        assert_eq!(frames[0].solids, [path("tank.obj"), path("ship_0002.obj")]);
+        // A missing one has the name that it should have.
+        assert_eq!(frames[1].solids, [path("tank.obj"), path("ship_3.obj")]);
+        let timed = Some(vec![text("ship_{time}.obj")]);
+        assert!(SolidNames::of(&Settings { solid: timed, ..Settings::default() }).is_err());
+    }
+}

@@ -1,0 +1,383 @@
+//! Solids that a fluid ends at, by their signed distance at the centres of cells.
+//!
+//! A solid is a closed mesh. Its inside is what the mesh winds around: pieces may overlap or touch,
+//! a piece in another that faces the other way is a cavity, and a solid that faces inwards as a
+//! whole is the same solid. How often a mesh winds around a place is counted where a line along x
+//! passes through it. The distance is that of the nearest point on any triangle.
+//!
+//! A distance depends on the cell alone, and not on the box of cells that it is asked for with:
+//! cells are looked at in cubes of 4^3, by the distance of the cube's middle.
+
+use glam::{DVec3, IVec3};
+use thiserror::Error;
+
+use crate::brick::Block;
+use crate::grid::units::SolidOffset;
+use crate::grid::{CellBox, Grid, TILE};
+
+use super::mesh::Mesh;
+use super::mesh::compare::{CompareError, Surface};
+use super::mesh::measure::measure;
+
+/// Bytes of memory that a solid takes for each triangle, with its share of the vertices.
+const TRIANGLE_BYTES: u64 = 320;
+
+/// A mesh that is no solid.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[non_exhaustive]
+pub enum SolidFault {
+    /// The mesh has no surface, or a vertex that is no point.
+    #[error(transparent)]
+    Mesh(#[from] CompareError),
+    /// The mesh has holes.
+    #[error(
+        "{edges} edges of the mesh have a triangle on one side only, and a solid must be closed: fill its holes, or join vertices \
+         that are apart by a rounding"
+    )]
+    Open {
+        /// How many edges have one triangle.
+        edges: usize,
+    },
+    /// Triangles beside one another face opposite ways.
+    #[error(
+        "triangles on both sides of {edges} edges face opposite ways, so that inside and outside are not defined: recalculate the \
+         normals of the mesh, or turn the triangles that face inwards"
+    )]
+    Inconsistent {
+        /// How many such edges there are.
+        edges: usize,
+    },
+}
+
+/// Closed meshes that a fluid ends at.
+#[derive(Debug)]
+pub struct Solid {
+    meshes: Vec<Surface>,
+    offset: SolidOffset,
+    triangles: u64,
+    turned: Vec<usize>,
+    thickness: Vec<f64>,
+}
+
+impl Solid {
+    /// Solids before which the fluid ends by an offset.
+    ///
+    /// # Errors
+    /// [`SolidFault`], with the number of the mesh.
+    pub fn new(meshes: Vec<Mesh>, offset: SolidOffset) -> Result<Self, (usize, SolidFault)> {
+        let mut solid = Self {
+            meshes: Vec::new(),
+            offset,
+            triangles: 0,
+            turned: Vec::new(),
+            thickness: Vec::new(),
+        };
+        for (number, mesh) in meshes.into_iter().enumerate() {
+            let mesh = joined(mesh);
+            let surface = Surface::reference(&mesh).map_err(|fault| (number, fault.into()))?;
+            refuse_unclosed(&mesh).map_err(|fault| (number, fault))?;
+            let measures = measure(&mesh);
+            let volume = measures.volume.unwrap_or(f64::INFINITY);
+            if volume < 0.0 {
+                solid.turned.push(number);
+            }
+            solid.thickness.push(2.0 * volume.abs() / measures.area);
+            solid.triangles += mesh.triangles.len() as u64;
+            solid.meshes.push(surface);
+        }
+        Ok(solid)
+    }
+
+    /// By how many spacings the fluid ends before the solid.
+    #[must_use]
+    pub fn offset(&self) -> f64 {
+        self.offset.spacings()
+    }
+
+    /// The numbers of the meshes whose triangles face inwards, and are taken to face outwards.
+    #[must_use]
+    pub fn turned(&self) -> &[usize] {
+        &self.turned
+    }
+
+    /// How thick each mesh is, as a plate of its volume and area would be; infinite where that is
+    /// not known.
+    #[must_use]
+    pub fn thickness(&self) -> &[f64] {
+        &self.thickness
+    }
+
+    /// Bytes of memory.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.triangles * TRIANGLE_BYTES
+    }
+
+    /// Whether some cells, 2^`level` times as wide as those of the grid, may hold any of a solid, or
+    /// lie in one.
+    #[must_use]
+    pub fn is_near(&self, grid: &Grid, level: u32, cells: CellBox) -> bool {
+        let world = |cell: IVec3| grid.world_from_cells(cell.as_dvec3() * width(level));
+        let (lo, hi) = (world(cells.lo), world(cells.hi));
+        self.meshes.iter().any(|mesh| mesh.meets(lo, hi) || winds(mesh, (lo + hi) / 2.0))
+    }
+
+    /// Signed distances of the centres of some cells, 2^`level` times as wide as those of the grid,
+    /// in steps of length `step`: negative in a solid, and at most 32767 steps. What is more than
+    /// `most` steps away is told to be that far.
+    #[must_use]
+    pub fn distances(
+        &self,
+        grid: &Grid,
+        level: u32,
+        cells: CellBox,
+        step: f64,
+        most: i16,
+    ) -> Block<i16> {
+        let mut nearest = Block::zero(cells);
+        nearest.samples_mut().fill(most);
+        for mesh in &self.meshes {
+            let own = distances_from(mesh, grid, level, cells, step, most);
+            for (nearest, own) in nearest.samples_mut().iter_mut().zip(own.samples()) {
+                *nearest = (*nearest).min(*own);
+            }
+        }
+        nearest
+    }
+}
+
+/// Cells of the grid along a cell that is 2^`level` times as wide.
+fn width(level: u32) -> f64 {
+    f64::from(1_u32 << level)
+}
+
+/// Whether a mesh winds around a place.
+fn winds(mesh: &Surface, place: DVec3) -> bool {
+    let passed = mesh.crossings([place.y, place.z], place.x);
+    passed.iter().filter(|(x, _)| *x > place.x).map(|(_, sign)| sign).sum::<i32>() != 0
+}
+
+fn distances_from(
+    mesh: &Surface,
+    grid: &Grid,
+    level: u32,
+    cells: CellBox,
+    step: f64,
+    most: i16,
+) -> Block<i16> {
+    let mut distances = Block::zero(cells);
+    let farthest = f64::from(most) * step;
+    let place = |cell: DVec3| grid.world_from_cells(cell * width(level));
+    let centre = |cell: IVec3| place(cell.as_dvec3() + 0.5);
+    let to_centre = grid.cell_size() * width(level) * 0.5 * 3_f64.sqrt();
+    distances.samples_mut().fill(most);
+    for cube in cells.cubes(TILE) {
+        let cube = CellBox::cube(cube, TILE);
+        let middle = place((cube.lo + cube.hi).as_dvec3() / 2.0);
+        let to_corner = f64::from(TILE - 1) * to_centre;
+        let Some(of_middle) = mesh.distance_within(middle, farthest + to_corner) else { continue };
+        let part = cube.intersection(&cells);
+        for z in part.lo.z..part.hi.z {
+            for y in part.lo.y..part.hi.y {
+                for x in part.lo.x..part.hi.x {
+                    let cell = IVec3::new(x, y, z);
+                    let at = centre(cell);
+                    // No farther than by way of the middle.
+                    let bound = (of_middle + at.distance(middle)).min(farthest);
+                    if let Some(distance) = mesh.distance_within(at, bound * (1.0 + 1e-9)) {
+                        let steps = (distance / step).round().min(f64::from(most));
+                        let index = distances.index(cell);
+                        distances.samples_mut()[index] = steps as i16;
+                    }
+                }
+            }
+        }
+    }
+    for z in cells.lo.z..cells.hi.z {
+        for y in cells.lo.y..cells.hi.y {
+            let first = centre(IVec3::new(cells.lo.x, y, z));
+            let mut passed = mesh.crossings([first.y, first.z], first.x);
+            if passed.is_empty() {
+                continue;
+            }
+            passed.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+            let mut winding = 0;
+            let mut passed = passed.into_iter().peekable();
+            for x in (cells.lo.x..cells.hi.x).rev() {
+                let cell = IVec3::new(x, y, z);
+                let at = centre(cell).x;
+                while let Some((_, sign)) = passed.next_if(|(passed, _)| *passed > at) {
+                    winding += sign;
+                }
+                if winding != 0 {
+                    let index = distances.index(cell);
+                    distances.samples_mut()[index] = -distances.samples()[index];
+                }
+            }
+        }
+    }
+    distances
+}
+
+/// A mesh whose vertices in the same place are one.
+fn joined(mesh: Mesh) -> Mesh {
+    let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    // Adding 0 leaves one of the two zeros.
+    let key = |vertex: u32| mesh.positions[vertex as usize].map(|x| (x + 0.0).to_bits());
+    order.sort_unstable_by_key(|&vertex| (key(vertex), vertex));
+    let mut first_of: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    for together in order.chunk_by(|&a, &b| key(a) == key(b)) {
+        together.iter().for_each(|&vertex| first_of[vertex as usize] = together[0]);
+    }
+    let triangles = mesh.triangles.iter().map(|triangle| {
+        triangle.map(|vertex| first_of.get(vertex as usize).copied().unwrap_or(vertex))
+    });
+    let is_whole = |[a, b, c]: &[u32; 3]| {
+        a != b && b != c && c != a && [a, b, c].iter().all(|v| (**v as usize) < first_of.len())
+    };
+    let triangles = triangles.filter(is_whole).collect();
+    Mesh { positions: mesh.positions, triangles, ..Mesh::default() }
+}
+
+/// Refuses a mesh that does not wind around every place a whole number of times: every edge is run
+/// along as often in one direction as in the other.
+fn refuse_unclosed(mesh: &Mesh) -> Result<(), SolidFault> {
+    let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    let mut edges: Vec<([u32; 2], i8)> =
+        edges.map(|[a, b]| if a < b { ([a, b], 1) } else { ([b, a], -1) }).collect();
+    edges.sort_unstable();
+    let (mut open, mut inconsistent) = (0, 0);
+    for sides in edges.chunk_by(|a, b| a.0 == b.0) {
+        let sum: i32 = sides.iter().map(|(_, direction)| i32::from(*direction)).sum();
+        match (sum, sides.len() % 2) {
+            (0, _) => {}
+            (_, 1) => open += 1,
+            _ => inconsistent += 1,
+        }
+    }
+    match (open, inconsistent) {
+        (0, 0) => Ok(()),
+        (0, edges) => Err(SolidFault::Inconsistent { edges }),
+        (edges, _) => Err(SolidFault::Open { edges }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A box of two triangles a side, turned about z by an angle.
+    fn turned_box(lo: DVec3, hi: DVec3, angle: f64) -> Mesh {
+        let corner = |i: u32| {
+            let [x, y, z] = [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lo } else { hi }[axis]);
+            let (sin, cos) = angle.sin_cos();
+            [x * cos - y * sin, x * sin + y * cos, z]
+        };
+        let sides =
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        Mesh {
+            positions: (0..8).map(corner).collect(),
+            triangles: sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect(),
+            ..Mesh::default()
+        }
+    }
+
+    fn solid(meshes: Vec<Mesh>) -> Solid {
+        Solid::new(meshes, SolidOffset::DEFAULT).unwrap()
+    }
+
+    fn grid() -> Grid {
+        Grid::new(DVec3::new(0.1, -0.2, 0.3), 0.25).unwrap()
+    }
+
+    fn cells(edge: i32) -> CellBox {
+        CellBox { lo: IVec3::splat(-edge), hi: IVec3::splat(edge) }
+    }
+
+    #[test]
+    fn the_distance_of_a_turned_box_is_that_of_its_formula() {
+        let (half, angle) = (DVec3::new(1.0, 1.5, 0.7), 0.3_f64);
+        let solid = solid(vec![turned_box(-half, half, angle)]);
+        for level in 0..2 {
+            let cells = cells(16 >> level);
+            let found = solid.distances(&grid(), level, cells, 1e-3, 900);
+            for z in cells.lo.z..cells.hi.z {
+                for y in cells.lo.y..cells.hi.y {
+                    for x in cells.lo.x..cells.hi.x {
+                        let cell = IVec3::new(x, y, z);
+                        let at = grid().world_from_cells((cell.as_dvec3() + 0.5) * width(level));
+                        let (sin, cos) = (-angle).sin_cos();
+                        let at = DVec3::new(at.x * cos - at.y * sin, at.x * sin + at.y * cos, at.z);
+                        let over = at.abs() - half;
+                        let distance = over.max(DVec3::ZERO).length() + over.max_element().min(0.0);
+                        let expected = distance.clamp(-0.9, 0.9);
+                        let error = f64::from(found.at(cell)) * 1e-3 - expected;
+                        assert!(error.abs() < 6e-4, "{cell}: {error}, {expected}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn distances_do_not_depend_on_the_box_of_cells() {
+        let solid = solid(vec![turned_box(DVec3::splat(-1.0), DVec3::splat(1.1), 0.4)]);
+        let whole = solid.distances(&grid(), 0, cells(12), 1e-4, 8000);
+        let part = CellBox { lo: IVec3::new(-5, 1, -11), hi: IVec3::new(10, 9, 2) };
+        assert_eq!(solid.distances(&grid(), 0, part, 1e-4, 8000), whole.part(part));
+    }
+
+    #[test]
+    fn overlapping_boxes_are_one_solid_and_a_box_that_faces_into_it_is_a_cavity() {
+        let [outer, inner] =
+            [2.0, 1.0].map(|half| turned_box(DVec3::splat(-half), DVec3::splat(half), 0.0));
+        let both = |mut a: Mesh, b: &Mesh| {
+            let first = a.positions.len() as u32;
+            a.positions.extend(&b.positions);
+            a.triangles.extend(b.triangles.iter().map(|t| t.map(|v| v + first)));
+            a
+        };
+        let inwards = Mesh {
+            triangles: inner.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect(),
+            ..inner.clone()
+        };
+        let middle = |mesh: Mesh| {
+            let solid = solid(vec![mesh]);
+            let cell = CellBox { lo: IVec3::ZERO, hi: IVec3::ONE };
+            solid.distances(&grid(), 0, cell, 1e-3, 500).at(IVec3::ZERO)
+        };
+        assert_eq!(middle(both(outer.clone(), &inner)), -500);
+        assert_eq!(middle(both(outer, &inwards)), 500);
+        // By itself it is a box again.
+        let turned = solid(vec![inner, inwards.clone()]);
+        assert_eq!(turned.turned(), [1]);
+        assert_eq!(middle(inwards), -500);
+    }
+
+    #[test]
+    fn meshes_that_are_not_closed_or_face_both_ways_are_refused_with_their_edges() {
+        let whole = turned_box(DVec3::ZERO, DVec3::ONE, 0.0);
+        let fault = |mesh: &Mesh| {
+            Solid::new(vec![whole.clone(), mesh.clone()], SolidOffset::DEFAULT).unwrap_err()
+        };
+        let mut open = whole.clone();
+        open.triangles.truncate(11);
+        assert_eq!(fault(&open), (1, SolidFault::Open { edges: 3 }));
+        let mut turned = whole.clone();
+        turned.triangles[0].reverse();
+        assert_eq!(fault(&turned), (1, SolidFault::Inconsistent { edges: 3 }));
+        assert!(matches!(fault(&Mesh::default()), (1, SolidFault::Mesh(_))));
+        // Every triangle with vertices of its own.
+        let apart = Mesh {
+            positions: whole
+                .triangles
+                .iter()
+                .flatten()
+                .map(|&v| whole.positions[v as usize])
+                .collect(),
+            triangles: (0..12).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            ..Mesh::default()
+        };
+        assert!(Solid::new(vec![apart], SolidOffset::DEFAULT).is_ok());
+    }
+}

@@ -1,0 +1,267 @@
+//! Water that ends at solids.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use meniscus::error::{Conflict, Error, ReadFault, SolidFault};
+use meniscus::internals::backend::{Backend, Vulkan};
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::vulkan::DeviceOptions;
+use meniscus::mesh::{Mesh, measure};
+use meniscus::{Reconstruction, Warning};
+use tempfile::TempDir;
+
+use crate::common::device;
+use crate::common::files::bytes_of;
+use crate::common::scene::Random;
+use crate::common::shapes::{cuboid, moved, sphere};
+use crate::common::watertight;
+
+/// Size of a pool along x and z, and the level of its water.
+const SIZE: f64 = 30.0;
+const LEVEL: f64 = 13.0;
+/// A ball, most of it under water.
+const CENTRE: DVec3 = DVec3::new(15.0, 8.0, 15.0);
+const RADIUS: f64 = 9.0;
+/// Half of a box that is turned about the middle of the ball.
+const HALF: DVec3 = DVec3::new(7.0, 3.0, 6.0);
+const ANGLE: f64 = 0.5;
+
+/// Water around what `distance` says is a solid, each particle moved by up to a share of a spacing.
+fn pool(jitter: f64, distance: impl Fn(DVec3) -> f64) -> Vec<[f64; 3]> {
+    let mut random = Random::new(11);
+    let mut water = Vec::new();
+    for (x, z) in (0..SIZE as u32).flat_map(|x| (0..SIZE as u32).map(move |z| (x, z))) {
+        for y in 0..LEVEL as u32 {
+            let place = DVec3::from([x, y, z].map(f64::from)) + 0.5;
+            let by = DVec3::from([(); 3].map(|()| 2.0 * random.unit() - 1.0));
+            let at = place + jitter * by;
+            if distance(at) > 0.0 {
+                water.push(at.to_array());
+            }
+        }
+    }
+    water
+}
+
+fn from_ball(at: DVec3) -> f64 {
+    at.distance(CENTRE) - RADIUS
+}
+
+fn turned(at: DVec3, angle: f64) -> DVec3 {
+    let (sin, cos) = angle.sin_cos();
+    DVec3::new(at.x * cos - at.y * sin, at.x * sin + at.y * cos, at.z)
+}
+
+fn from_box(at: DVec3) -> f64 {
+    let over = turned(at - CENTRE, -ANGLE).abs() - HALF;
+    over.max(DVec3::ZERO).length() + over.max_element().min(0.0)
+}
+
+fn turned_box() -> Mesh {
+    let mut mesh = cuboid((-HALF).to_array(), HALF.to_array());
+    for position in &mut mesh.positions {
+        *position = (turned(DVec3::from(*position), ANGLE) + CENTRE).to_array();
+    }
+    mesh
+}
+
+fn ball() -> Mesh {
+    moved(&sphere(RADIUS, 5), CENTRE.to_array())
+}
+
+/// Writes a mesh as .obj.
+fn written(folder: &TempDir, name: &str, mesh: &Mesh) -> PathBuf {
+    let mut text = String::new();
+    for [x, y, z] in &mesh.positions {
+        writeln!(text, "v {x} {y} {z}").unwrap();
+    }
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| vertex + 1);
+        writeln!(text, "f {a} {b} {c}").unwrap();
+    }
+    let path = folder.path().join(name);
+    fs::write(&path, text).unwrap();
+    path
+}
+
+fn request(cell: f64) -> Reconstruction {
+    let request = Reconstruction::new().spacing(1.0).cell_size(cell);
+    request.domain([0.0; 3], [SIZE, f64::INFINITY, SIZE])
+}
+
+fn at(request: Reconstruction, solid: &Path) -> Reconstruction {
+    request.solids([solid.to_str().unwrap()]).solid_offset(0.0)
+}
+
+/// Mean and root mean square.
+fn summed(errors: &[f64]) -> (f64, f64) {
+    assert!(errors.len() > 50, "{} vertices", errors.len());
+    let count = errors.len() as f64;
+    let square: f64 = errors.iter().map(|error| error * error).sum();
+    (errors.iter().sum::<f64>() / count, (square / count).sqrt())
+}
+
+#[test]
+fn water_ends_on_a_ball_and_a_turned_box_and_its_level_goes_on_to_them() {
+    let folder = TempDir::new().unwrap();
+    let solids: [(&str, Mesh, fn(DVec3) -> f64); 2] =
+        [("ball.obj", ball(), from_ball), ("box.obj", turned_box(), from_box)];
+    for (name, mesh, distance) in solids {
+        let solid = written(&folder, name, &mesh);
+        for (jitter, cell) in [(0.3, 0.25), (0.3, 0.5), (0.5, 0.5)] {
+            let what = format!("{name}, jitter {jitter}, cells of {cell}");
+            let water = pool(jitter, distance);
+            let surface = at(request(cell), &solid).run(&water[..]).unwrap();
+            let mesh = surface.to_mesh().unwrap();
+            assert_eq!(watertight::defect(&mesh), None, "{what}");
+            let inner = |p: &DVec3| {
+                let [x, z] = [p.x, p.z].map(|c| (1.0..SIZE - 1.0).contains(&c));
+                x && z && p.y > 1.0
+            };
+            let vertices: Vec<DVec3> =
+                mesh.positions.iter().map(|&p| DVec3::from(p)).filter(inner).collect();
+            let of = |is: &dyn Fn(DVec3, f64) -> bool, error: &dyn Fn(DVec3, f64) -> f64| {
+                let all = vertices.iter().map(|&p| (p, distance(p)));
+                all.filter(|&(p, d)| is(p, d)).map(|(p, d)| error(p, d)).collect::<Vec<_>>()
+            };
+            let at_solid = of(&|p, d| d.abs() < 1.5 && p.y < LEVEL - 1.0, &|_, d| d);
+            let (bias, rms) = summed(&at_solid);
+            assert!(bias.abs() < 0.02 && rms < 0.04, "{what}: at the solid {bias}, {rms}");
+            let is_level = |p: DVec3, d: f64| d > 0.3 && (p.y - LEVEL).abs() < 2.0;
+            let (level, _) = summed(&of(&|p, d| is_level(p, d) && d > 4.0, &|p, _| p.y));
+            let near = of(&|p, d| is_level(p, d) && d < 4.0, &|p, _| p.y - level);
+            let (bias, rms) = summed(&near);
+            // Of the noise in water that is jittered by 0.5 the level far away has 0.07.
+            let most = if jitter < 0.4 { 0.1 } else { 0.14 };
+            assert!(bias.abs() < 0.05 && rms < most, "{what}: level beside it {bias}, {rms}");
+        }
+    }
+}
+
+#[test]
+fn bytes_do_not_depend_on_threads_or_memory_and_far_from_a_solid_are_those_without() {
+    let folder = TempDir::new().unwrap();
+    let solid = written(&folder, "ball.obj", &ball());
+    let water = pool(0.5, from_ball);
+    let bytes = |request: Reconstruction| bytes_of(&request.run(&water[..]).unwrap());
+    let usual = bytes(at(request(0.5), &solid).threads(1).normals(true));
+    assert_eq!(bytes(at(request(0.5), &solid).threads(3).normals(true)), usual);
+    let little = at(request(0.5), &solid).threads(1).normals(true).memory(MemoryBudget(40 << 20));
+    assert_eq!(bytes(little), usual);
+    let far = written(&folder, "far.obj", &moved(&ball(), [200.0, 0.0, 0.0]));
+    assert_eq!(bytes(at(request(0.5), &far)), bytes(request(0.5)));
+}
+
+#[test]
+fn a_device_gives_the_same_bytes_beside_the_processor() {
+    let device = match device::open(&DeviceOptions::default()) {
+        Ok((device, _)) => device,
+        Err(error) => return device::skip(error),
+    };
+    let folder = TempDir::new().unwrap();
+    // At a corner, so that there are blocks far from it.
+    let corner = DVec3::new(1.0, 9.0, 1.0);
+    let solid = written(&folder, "ball.obj", &moved(&sphere(2.0, 3), corner.to_array()));
+    let water = pool(0.5, |at| at.distance(corner) - 2.0);
+    let run = |request: Reconstruction| request.run(&water[..]).unwrap();
+    let usual = run(at(request(0.25), &solid));
+    let made = run(at(request(0.25), &solid).backend(Backend::of(Vulkan::new(device).unwrap())));
+    assert_eq!(bytes_of(&made), bytes_of(&usual));
+    let by_device = made.report().on_device.regions;
+    assert!(by_device > 0, "{by_device} regions");
+}
+
+#[test]
+fn a_wall_divides_water_that_is_deep_on_both_sides_and_one_thinner_than_cells_is_doubted() {
+    let folder = TempDir::new().unwrap();
+    let wall = |half: f64| cuboid([13.0 - half, -1.0, -1.0], [13.0 + half, 30.0, SIZE + 1.0]);
+    let water = pool(0.3, |_| 1.0);
+    let divided = |name: &str, half: f64, offset: f64| {
+        let solid = written(&folder, name, &wall(half));
+        at(request(0.5), &solid).solid_offset(offset).run(&water[..]).unwrap()
+    };
+    let is_thin = |warning: &Warning| matches!(warning, Warning::ThinSolid { .. });
+    let surface = divided("wall.obj", 0.3, 0.0);
+    assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
+    assert!(!surface.report().warnings.iter().any(is_thin));
+    // A gap that makes up for it.
+    let surface = divided("sheet.obj", 0.05, 0.25);
+    assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
+    assert!(!surface.report().warnings.iter().any(is_thin));
+    let surface = divided("foil.obj", 0.05, -0.1);
+    assert!(surface.report().warnings.iter().any(is_thin));
+}
+
+#[test]
+fn an_offset_moves_the_water_s_face_and_a_solid_that_faces_inwards_is_turned_with_a_warning() {
+    let folder = TempDir::new().unwrap();
+    let mut inwards = ball();
+    inwards.triangles.iter_mut().for_each(|triangle| triangle.reverse());
+    let solids = [written(&folder, "out.obj", &ball()), written(&folder, "in.obj", &inwards)];
+    let water = pool(0.3, from_ball);
+    for offset in [-0.3, 0.5] {
+        let [outwards, inwards] = solids
+            .each_ref()
+            .map(|solid| at(request(0.5), solid).solid_offset(offset).run(&water[..]).unwrap());
+        assert_eq!(bytes_of(&outwards), bytes_of(&inwards));
+        let is_turned = |warning: &Warning| *warning == Warning::Turned(solids[1].clone());
+        let turned = |warnings: &[Warning]| warnings.iter().any(is_turned);
+        assert!(turned(&inwards.report().warnings) && !turned(&outwards.report().warnings));
+        let mesh = outwards.to_mesh().unwrap();
+        let vertices = mesh.positions.iter().map(|&p| DVec3::from(p));
+        let under = vertices.filter(|p| from_ball(*p).abs() < 1.5 && p.y < LEVEL - 2.0);
+        let errors: Vec<f64> = under.map(|p| from_ball(p) - offset).collect();
+        let (bias, rms) = summed(&errors);
+        assert!(bias.abs() < 0.03 && rms < 0.05, "{offset}: {bias}, {rms}");
+    }
+}
+
+#[test]
+fn what_is_no_solid_is_refused_with_its_file_and_its_edges() {
+    let folder = TempDir::new().unwrap();
+    let whole = cuboid([0.0; 3], [1.0; 3]);
+    let mut open = whole.clone();
+    open.triangles.truncate(11);
+    let mut twisted = whole.clone();
+    twisted.triangles[0].reverse();
+    let particles = [[0.0; 3]];
+    let refused = |name: &str, mesh: &Mesh| {
+        let solid = written(&folder, name, mesh);
+        match request(0.5).solids([solid.to_str().unwrap()]).run(&particles[..]) {
+            Err(Error::Solid { path, fault }) if path == solid => fault,
+            other => panic!("{name}: {other:?}"),
+        }
+    };
+    assert_eq!(refused("open.obj", &open), SolidFault::Open { edges: 3 });
+    assert_eq!(refused("twisted.obj", &twisted), SolidFault::Inconsistent { edges: 3 });
+    let points = Mesh { triangles: Vec::new(), ..whole };
+    assert!(matches!(refused("points.obj", &points), SolidFault::Mesh(_)));
+    let gone = folder.path().join("gone.obj");
+    match request(0.5).solids([gone.to_str().unwrap()]).run(&particles[..]) {
+        Err(Error::Read(error)) => {
+            assert!(error.path == gone && matches!(error.fault, ReadFault::Io(_)), "{error}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn settings_that_do_not_go_with_solids_are_refused_by_name() {
+    let solid = || Reconstruction::new().spacing(1.0).solids(["ball.obj"]);
+    let particles = [[0.0; 3]];
+    let refused = |request: Reconstruction| match request.run(&particles[..]) {
+        Err(Error::Unfit(unfit)) => (unfit.setting.name(), unfit.with),
+        other => panic!("{other:?}"),
+    };
+    let periodic = solid().periodic([Some([0.0, 4.0]), None, None]);
+    assert!(
+        matches!(refused(periodic), ("solid", Conflict::Setting(other)) if other.name() == "periodic")
+    );
+    let offset = Reconstruction::new().spacing(1.0).solid_offset(0.1);
+    assert!(
+        matches!(refused(offset), ("solid_offset", Conflict::Needs(other)) if other.name() == "solid")
+    );
+}
