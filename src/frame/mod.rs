@@ -4,7 +4,7 @@
 //! samples, calibrates and meshes. [`resident`] takes the same steps for particles and meshes that
 //! stay on a device.
 //!
-//! Speed and memory are in `speed.md`, a page of the docs.
+//! The guide `speed.md` has figures of speed and memory.
 
 mod binned;
 mod coincident;

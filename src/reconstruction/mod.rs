@@ -10,7 +10,7 @@
 //! | of a simulation: `simulation` | frozen on one frame, `simulation/freeze.rs` | beside others or alone, `simulation/one_frame.rs` | `draw_or_empty` | filled by its lane, named by another thread |
 //! | live: `simulation/live.rs` | frozen on the first frame that tells, in memory | all particles, `Checked::engine` | `draw_or_empty` | by its caller |
 //!
-//! Limits are in `limits.md`, a page of the docs.
+//! The guide `limits.md` lists limits.
 
 pub mod as_numbers;
 mod attributes;

@@ -7,7 +7,7 @@
 //! leaves a record beside the state; the record is written after the output has got its name, so an
 //! output with a record is whole.
 //!
-//! How simulations are converted is said in `guide.md`, a page of the docs.
+//! The guide for users is `guide.md`.
 
 mod builder;
 mod conversion;

@@ -1,8 +1,7 @@
-//! Compute on a Vulkan device: choosing one, its memory, its shaders, and batches of commands.
+//! Compute on a Vulkan device: selection, memory, shaders, and batches of commands.
 //!
-//! Knows nothing of fluids. Asks for Vulkan 1.2 with timeline semaphores, and nothing beyond.
-//!
-//! How devices are used and tried is said in `guide.md`, a page of the docs.
+//! This room knows nothing about fluids. It needs Vulkan 1.2 with timeline semaphores, and nothing
+//! else. The guide for users is `guide.md`.
 
 mod batch;
 mod buffer;

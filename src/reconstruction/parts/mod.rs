@@ -11,7 +11,7 @@
 //! its scratch file, and goes on as that would: vertices are stitched by identity, so that nothing
 //! of the cuts is left.
 //!
-//! How they are used is in `parts.md`, a page of the docs.
+//! The guide for users is `parts.md`.
 
 mod chunks;
 mod file;

@@ -10,7 +10,7 @@
 //! normals and attributes. Chunks know nothing of threads or memory, and nothing is held but the
 //! chunks in work, a bit a vertex, and what the budget allows of the triangles.
 //!
-//! What it gains is said in `guide.md`, a page of the docs.
+//! The guide for users is `guide.md`.
 
 mod collapse;
 mod drops;
