@@ -33,10 +33,10 @@ pub struct Periodic {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum PeriodicMesh {
-    /// On the faces, where it is closed as it is at the walls of a tank.
+    /// On the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Beyond the faces, by as much as filters reach: copies that are put side by side overlap.
+    /// Beyond the faces, by the reach of the filters, so that copies side by side overlap.
     Overlap,
 }
 
