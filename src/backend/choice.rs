@@ -94,16 +94,16 @@ impl fmt::Display for OnCpu {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::LittleMemory(needed) => {
-                write!(f, "drivers of GPUs may need {}, and less may be used", ByteSize(*needed))
+                write!(f, "GPU drivers may need {}, more than the memory limit", ByteSize(*needed))
             }
             Self::NoGpu => {
-                f.write_str("no GPU (drivers such as llvmpipe compute on the processor)")
+                f.write_str("no GPU (drivers such as llvmpipe compute on the CPU)")
             }
             Self::Small(bytes) => {
-                write!(f, "{} of particles are done before a GPU is ready", ByteSize(*bytes))
+                write!(f, "{} of particles take less time than starting a GPU", ByteSize(*bytes))
             }
-            Self::NotDiscrete(name) => write!(f, "{name} is no discrete GPU"),
-            Self::NotConformant(name) => write!(f, "{name} passes no conformance tests"),
+            Self::NotDiscrete(name) => write!(f, "{name} is not a discrete GPU"),
+            Self::NotConformant(name) => write!(f, "{name} has not passed the Vulkan conformance tests"),
             Self::Vulkan(error) => error.fmt(f),
         }
     }

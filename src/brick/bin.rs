@@ -84,14 +84,14 @@ pub enum BinError {
         position: [f64; 3],
     },
     /// The particles are spread over more bins than memory may hold the list of.
-    #[error("the particles touch more than {limit} bins of 16^3 cells")]
+    #[error("the particles touch more than {limit} bins of 16^3 cells; use larger cells")]
     TooManyBins {
         /// How many are allowed.
         limit: usize,
     },
     /// A particle of a periodic box is not in it.
     #[error(
-        "particle {index} at ({}, {}, {}) is outside of the periodic box along {axis}",
+        "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}",
         position[0], position[1], position[2]
     )]
     OutsideBox {

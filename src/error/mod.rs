@@ -117,7 +117,7 @@ pub enum Error {
         fault: PictureError,
     },
     /// An attribute that the particles do not have.
-    #[error("{}no attribute {name:?}; there are: {}", file(path.as_deref()), listed(known))]
+    #[error("{}no attribute {name:?}; available: {}", file(path.as_deref()), listed(known))]
     NoAttribute {
         /// The file, if the particles are of one.
         path: Option<PathBuf>,
@@ -127,7 +127,7 @@ pub enum Error {
         known: Vec<String>,
     },
     /// Less memory than any frame takes.
-    #[error("{}memory of at least {} is needed", to_simplify(*simplifying), ByteSize(*least))]
+    #[error("{}at least {} of memory is needed", to_simplify(*simplifying), ByteSize(*least))]
     LittleMemory {
         /// Bytes that are enough to begin.
         least: u64,
@@ -135,11 +135,11 @@ pub enum Error {
         simplifying: Option<usize>,
     },
     /// Threads that the system does not start.
-    #[error("threads cannot be started: {0}")]
+    #[error("cannot start threads: {0}")]
     Threads(String),
     /// The spacing is not given, not in the file, and cannot be estimated.
     #[error(
-        "{}the spacing of {particles} particles cannot be estimated: {why}{}",
+        "{}cannot estimate the spacing of {particles} particles: {why}{}",
         file(path.as_deref()),
         suggestion(*suggested)
     )]
@@ -174,9 +174,9 @@ fn two_purposes(path: &Path, other: &Path) -> String {
     let path = path.display();
     match other.display() {
         other if other.to_string() == path.to_string() => {
-            format!("{path}: is given for two purposes")
+            format!("{path}: used twice in this request; choose another file")
         }
-        other => format!("{path}: is given for two purposes: it is the same file as {other}"),
+        other => format!("{path}: is the same file as {other}; choose another file"),
     }
 }
 

@@ -9,7 +9,7 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum PartsError {
     /// A number of parts that none can have.
-    #[error("a mesh is made in 1 to {most} parts; {asked} are not")]
+    #[error("the number of parts must be from 1 to {most}, got {asked}")]
     Count {
         /// The number that was asked for.
         asked: u32,
@@ -17,7 +17,7 @@ pub enum PartsError {
         most: u32,
     },
     /// A part beyond the last.
-    #[error("there is no part {part} of {of}: the first is 0, the last {last}", last = of - 1)]
+    #[error("the part must be from 0 to {last}, got {part}", last = of - 1)]
     NoPart {
         /// The part's number.
         part: u32,
@@ -25,7 +25,7 @@ pub enum PartsError {
         of: u32,
     },
     /// An output that has no folder beside it.
-    #[error("{}: parts are kept beside a file, which this is not", .0.display())]
+    #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// Nothing is planned yet.
     #[error("{}: there is no plan yet", .0.display())]
@@ -39,7 +39,7 @@ pub enum PartsError {
         what: String,
     },
     /// A plan for something else.
-    #[error("{}: the plan there was made with other settings ({differing})", path.display())]
+    #[error("{}: the plan was made with other settings ({differing})", path.display())]
     Settings {
         /// The plan's file.
         path: PathBuf,
@@ -47,7 +47,7 @@ pub enum PartsError {
         differing: String,
     },
     /// Particles that are not those that the plan was made for.
-    #[error("{}: it is not what {} was made for, or has changed since", input.display(), plan.display())]
+    #[error("{}: differs from the input of {}, or has changed since", input.display(), plan.display())]
     Changed {
         /// The particles' file.
         input: PathBuf,
@@ -73,7 +73,7 @@ pub enum PartsError {
         what: String,
     },
     /// A part that was made by another plan.
-    #[error("{}: it is a part of another plan", .0.display())]
+    #[error("{}: belongs to another plan", .0.display())]
     Foreign(PathBuf),
     /// A folder, the plan or a part that cannot be read or written.
     #[error("{}: {fault}", path.display())]

@@ -52,59 +52,61 @@ impl Unfit {
         let named = |name_of: &'static str| name(Setting::named(name_of));
         match (&self.with, self.setting.name()) {
             (Conflict::Setting(other), _) => {
-                format!("{setting} and {} exclude each other", name(*other))
+                format!("{setting} cannot be used with {}", name(*other))
             }
             (Conflict::Packed(path), "format") => {
                 format!(
-                    "{}: {setting} is for particles, and this is a packed frame",
+                    "{}: {setting} applies to particle files, but this is a packed frame",
                     path.display()
                 )
             }
             (Conflict::Indicator(kind), "mu0") => {
-                format!("{setting} has no meaning for {} {}", named("indicator"), kind.name())
+                format!("{setting} does not apply to {} {}", named("indicator"), kind.name())
             }
             (Conflict::Indicator(IndicatorKind::Cloud), which) => format!(
-                "{setting} is for {} counting and symmetry{}: the surface lies where distances told by clouds are 0, and {} says how \
-                 calm it is",
+                "{setting} applies only to {} counting and symmetry{}; for cloud, use {}",
                 named("indicator"),
                 if which == "iso" {
-                    format!(", and for {} mueller and yu-turk", named("method"))
+                    format!(" and to {} mueller and yu-turk", named("method"))
                 } else {
                     String::new()
                 },
                 named("smooth"),
             ),
             (Conflict::Indicator(_), _) => format!(
-                "{setting} is for {} cloud: {} says how smooth the surface of others is",
+                "{setting} applies only to {} cloud; for others, use {}",
                 named("indicator"),
                 named("sigma")
             ),
             (Conflict::Method(_), _) => {
-                format!("{setting} has no meaning for this {}", named("method"))
+                format!("{setting} does not apply to this {}", named("method"))
             }
             (Conflict::Packed(path), _) => {
-                format!("{}: {setting} needs the particles themselves", path.display())
+                format!("{}: {setting} needs the particles, which a packed frame does not \
+                         contain", path.display())
             }
             (Conflict::Packing, _) => {
-                format!("{setting} is for surfaces: give it when the packed frame is reconstructed")
+                format!("{setting} is for surfaces: use it when you reconstruct the packed \
+                         frame")
             }
             (Conflict::Sampled, _) => {
                 format!(
-                    "{setting} needs the particles themselves, and the frame is sampled already"
+                    "{setting} cannot change in a frame that is already sampled; sample the \
+                     particles again"
                 )
             }
             (Conflict::OnDevice, _) => {
-                format!("{setting} has no meaning for a surface that stays on a device")
+                format!("{setting} does not apply to a surface on a device")
             }
             (Conflict::Format { path, .. }, "compress") => {
-                format!("{}: {setting} goes with .glb", path.display())
+                format!("{}: {setting} applies only to .glb", path.display())
             }
             (Conflict::Format { .. }, "up") => format!(
-                "{setting} z: in a .glb y points up; {} z says that the particles have z up",
+                "{setting} z: a .glb always has y up; use {} z if z points up in the particles",
                 named("particles_up")
             ),
             (Conflict::Format { path, format }, _) => {
-                format!("{}: {format} cannot hold {setting}", path.display())
+                format!("{}: {format} cannot store {setting}", path.display())
             }
         }
     }

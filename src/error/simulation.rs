@@ -12,13 +12,13 @@ pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 #[derive(Debug, Error)]
 pub enum SimulationError {
     /// The request names no frame.
-    #[error("{0}: there are no frames")]
+    #[error("{0}: no frames found")]
     NoFrames(String),
     /// A folder or a pattern of files that names none that can be read.
-    #[error("{0}: no such files")]
+    #[error("{0}: no matching files")]
     NoFiles(String),
     /// A folder of inputs that does not exist.
-    #[error("{}: there is no such folder", .0.display())]
+    #[error("{}: the folder does not exist", .0.display())]
     NoFolder(PathBuf),
     /// A folder of inputs that cannot be read.
     #[error("{}: {fault}", path.display())]
@@ -53,7 +53,7 @@ pub enum SimulationError {
     )]
     Joined(String),
     /// A first number after the last.
-    #[error("there are no frames from {first} to {last}")]
+    #[error("the first frame ({first}) is after the last ({last})")]
     Range {
         /// The first number.
         first: i64,
@@ -68,8 +68,8 @@ pub enum SimulationError {
     Names(String),
     /// The files are of several simulations, and what is asked for goes with one.
     #[error(
-        "{from}: holds several simulations: {families}; name one of them, or write the meshes \
-         into a folder"
+        "{from}: contains several simulations: {families}; name one of them, or write the \
+         meshes into a folder"
     )]
     Several {
         /// Where they were found.
@@ -95,7 +95,8 @@ pub enum SimulationError {
         what: String,
     },
     /// A folder that another conversion writes to, with other settings.
-    #[error("{}: another conversion with other settings is writing there", .0.display())]
+    #[error("{}: another conversion with other settings is running there; wait for it, or \
+             choose another output", .0.display())]
     Busy(PathBuf),
     /// The state is of a run with other settings.
     #[error("{}: the existing frames were made with other settings ({differing})", path.display())]

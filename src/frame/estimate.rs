@@ -104,7 +104,8 @@ pub struct Shares {
 /// A frame that cannot be brought under its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "with a cell size of {} the tables of bins alone need more than the {} of memory that may be used; a cell size of {} fits",
+    "with a cell size of {}, the tables of bins alone exceed the memory limit of {}; use a cell \
+     size of {}",
     shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
 pub struct OverBudget {

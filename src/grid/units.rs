@@ -12,28 +12,28 @@ pub const FULL: u16 = u16::MAX;
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum UnitError {
     /// An isovalue must cut the field.
-    #[error("iso must be more than 0 and less than 1, not {0}")]
+    #[error("iso must be more than 0 and less than 1, got {0}")]
     Isovalue(f64),
     /// The width of the Gaussian.
-    #[error("sigma must be more than 0 and at most {max} cells, not {0}", max = Sigma::MAX)]
+    #[error("sigma must be more than 0 and at most {max} cells, got {0}", max = Sigma::MAX)]
     Sigma(f64),
     /// The mean number of particles in a full cell.
-    #[error("mu0 must be more than 0 and at most {max}, not {0}", max = MeanCount::MAX)]
+    #[error("mu0 must be more than 0 and at most {max}, got {0}", max = MeanCount::MAX)]
     MeanCount(f64),
     /// The width of what makes water calm.
-    #[error("smooth must be from {least} to {most} spacings, not {0}", least = Smooth::LEAST, most = Smooth::MOST)]
+    #[error("smooth must be from {least} to {most} spacings, got {0}", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
     /// How far sheets are stretched until they tear.
-    #[error("sheets must be 0, or from {least} to {most} spacings, not {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
+    #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
     /// How far a simplified surface may lie from the one that it replaces.
-    #[error("simplify must be more than 0 and at most {max} cells, not {0}", max = Tolerance::MAX)]
+    #[error("simplify must be more than 0 and at most {max} cells, got {0}", max = Tolerance::MAX)]
     Tolerance(f64),
     /// The volume of the smallest component that is kept.
-    #[error("smallest-component must be positive and finite, not {0}")]
+    #[error("smallest-component must be positive and finite, got {0}")]
     Volume(f64),
     /// A coordinate that must be finite.
-    #[error("{name} must be three finite numbers, not {value}")]
+    #[error("{name} must be three finite numbers, got {value}")]
     NotFinite {
         /// The name by which it is asked for.
         name: &'static str,
@@ -41,7 +41,7 @@ pub enum UnitError {
         value: f64,
     },
     /// A length that must be positive.
-    #[error("{name} must be positive and finite, not {value}")]
+    #[error("{name} must be positive and finite, got {value}")]
     Length {
         /// The name by which it is asked for.
         name: &'static str,

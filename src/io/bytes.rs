@@ -671,8 +671,8 @@ fn unpack(
     let plain = compression.unpack(MeteredBytes::new(packed, count, unpacking))?;
     let damaged = |e: io::Error| match e.kind() {
         io::ErrorKind::OutOfMemory => ReadFault::Unsupported(format!(
-            "unpacking takes a dictionary of more than {} MiB; unpack the file before, or compress \
-             it with a smaller one",
+            "decompression needs a dictionary of more than {} MiB; decompress the file first, \
+             or compress it with a smaller one",
             DICTIONARY >> 20
         )),
         _ => ReadFault::Compression(e.to_string()),
@@ -680,7 +680,8 @@ fn unpack(
     let limit = unpacked_limit(count);
     collect(plain, unpacking, damaged, |total| {
         let what =
-            || format!("it unpacks to more than {GREATEST_RATIO} times its size; unpack it before");
+            || format!("decompresses to more than {GREATEST_RATIO} times its size; decompress \
+                        it first");
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }
     })
 }

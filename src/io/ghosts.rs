@@ -86,7 +86,7 @@ impl Flags<'_> {
         if self.count == cells {
             return Ok(());
         }
-        Err(format!("array {} is not of one number for each of {cells} cells", self.name))
+        Err(format!("array {} must have one number for each of {cells} cells", self.name))
     }
 }
 
@@ -127,10 +127,10 @@ impl<'a> VertexPoints<'a> {
     pub fn left(self) -> Result<Vec<Range<usize>>, String> {
         let (points, cells) = (self.points, self.vertices.count);
         if let Some((cell, point)) = self.strayed {
-            return Err(format!("cell {cell} of {cells} names point {point} of {points}"));
+            return Err(format!("cell {cell} of {cells} refers to point {point} of {points}"));
         }
         if self.count != cells {
-            return Err(format!("{cells} cells name {} points", self.count));
+            return Err(format!("{cells} cells refer to {} points", self.count));
         }
         let mut left = Vec::new();
         for point in (0..points).filter(|&point| !self.copies.get(point) || self.own.get(point)) {

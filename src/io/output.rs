@@ -215,8 +215,8 @@ impl MeshFormat {
         let able = Self::ALL.into_iter().filter(|format| format.can_number(vertices, triangles));
         let able: Vec<_> = able.map(|format| format.to_string()).collect();
         let what = format!(
-            "{vertices} vertices and {triangles} triangles are too many for {self}, which numbers at most {}; \
-             write {}",
+            "{vertices} vertices and {triangles} triangles are too many for {self}, which \
+             stores at most {}; write {}",
             limits.join(" and "),
             able.join(" or "),
         );
@@ -268,7 +268,7 @@ impl MeshFormat {
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc => {
                 let what = format!(
-                    "{self} meshes are written and not read; convert the particles to .ply as well"
+                    "cannot read {self} meshes; convert the particles to .ply as well"
                 );
                 Err(ReadFault::Unsupported(what))
             }
@@ -342,7 +342,7 @@ fn read_hdf(_: Bytes) -> Result<Mesh, ReadFault> {
 fn several_files() -> io::Error {
     io::Error::new(
         io::ErrorKind::InvalidInput,
-        "a .pvtp names other files, which lie in a folder beside it",
+        "a .pvtp needs a folder of pieces beside it; write another format",
     )
 }
 

@@ -135,7 +135,7 @@ impl Triangles {
         match corners.iter().find(|&&i| i < 0 || i as u64 >= self.vertices as u64) {
             Some(i) => Err(malformed(
                 at,
-                format!("face {face} names vertex {i}, the file has {}", self.vertices),
+                format!("face {face} refers to vertex {i}, but the file has {}", self.vertices),
             )),
             None => Ok(()),
         }

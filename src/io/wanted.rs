@@ -143,8 +143,8 @@ impl ParticleFile {
                 if self.texts.iter().any(|text| text.eq_ignore_ascii_case(&name)) =>
             {
                 ReadFault::Unsupported(format!(
-                    "particles are selected by {name:?}, an array of text, which is not read from \
-                     this format; store a number for each text"
+                    "cannot select particles by {name:?}: text arrays are not supported in this \
+                     format; store numbers instead"
                 ))
             }
             SelectionFault::NoAttribute { name, mut known } => {

@@ -64,7 +64,7 @@ impl AttributeInfo {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum Unread {
     /// The file of the particles was written to meanwhile.
-    #[error("it has changed while it was read")]
+    #[error("changed while it was read")]
     Changed,
     /// The system's refusal to read their file.
     #[error("{0}")]

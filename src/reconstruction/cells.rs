@@ -130,7 +130,8 @@ impl fmt::Display for Slab {
         let at = shown((self.faces[0] + self.faces[1]) / 2.0);
         write!(
             f,
-            "all particles lie in the plane {axis} = {at}: a slab from {lo} to {hi}, one spacing thick, is meshed"
+            "all particles lie in the plane {axis} = {at}: meshing a slab from {lo} to {hi}, \
+             one spacing thick"
         )
     }
 }
@@ -156,7 +157,7 @@ impl fmt::Display for Cells {
             Some((spacing, source)) => {
                 write!(f, "spacing {} ({source}), cell size {size}", shown(*spacing))
             }
-            None => write!(f, "spacing not known, taken to be the cell size; cell size {size}"),
+            None => write!(f, "spacing unknown, assumed to be the cell size; cell size {size}"),
         }?;
         match self.origin {
             Some(origin) => write!(f, ", origin {}", origin.map(shown).join(",")),

@@ -142,7 +142,7 @@ pub struct MeshInfo {
 /// The extensions of all files that are looked into, in the words of a message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
     format!(
-        "of particles {KNOWN}; of packed frames .mnf; of meshes .ply, .obj, .vtk, .vtp and .stl"
+        "particles: {KNOWN}; packed frames: .mnf; meshes: .ply, .obj, .vtk, .vtp and .stl"
     )
 });
 

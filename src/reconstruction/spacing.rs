@@ -40,7 +40,7 @@ impl fmt::Display for SpacingSource {
             Self::Scene(path) => write!(f, "from {}", path.display()),
             Self::Estimated => f.write_str("estimated from the particles"),
             Self::State => f.write_str("from the state file"),
-            Self::Packed => f.write_str("of the packed frame"),
+            Self::Packed => f.write_str("from the packed frame"),
         }
     }
 }
@@ -240,7 +240,7 @@ impl fmt::Display for Doubt {
         match self {
             Self::TwoResolutions { spacings: [one, other], taken } => write!(
                 f,
-                "the particles are of two resolutions, {} and {} apart, and all are taken to be {} apart",
+                "the particles have two spacings, {} and {}; {} is used for all",
                 shown(*one),
                 shown(*other),
                 shown(*taken)
@@ -275,15 +275,15 @@ impl fmt::Display for Doubt {
                 if *spray {
                     write!(
                         f,
-                        "; if this is spray, or threads of single particles, it can be right"
+                        "; it can be right for spray, or threads of single particles"
                     )?;
                 }
                 Ok(())
             }
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
-                "the {} particles whose {attribute} is {} lie around the {} whose {attribute} is {}, as a boundary does around a \
-                 fluid: all are one surface",
+                "the {} particles with {attribute}={} surround the {} with {attribute}={}, as a \
+                 boundary surrounds a fluid; all are meshed together",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { taken, counted, nearest } => {
@@ -291,28 +291,28 @@ impl fmt::Display for Doubt {
                 match counted {
                     Some(counted) => write!(
                         f,
-                        "the fluid is thin, and its spacing uncertain: {taken} by nearest neighbours, {} by density; {taken} is \
-                         used",
+                        "the fluid is thin, so its spacing is uncertain: {taken} by nearest \
+                         neighbours, {} by density; {taken} is used",
                         about(*counted)
                     ),
                     None => write!(
                         f,
-                        "few particles are surrounded by others, so their spacing is uncertain: {taken} is used, the nearest \
-                         neighbour is {} away",
+                        "few particles are surrounded by others, so their spacing is uncertain: \
+                         {taken} is used; nearest neighbours are {} apart",
                         about(*nearest)
                     ),
                 }
             }
             Self::Random { taken } => write!(
                 f,
-                "the particles are scattered at random, as spray is: their mean distance, {}, is used as the spacing, and may be \
-                 larger than that of the fluid they come from",
+                "the particles are at random positions, like spray: their mean distance {} is \
+                 used as the spacing, and may be larger than that of the fluid",
                 about(*taken)
             ),
             Self::SinglePrecision { step, spacing } => write!(
                 f,
-                "the coordinates are stored in single precision, and so far from the origin they move in steps of {}: more than a \
-                 quarter of the spacing {}",
+                "single-precision coordinates so far from the origin have steps of {}, more \
+                 than a quarter of the spacing {}",
                 about(*step),
                 shown(*spacing)
             ),

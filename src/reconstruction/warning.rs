@@ -154,19 +154,19 @@ impl fmt::Display for Warning {
             Self::Crowded { times, spacing } => {
                 write!(
                     f,
-                    "there are {times:.1} times as many particles as {} apart have room",
+                    "particles are {times:.1} times denser than spacing {} allows",
                     shown(*spacing)
                 )
             }
             Self::Coincident { found, of } => {
                 let Coincident { particles, most, at, alone, .. } = found;
                 let at = at.map(|c| significant(c, 6)).join(", ");
-                write!(f, "{particles} of {of} particles are in the same place as another one")?;
+                write!(f, "{particles} of {of} particles have the same position as another one")?;
                 match (*alone, *most) {
                     (true, most) => {
                         write!(
                             f,
-                            "; {most} are at ({at}), far from all others, like slots that are not in use"
+                            "; {most} are at ({at}), far from all others, like unused slots"
                         )
                     }
                     (false, most) if most > 2 => write!(f, "; {most} are at ({at})"),
@@ -175,55 +175,59 @@ impl fmt::Display for Warning {
             }
             Self::Lacking { attribute, without, of } => write!(
                 f,
-                "{without} of {of} particles have no {attribute} that is a finite number of 32 bits: the others alone tell that \
-                 of the vertices"
+                "{without} of {of} particles have no finite 32-bit {attribute}: vertices use \
+                 the values of the others"
             ),
             Self::MadeGood(what) => f.write_str(what),
             Self::OnCorners { mean, .. } => write!(
                 f,
-                "the particles lie on the corners of cells (mean indicator {}), which harms the surface",
+                "the particles lie on the corners of cells (mean indicator {}), which makes the \
+                 surface inaccurate",
                 significant(*mean, 3)
             ),
             Self::Bubbles { iso, lowest } => write!(
                 f,
-                "isovalue {} is above the field's lowest interior value, {}: expect bubbles inside",
+                "isovalue {} is above the field's lowest interior value, {}: the fluid can \
+                 contain bubbles",
                 significant(*iso, 4),
                 significant(*lowest, 4)
             ),
             Self::PastWall(Past { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
-                let what = if moved.is_some() { "moved there" } else { "left out" };
+                let what = if moved.is_some() { "the wall is moved there" } else { "that side is open" };
                 write!(
                     f,
-                    "particles reach {axis} = {reach}, past the wall that was found at {wall}: it is {what} in this frame"
+                    "particles reach {axis} = {reach}, beyond the wall found at {wall}: {what} \
+                     in this frame"
                 )
             }
             Self::Lost { lost, of, .. } => {
-                write!(f, "at least {lost} of {of} particles are in no surface")
+                write!(f, "at least {lost} of {of} particles are missing from the surface")
             }
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
             Self::Merged { vertices, format } => write!(
                 f,
-                "{vertices} vertices have the place of another in f32, and {format} has nothing else to tell them by; .ply keeps \
-                 them"
+                "{vertices} vertices have the same f32 position as another one, and {format} \
+                 cannot distinguish them; .ply can"
             ),
             Self::Renamed { attribute, name, format } => {
-                write!(f, "the attribute \"{attribute}\" is called \"{name}\" in {format}")
+                write!(f, "the attribute \"{attribute}\" is stored as \"{name}\" in {format}")
             }
             Self::Coarse { format } => {
-                write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
+                write!(f, "{format} stores coordinates as f32, which is too coarse here; .ply \
+                           stores f64")
             }
             Self::LeftOut(part) => write!(f, "left out: {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {
                 Emptiness::Field => {
-                    f.write_str("the field is nowhere above the isovalue: an empty mesh")
+                    f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
                 Emptiness::Distances => {
-                    f.write_str("no cell's centre is inside of the surface: an empty mesh")
+                    f.write_str("the mesh is empty: the surface contains no cell's centre")
                 }
                 Emptiness::TooSmall(all) => {
-                    write!(f, "all components are below {}: an empty mesh", all.limits())
+                    write!(f, "the mesh is empty: all components are below {}", all.limits())
                 }
             },
         }

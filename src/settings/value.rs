@@ -46,7 +46,7 @@ impl FromStr for Iso {
             _ => text
                 .parse()
                 .map(Self::Value)
-                .map_err(|_| "a number between 0 and 1, or auto".to_owned()),
+                .map_err(|_| "expected a number between 0 and 1, or auto".to_owned()),
         }
     }
 }

@@ -196,7 +196,8 @@ impl Simulation {
     pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
         let Some(naming) = Naming::of(&self.output)? else {
             let what = format!(
-                "{}: one file for all frames, and no folder that exists, or ends in /",
+                "{}: names one file for all frames; write {{}} for the frame number, or name an \
+                 existing folder, or end it in /",
                 self.output.display()
             );
             return Err(SimulationError::Names(what).into());
@@ -247,7 +248,8 @@ impl Simulation {
 /// The refusal of one output for the frames of a simulation.
 fn one_output(output: &Path, inputs: &Inputs) -> Error {
     Error::Request(format!(
-        "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder that exists, or ends in /",
+        "{}: names one file for the frames of {}; write {{}} for the frame number, or name an \
+         existing folder, or end it in /",
         output.display(),
         inputs.describe()
     ))

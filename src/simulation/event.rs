@@ -261,25 +261,25 @@ impl fmt::Display for Event {
             Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
             Self::Doubted(doubt) => write!(f, "warning: {doubt}"),
             Self::Anew { state, differing } => {
-                write!(f, "{}: made anew, for these changed: {differing}", state.display())
+                write!(f, "{}: starting again, because these changed: {differing}", state.display())
             }
             Self::GoesOn { state, frozen } => {
-                write!(f, "going on with {}: {frozen}", state.display())
+                write!(f, "resuming with {}: {frozen}", state.display())
             }
             Self::Measured { path, frozen, trust: Trust::Sound } => {
                 write!(f, "measured on {}: {frozen}", path.display())
             }
             Self::Measured { frozen, trust, .. } => {
                 let what = match trust {
-                    Trust::Shallow => "next to no fluid is deeper than the filters reach",
+                    Trust::Shallow => "almost no fluid is deep enough to measure",
                     Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
                 };
                 write!(f, "warning: {what}; measured on frame {}: {frozen}", frozen.frame)
             }
             Self::Begins { frames, done, .. } => {
-                write!(f, "{done} of {frames} frames are done already")
+                write!(f, "{done} of {frames} frames are already finished")
             }
-            Self::Came { bytes } => write!(f, "a further frame has come: {}", ByteSize(*bytes)),
+            Self::Came { bytes } => write!(f, "new frame: {}", ByteSize(*bytes)),
             Self::Stage { frame, progress: Some(Progress { stage, .. }), .. } => {
                 write!(f, "frame {frame}: {stage}")
             }

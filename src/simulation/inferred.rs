@@ -169,7 +169,8 @@ fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
     let choices = choices.join(" or ");
     Err(SimulationError::Names(match decimal {
         Some(_) => format!(
-            "{}: its numbers may be a decimal or two whole ones; name the frames with {choices}, where {{time}} stands for a decimal",
+            "{}: its numbers can be one decimal or two integers; name the frames with \
+             {choices}, where {{time}} is a decimal",
             first.path.display()
         ),
         None => format!(
@@ -222,7 +223,8 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
             // The frame's number is the last of the others.
             let Some(frame) = (0..first.runs.len()).rev().find(|run| run != piece) else {
                 return Err(SimulationError::Names(format!(
-                    "{}: the number in its name looks like that of a process, and there is none of a frame; join the files of one frame, or name the frames with \"{}\"",
+                    "{}: its only number looks like that of a process, not of a frame; join the \
+                     files of one frame, or name the frames with \"{}\"",
                     first.path.display(),
                     first.pattern(*piece),
                 )));

@@ -157,7 +157,7 @@ impl Inputs {
         if matches!(self, Self::Folder(_)) && !files.is_empty() {
             files = without_meshes(files);
             if files.is_empty() {
-                let what = format!("{}: holds meshes and no particles", self.describe());
+                let what = format!("{}: contains meshes, but no particles", self.describe());
                 return Err(SimulationError::Names(what));
             }
         }
@@ -200,7 +200,7 @@ impl Inputs {
             let files = self.candidates().unwrap_or_default();
             if files.iter().any(|file| times.digits(&file.name).is_some()) {
                 return SimulationError::Names(format!(
-                    "{pattern}: the numbers of these files are decimals, which are written {{time}}: \"{times}\""
+                    "{pattern}: the numbers of these files are decimals; use \"{times}\""
                 ));
             }
         }
@@ -370,7 +370,8 @@ impl Sequence {
             .find(|(a, b)| a.number == b.number || a.time.is_some() && a.time == b.time)
         {
             return Err(SimulationError::Names(format!(
-                "{} and {} are both frame {}; name one simulation, with {{}} for its numbers",
+                "{} and {} are both frame {}; name one simulation, with {{}} for the frame \
+                 number",
                 a.path.display(),
                 b.path.display(),
                 a.digits
@@ -558,7 +559,8 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
     match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
         None => Ok(()),
         Some((a, b)) => Err(SimulationError::Names(format!(
-            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by \"{pattern}\"",
+            "{} and {}: their numbers can be decimals; if {} and {} are the frame numbers, use \
+             \"{pattern}\"",
             a.path.display(),
             b.path.display(),
             a.number,

@@ -274,7 +274,7 @@ impl Pictures {
         match inputs.only() {
             Ok((sequence, frames)) => Ok((Some(sequence), frames)),
             Err(SimulationError::NoFrames(given)) => {
-                Err(SimulationError::NoFrames(format!("{given}: no mesh")).into())
+                Err(SimulationError::NoFrames(format!("{given}: not a mesh")).into())
             }
             Err(error) => Err(error.into()),
         }
@@ -315,7 +315,7 @@ impl Pictures {
         match extension(output) {
             APNG if frames.len() > 1 => Ok(Target::Animation(file)),
             APNG => Err(Error::Request(format!(
-                "{}: an animation takes several meshes",
+                "{}: an animation needs several meshes",
                 output.display()
             ))),
             _ if extension(output) != PNG && !file.is_direct() => {
@@ -520,7 +520,8 @@ impl SheetDone {
             count => format!("{} to {} ({count} meshes)", first.display(), last.display()),
         };
         Some(format!(
-            "{which}: not on the sheet; the run that made them drew no sheet, and their format is not read again: make them once more to see them"
+            "{which}: not on the contact sheet, because they were made without it and their \
+             format cannot be read; make them again to see them"
         ))
     }
 }
@@ -529,9 +530,9 @@ impl fmt::Display for SheetDone {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { path, meshes, undrawn } = self;
         match meshes - undrawn.len() {
-            0 => write!(f, "{}: no sheet, for no frame could be drawn", path.display()),
-            _ if undrawn.is_empty() => write!(f, "{}: a sheet of the frames", path.display()),
-            drawn => write!(f, "{}: a sheet of {drawn} of {meshes} frames", path.display()),
+            0 => write!(f, "{}: no contact sheet, because no frame could be drawn", path.display()),
+            _ if undrawn.is_empty() => write!(f, "{}: a contact sheet of the frames", path.display()),
+            drawn => write!(f, "{}: a contact sheet of {drawn} of {meshes} frames", path.display()),
         }
     }
 }

@@ -146,7 +146,8 @@ impl Setup<'_> {
             }
             if self.sequence.takes(&output) {
                 return Err(Error::Request(format!(
-                    "{}: would be taken for a frame of {}; name the meshes otherwise, or write them into another folder",
+                    "{}: this mesh would be taken for a frame of {}; choose another name or \
+                     folder for the meshes",
                     output.display(),
                     self.sequence.describe()
                 )));
@@ -185,7 +186,7 @@ impl Setup<'_> {
             if self.is_calibrated(&state, frames) {
                 return Ok(Found::Kept(Box::new(state), text));
             }
-            let what = "what was measured is missing, or of another surface".into();
+            let what = "the calibration is missing, or belongs to another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
             return if anew {
                 Ok(Found::Stale { text, of_others: true })

@@ -115,7 +115,7 @@ impl Store {
             Err(fault) if fault.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(fault) if fault.kind() == io::ErrorKind::NotADirectory => {
                 let file = path.ancestors().find(|place| place.is_file()).unwrap_or(&path);
-                let fault = io::Error::new(fault.kind(), "is a file, and no folder");
+                let fault = io::Error::new(fault.kind(), "is a file, not a folder");
                 Err(SimulationError::Io { path: file.to_owned(), fault })
             }
             Err(fault) => Err(SimulationError::Io { path, fault }),

@@ -71,7 +71,7 @@ pub enum Lost {
 impl From<Lost> for io::Error {
     fn from(lost: Lost) -> Self {
         match lost {
-            Lost::Changed => Self::other("it has changed while it was read"),
+            Lost::Changed => Self::other("changed while it was read"),
             Lost::Io(fault) => fault,
         }
     }

@@ -42,10 +42,10 @@ pub enum VulkanError {
     #[error("the Vulkan validation layer is not installed")]
     NoValidation,
     /// The loader knows no device at all.
-    #[error("no Vulkan device: the loader knows none")]
+    #[error("no Vulkan device found")]
     NoDevice,
     /// No device of that number or name.
-    #[error("no Vulkan device {wanted:?}; there are: {known}")]
+    #[error("no Vulkan device {wanted:?}; available: {known}")]
     NotFound {
         /// The number or name that was asked for.
         wanted: String,
@@ -61,7 +61,7 @@ pub enum VulkanError {
         lacks: &'static str,
     },
     /// Memory of the device, or the share of it that may be used, is exhausted.
-    #[error("device memory is exhausted: {bytes} more bytes were asked for")]
+    #[error("device memory is exhausted: cannot allocate {bytes} more bytes")]
     OutOfMemory {
         /// How many were asked for.
         bytes: u64,

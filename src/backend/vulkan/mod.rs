@@ -295,7 +295,7 @@ impl Stages for Arc<DeviceFrame> {
         let mut warnings = state.warnings.clone();
         let failed = self.reader.failed().filter(|_| !state.on_cpu);
         warnings.extend(
-            failed.map(|error| format!("{error}; what was on the device is made again on the CPU")),
+            failed.map(|error| format!("{error}; repeating the device's work on the CPU")),
         );
         warnings
     }

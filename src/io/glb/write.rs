@@ -82,7 +82,8 @@ fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Resul
     let total = 12 + 8 + json.len() as u64 + binary;
     let Ok(total) = u32::try_from(total) else {
         let what = format!(
-            "the mesh takes {total} bytes, a .glb file holds 4 GiB; write .ply, .obj or .vtp"
+            "the mesh needs {total} bytes, but a .glb file stores at most 4 GiB; write .ply, \
+             .obj or .vtp"
         );
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };

@@ -122,8 +122,8 @@ fn filter_in(error: &Error) -> Option<ReadFault> {
             let name = FILTERS.iter().find(|(number, _)| which.ends_with(&format!(" {number}")));
             let name = name.map_or(&**which, |(_, name)| name);
             Some(ReadFault::Unsupported(format!(
-                "HDF5 compressed by {name}; gzip and LZF are read: rewrite it, such as by \
-                 h5repack -f GZIP=4 OLD NEW"
+                "HDF5 compressed by {name}, which is not supported; rewrite it with gzip, for \
+                 example by h5repack -f GZIP=4 OLD NEW"
             )))
         }
         _ => None,

@@ -262,7 +262,7 @@ fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
 }
 
 fn no_integers(array: &Array) -> ReadFault {
-    malformed(array.place(), format!("array {} holds no integers", array.name))
+    malformed(array.place(), format!("array {} does not contain integers", array.name))
 }
 
 /// The numbers of a text from byte `at` on.
@@ -336,7 +336,7 @@ impl Stored<'_> {
                 Ok(bytes)
             }
             _ => {
-                let what = format!("array {} unpacks to more than is reasonable", self.array.name);
+                let what = format!("array {} decompresses to too many bytes for its size", self.array.name);
                 Err(ReadFault::Compression(what))
             }
         };
@@ -356,7 +356,7 @@ impl Stored<'_> {
                 let full = if last == 0 { Some(count) } else { count.checked_sub(1) };
                 let full = full.ok_or_else(|| {
                     let what =
-                        format!("array {} has a last block, and none in all", self.array.name);
+                        format!("array {} has a last block, but no blocks", self.array.name);
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
@@ -395,8 +395,8 @@ impl Stored<'_> {
     ) -> Result<(), ReadFault> {
         if length > MOST_LZ4 {
             return Err(ReadFault::Unsupported(format!(
-                "array {} in LZ4 blocks of {length} bytes; save it in blocks of {MOST_LZ4} bytes \
-                 or less",
+                "array {} has LZ4 blocks of {length} bytes; save it in blocks of {MOST_LZ4} \
+                 bytes or less",
                 self.array.name
             )));
         }

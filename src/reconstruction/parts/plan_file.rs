@@ -106,7 +106,7 @@ impl Plan {
         let kept: Kept =
             serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
         if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
-            return Err(damaged("it is not as it was written".into()));
+            return Err(damaged("was modified after it was written".into()));
         }
         let Kept { plan, fingerprint } = kept;
         plan.validate().map_err(damaged)?;

@@ -165,10 +165,10 @@ impl Picture {
             Some(View::From { azimuth, elevation, zoom })
                 if !finite(&[azimuth, elevation, zoom]) || zoom <= 0.0 =>
             {
-                Err(PictureError::View("angles must be finite, and a zoom positive"))
+                Err(PictureError::View("angles must be finite, and the zoom positive"))
             }
             Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
-                Err(PictureError::View("the eye and what it looks at must be two places"))
+                Err(PictureError::View("the eye and the point that it looks at must differ"))
             }
             _ => Ok(()),
         }
@@ -235,13 +235,14 @@ pub(super) const MOST_PIXELS: usize = 1 << 15;
 #[non_exhaustive]
 pub enum PictureError {
     /// A size that no picture can have.
-    #[error("a picture of {0} x {1} pixels: 1 to {MOST_PIXELS} can be along an edge")]
+    #[error("the size of a picture must be from 1 to {MOST_PIXELS} pixels per side, got {0} x \
+             {1}")]
     Size(usize, usize),
     /// A view that shows nothing.
     #[error("{0}")]
     View(&'static str),
     /// A colour map that is not known.
-    #[error("no colour map {name:?}; there are: {known}")]
+    #[error("no colour map {name:?}; available: {known}")]
     Map {
         /// The name that was asked for.
         name: String,
@@ -249,7 +250,7 @@ pub enum PictureError {
         known: String,
     },
     /// An attribute that the vertices do not have.
-    #[error("no attribute {name:?} on the vertices; there are: {known}")]
+    #[error("no attribute {name:?} on the vertices; available: {known}")]
     NoAttribute {
         /// The attribute that was asked for.
         name: String,
@@ -260,7 +261,7 @@ pub enum PictureError {
     #[error("{0}")]
     Reference(CompareError),
     /// More memory than may be used.
-    #[error("a picture of this mesh takes {needed} bytes of memory; {allowed} may be used")]
+    #[error("a picture of this mesh needs {needed} bytes of memory, but the limit is {allowed}")]
     Memory {
         /// Bytes that it takes.
         needed: u64,

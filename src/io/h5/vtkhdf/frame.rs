@@ -78,7 +78,7 @@ impl Frame {
                 arrays.push(array.part(first, rows)?);
             }
         }
-        let no_points = || malformed(0, "the Points have not three components");
+        let no_points = || malformed(0, "Points must have three components");
         Table::of_arrays(arrays, "Points").ok_or_else(no_points)
     }
 

@@ -65,7 +65,7 @@ pub(super) fn left(
     let all = [sum(&vertices)?, sum(&ids)?, sum(&others)?];
     if sum(&all)? > file.limit {
         let what =
-            format!("{} cells with {} points are beyond all reason for this file", all[0], all[1]);
+            format!("{} cells with {} points are too many for the size of this file", all[0], all[1]);
         return Err(ReadFault::Compression(what));
     }
 
@@ -102,7 +102,7 @@ pub(super) fn left(
     }
     let all_taken = |flags: &&Numbers| frame.step.is_some() || flags.at == flags.array.rows;
     if let Some(Numbers { array, at, .. }) = arrays.flags.iter().find(|flags| !all_taken(flags)) {
-        let what = format!("array {} is not of one number for each of {at} cells", array.name);
+        let what = format!("array {} must have one number for each of {at} cells", array.name);
         return Err(malformed(0, what));
     }
     Ok(Some(left))
