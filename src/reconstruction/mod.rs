@@ -21,6 +21,9 @@ mod draw;
 mod frame;
 mod info;
 mod lattice;
+#[cfg(test)]
+#[cfg(feature = "pictures")]
+mod messages;
 mod needs;
 mod on_device;
 mod opened;

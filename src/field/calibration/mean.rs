@@ -13,7 +13,7 @@ use crate::grid::units::{MeanCount, UnitError};
 /// A frame on which mu0 cannot be measured.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("cannot measure mu0 on this frame: {0}")]
-pub struct NoMeanCount(#[source] UnitError);
+pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
 /// A frame's particles in order of their bins, ready to be made into pages, wherever they are kept.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]

@@ -161,7 +161,7 @@ fn range<S: Source<Error = String>>(value: &S) -> Result<(i64, i64), String> {
     let ends = text.split_once("..");
     let ends = ends.and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
     ends.filter(|(first, last)| first <= last)
-        .ok_or_else(|| "expected two numbers in order, as 100..199".into())
+        .ok_or_else(|| "expected two increasing numbers, such as 100..199".into())
 }
 
 impl Frames {
