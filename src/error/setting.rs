@@ -1,4 +1,4 @@
-//! Settings that exclude each other, or what they are asked of.
+//! Settings that conflict with each other or with the request.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -12,41 +12,41 @@ use crate::settings::Setting;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
-    /// A setting that says the same.
+    /// A setting with the same meaning.
     Setting(Setting),
-    /// The indicator that makes the field.
+    /// The indicator.
     Indicator(IndicatorKind),
-    /// The kernel method that makes the field.
+    /// The kernel method.
     Method(KernelMethod),
-    /// A packed frame, of which the particles themselves are not there any more.
+    /// A packed frame, which has no particles.
     Packed(PathBuf),
-    /// A frame that is to be packed: it holds samples, and no surface.
+    /// Packing a frame, which stores samples and no surface.
     Packing,
-    /// A frame that was sampled already, otherwise than is asked for now.
+    /// A frame that was already sampled with another value.
     Sampled,
-    /// Particles and a surface that stay on a device.
+    /// Particles and a surface on a device.
     OnDevice,
     /// The format of the mesh.
     Format {
         /// The mesh's file.
         path: PathBuf,
-        /// The format by its name.
+        /// The format.
         format: MeshFormat,
     },
 }
 
-/// A setting that was given, and has no meaning for what it is asked of.
+/// A given setting that does not apply.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Unfit {
     /// The setting.
     pub setting: Setting,
-    /// The setting, file or format that it conflicts with.
+    /// What it conflicts with.
     pub with: Conflict,
 }
 
 impl Unfit {
-    /// The sentence, with the setting called as `name` says.
+    /// The message, with settings named by `name`.
     pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));

@@ -1,4 +1,4 @@
-//! Doubts about a frame, or about the request for it, although there is a surface.
+//! Warnings about a surface, or about the request for it.
 
 use std::fmt;
 
@@ -15,110 +15,109 @@ use crate::surface::simplify::TooSmall;
 
 use super::{Cells, Doubt};
 
-/// Particles that are so many times too dense for their spacing are half as far apart.
+/// Density, relative to the spacing, from which on a warning is given: half the distance.
 const CROWDED: f64 = 8.0;
 
-/// Particles in no surface, or in the same place as others, that are not worth a word.
+/// Number of lost or coincident particles up to which there is no warning.
 const FEW: u64 = 10;
 
-/// A doubt about a surface, or about the request for it.
+/// A warning about a surface, or about the request for it.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Warning {
-    /// The spacing may not be that of the particles.
+    /// The spacing may be wrong.
     Spacing(Doubt),
-    /// Many more particles are there than their spacing leaves room for.
+    /// Particles are much denser than the spacing allows.
     Crowded {
-        /// How many times as many, at the least.
+        /// Lower bound of the ratio of densities.
         times: f64,
-        /// The spacing that they are taken to have.
+        /// The spacing.
         spacing: f64,
     },
-    /// Particles are in the same place as others.
+    /// Particles have the same position as others.
     Coincident {
-        /// How many, where, and whether far from others.
+        /// Their number and place, and whether they are far from others.
         found: Coincident,
-        /// How many particles there are.
+        /// Number of particles.
         of: usize,
     },
     /// Some particles lack a value of an attribute.
     Lacking {
         /// The attribute's name.
         attribute: String,
-        /// How many particles have no such number.
+        /// Number of particles without a value.
         without: usize,
-        /// How many particles there are.
+        /// Number of particles.
         of: usize,
     },
-    /// The backend failed, and the processor stood in for it.
+    /// The backend failed, and the CPU did its work.
     MadeGood(String),
-    /// A lattice of particles lies on the corners of cells, which symmetry does not bear.
+    /// A lattice of particles lies on the corners of cells, where symmetry fails.
     OnCorners {
         /// The mean indicator of full cells.
         mean: f64,
-        /// An origin that moves the grid off them.
+        /// An origin of the grid that avoids this.
         origin: [f64; 3],
     },
-    /// An isovalue that was given is above values deep in the fluid.
+    /// The given isovalue is above values deep in the fluid.
     Bubbles {
         /// The isovalue.
         iso: f64,
         /// The lowest value deep in the fluid.
         lowest: f64,
     },
-    /// Particles are past a wall that was found on other frames.
+    /// Particles are beyond a wall that was found on other frames.
     PastWall(Past),
-    /// Particles are in no surface.
+    /// Particles are missing from the surface.
     Lost {
-        /// How many, at the least.
+        /// Lower bound of their number.
         lost: u64,
-        /// How many particles there are.
+        /// Number of particles.
         of: usize,
-        /// Whether smoothing by one of the paper's indicators loses them, where smaller cells would
-        /// not help.
+        /// Whether smoothing by counting or symmetry loses them, so that smaller cells do not help.
         smoothed: bool,
     },
-    /// The surface holds far less than its particles.
+    /// The surface encloses much less than the particles' volume.
     Shortfall {
-        /// By how much.
+        /// The ratio of volumes.
         shortfall: Shortfall,
-        /// Whether clouds make the field.
+        /// Whether the indicator is cloud.
         clouds: bool,
-        /// The frame that its isovalue or plateau was measured on, if that is another.
+        /// The calibration frame, if it is another one.
         measured_on: Option<i64>,
     },
-    /// A format leaves vertices in the same place, and has nothing else to tell them by.
+    /// Vertices become equal in a format that has no indices.
     Merged {
-        /// How many.
+        /// Their number.
         vertices: u64,
         /// The format.
         format: MeshFormat,
     },
-    /// A format has no room for an attribute's name, or has it taken.
+    /// The format cannot store the attribute's name, or uses it already.
     Renamed {
         /// The attribute.
         attribute: String,
-        /// The name that it gets.
+        /// The name in the file.
         name: String,
         /// The format.
         format: MeshFormat,
     },
-    /// A format holds coordinates as f32, too coarse for these.
+    /// The format stores coordinates as f32, which is too coarse.
     Coarse {
         /// The format.
         format: MeshFormat,
     },
     /// A part of the input is not read.
     LeftOut(LeftOut),
-    /// None of a frame's particles satisfies the conditions: its mesh is empty.
+    /// No particle of the frame satisfies the conditions: its mesh is empty.
     NoneSelected(SelectionFault),
-    /// A frame among others has no surface: its mesh is empty.
+    /// The frame of a simulation has no surface: its mesh is empty.
     Empty {
         /// The cause.
         why: Emptiness,
-        /// Whether clouds make the field.
+        /// Whether the indicator is cloud.
         clouds: bool,
-        /// The frame that its isovalue or plateau was measured on, if that is another.
+        /// The calibration frame, if it is another one.
         measured_on: Option<i64>,
     },
 }
@@ -129,14 +128,14 @@ pub enum Warning {
 pub enum Emptiness {
     /// The field is nowhere above the isovalue.
     Field,
-    /// No cell's centre is inside of the surface.
+    /// The surface contains no cell's centre.
     Distances,
-    /// All components were too small to be kept.
+    /// All components are smaller than the limits.
     TooSmall(TooSmall),
 }
 
 impl Emptiness {
-    /// Tells why an error leaves a frame with an empty mesh, if it does.
+    /// The cause, if this error means an empty mesh.
     pub(crate) fn of(fault: &FrameError) -> Option<Self> {
         match *fault {
             FrameError::NoSurface { .. } => Some(Self::Field),
@@ -234,7 +233,7 @@ impl fmt::Display for Warning {
     }
 }
 
-/// Doubts about a frame that was sampled.
+/// Warnings about a sampled frame.
 pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::MadeGood).collect();
     let mean = engine.dif().and_then(mean_symmetry);
@@ -297,7 +296,7 @@ pub(crate) fn of_particles<'a>(
     warnings
 }
 
-/// A doubt about an isovalue that was given, by what was measured on the frame.
+/// A warning about a given isovalue, from measurements on the frame.
 pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Option<Warning> {
     let (Plateau::Interior { lowest, .. }, Some(given)) = (measured.plateau, given) else {
         return None;
@@ -309,7 +308,7 @@ pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Opt
     })
 }
 
-/// A doubt about particles that are in no surface, if they are many.
+/// A warning about particles that are missing from the surface, if there are many.
 pub(crate) fn lost_warning(lost: u64, of: usize, smoothed: bool) -> Option<Warning> {
     (lost > FEW).then_some(Warning::Lost { lost, of, smoothed })
 }
