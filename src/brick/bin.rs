@@ -48,8 +48,7 @@ impl CountingRoom {
     /// Bytes of a place that is kept.
     pub const PLACE: u64 = size_of::<Record>() as u64;
 
-    /// The room that suits a budget of so many bytes: half of it for tables, and an eighth, or less
-    /// if that is enough, for places.
+    /// The room within a budget in bytes: half of it for tables, and at most an eighth for places.
     pub fn within(budget: u64) -> Self {
         let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
         let places = (budget / 8).min(MOST_PLACES) / Self::PLACE;
@@ -298,8 +297,8 @@ impl BinPlan {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Bytes that each thread takes to look up the bins of so many particles, of which it may leave
-    /// those out that are not `wanted`.
+    /// Bytes per thread to look up the bins of `particles`, of which those that are not `wanted` may be
+    /// left out.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { Sieve::bytes(particles) } else { 0 }
     }
@@ -542,7 +541,7 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
-        // Along each axis so many bins: in the second scene more than a place can name.
+        // Number of bins along each axis: in the second scene more than a place can number.
         for bins in [5, 25] {
             let coordinate =
                 |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;

@@ -82,12 +82,17 @@ impl Unfit {
                 format!("{setting} does not apply to this {}", named("method"))
             }
             (Conflict::Packed(path), _) => {
-                format!("{}: {setting} needs the particles, which a packed frame does not \
-                         contain", path.display())
+                format!(
+                    "{}: {setting} needs the particles, which a packed frame does not \
+                         contain",
+                    path.display()
+                )
             }
             (Conflict::Packing, _) => {
-                format!("{setting} is for surfaces: use it when you reconstruct the packed \
-                         frame")
+                format!(
+                    "{setting} is for surfaces: use it when you reconstruct the packed \
+                         frame"
+                )
             }
             (Conflict::Sampled, _) => {
                 format!(

@@ -56,8 +56,10 @@ pub enum FrameError {
     #[error("the surface is empty: it contains no cell's centre")]
     NoDistanceSurface,
     /// The calibration was measured on a frame of another indicator, and says nothing of this one.
-    #[error("its indicator differs from that of the calibration frame; pack it again with the \
-             same indicator")]
+    #[error(
+        "its indicator differs from that of the calibration frame; pack it again with the \
+             same indicator"
+    )]
     OtherIndicator,
     /// Images were made for filters that do not see as far.
     #[error(
@@ -159,7 +161,9 @@ impl From<DeviceBinError> for FrameError {
 
 fn explain(census: &Census) -> String {
     match *census {
-        Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none in the input".into(),
+        Census { not_finite: 0, too_far: 0, outside: 0, .. } => {
+            "there are none in the input".into()
+        }
         Census { not_finite, too_far, outside, .. } => {
             format!(
                 "{not_finite} not finite, {too_far} beyond the grid, {outside} outside the \

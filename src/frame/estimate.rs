@@ -174,9 +174,8 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
 }
 
 impl Estimate {
-    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if
-    /// there is one, and an input that takes so many bytes. Only the bins that are `meshed` get a
-    /// surface.
+    /// An estimate for particles counted by bin, in Morton order, from the shape of pages of the DIF, if
+    /// there is one, and the bytes of the input. Only bins that are `meshed` get a surface.
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
@@ -237,7 +236,7 @@ impl Estimate {
         Self { surface, vertices: expected.vertices, meshing, ..self }
     }
 
-    /// Adds a bin of so many bytes of the DIF.
+    /// Adds a bin with `field` bytes of the DIF.
     fn add_bin(&mut self, field: u64) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;

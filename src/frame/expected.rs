@@ -36,8 +36,7 @@ impl Expected {
     /// The most there can be, for frames of which nothing is known.
     pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
 
-    /// How many vertices are in so many blocks together, at the most, if no block has more than
-    /// `most`.
+    /// Upper bound of the vertices in `blocks` blocks together, if no block has more than `most`.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
         // One block can be full of spray where the others are like most, and few frames have twice
         // what is expected.
@@ -106,8 +105,8 @@ mod tests {
     use super::*;
     use crate::grid::CellBox;
 
-    /// The surface of bins that hold so many particles where 4096 are a full one, in cells of one
-    /// spacing.
+    /// The surface of bins with these numbers of particles, in cells of one spacing, where a full bin
+    /// has 4096.
     fn surface_of(bins: &[(IVec3, usize)]) -> Expected {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)

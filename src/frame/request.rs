@@ -150,8 +150,7 @@ impl Surfacing {
         }
     }
 
-    /// Memory that the surface takes through the field of particles so far apart, with attributes
-    /// of so many components.
+    /// Memory of the surface, for a spacing in cells and the components of its attributes.
     pub(super) fn drawing(
         &self,
         method: Method,

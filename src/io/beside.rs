@@ -61,8 +61,11 @@ impl Folder {
             let name = entry?.file_name();
             let is_ours = name.to_str().is_some_and(|name| is_piece(name, &stem, extension));
             if !is_ours {
-                let what = format!("the folder {} beside it contains other files; choose another \
-                               name", folder.display());
+                let what = format!(
+                    "the folder {} beside it contains other files; choose another \
+                               name",
+                    folder.display()
+                );
                 return Err(io::Error::new(ErrorKind::InvalidInput, what));
             }
             empty = false;
@@ -171,9 +174,13 @@ impl Drop for Folder {
 /// The folder beside a file, and its name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-    let no_text =
-        || io::Error::new(ErrorKind::InvalidInput, "its name is not valid Unicode, so other files cannot refer to \
-                               it; rename it");
+    let no_text = || {
+        io::Error::new(
+            ErrorKind::InvalidInput,
+            "its name is not valid Unicode, so other files cannot refer to \
+                               it; rename it",
+        )
+    };
     let stem = stem.ok_or_else(no_text)?;
     Ok((place.with_file_name(&stem), stem))
 }

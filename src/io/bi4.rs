@@ -42,9 +42,10 @@ pub fn open_particles(
         return read_particles(bytes).map_err(fail);
     }
     let name = PieceName::of(path).ok_or_else(|| {
-        let what =
-            format!("is one of {count} pieces of a part; their names must be like \
-                     Part_p00_0000.bi4");
+        let what = format!(
+            "is one of {count} pieces of a part; their names must be like \
+                     Part_p00_0000.bi4"
+        );
         fail(ReadFault::Unsupported(what))
     })?;
     let opened = wanted.pieces.of(count as usize) as u64;
@@ -136,9 +137,10 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let piece = Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
-        let what =
-            format!("is one of {pieces} pieces of a part, which are read together; name the \
-                     file on disk");
+        let what = format!(
+            "is one of {pieces} pieces of a part, which are read together; name the \
+                     file on disk"
+        );
         return Err(ReadFault::Unsupported(what));
     }
     Ok(ParticleFile { spacing, time, ..ParticleFile::new(piece.store(bytes), "DualSPHysics .bi4") })
@@ -185,7 +187,10 @@ impl Piece {
             if scalars.contains(&scalar) && width == components {
                 Ok(array)
             } else {
-                Err(malformed(array.offset, format!("the array {} has an unexpected type", array.name)))
+                Err(malformed(
+                    array.offset,
+                    format!("the array {} has an unexpected type", array.name),
+                ))
             }
         };
         let ids = find(["Idp", "Idpd"], [Scalar::U32, Scalar::U64], 1)?;
@@ -359,9 +364,8 @@ impl Tree {
             Some(b"JPartDataBi4") => {}
             Some(other) => {
                 let what = String::from_utf8_lossy(other);
-                let what = format!(
-                    "a {what} file contains no particles; use Part_0000.bi4 and so on"
-                );
+                let what =
+                    format!("a {what} file contains no particles; use Part_0000.bi4 and so on");
                 return Err(ReadFault::Unsupported(what));
             }
             None => {

@@ -679,9 +679,12 @@ fn unpack(
     };
     let limit = unpacked_limit(count);
     collect(plain, unpacking, damaged, |total| {
-        let what =
-            || format!("decompresses to more than {GREATEST_RATIO} times its size; decompress \
-                        it first");
+        let what = || {
+            format!(
+                "decompresses to more than {GREATEST_RATIO} times its size; decompress \
+                        it first"
+            )
+        };
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }
     })
 }

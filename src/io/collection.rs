@@ -60,7 +60,9 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     };
     let frames: Vec<ListedFrame> = named.into_iter().map(frame).collect();
     let fault = match frames.iter().flat_map(|frame| &frame.files).find(|file| is_list(file)) {
-        Some(other) => format!("{} is a list as well; a list must name particle files", other.display()),
+        Some(other) => {
+            format!("{} is a list as well; a list must name particle files", other.display())
+        }
         None if frames.is_empty() => "lists no files".to_owned(),
         None => return Ok(frames),
     };

@@ -181,9 +181,11 @@ impl Header {
             true => "pickled Python objects are not supported; save an array of numbers with \
                      shape (N, 3)"
                 .to_owned(),
-            false if self.descr == STRUCTURE => "nested structures and objects are not supported; save an array \
+            false if self.descr == STRUCTURE => {
+                "nested structures and objects are not supported; save an array \
                                of numbers with shape (N, 3)"
-                .to_owned(),
+                    .to_owned()
+            }
             false => format!(
                 "elements {}; positions must be float16, float32 or float64 \
                  (.astype(np.float32))",

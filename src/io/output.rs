@@ -267,9 +267,8 @@ impl MeshFormat {
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc => {
-                let what = format!(
-                    "cannot read {self} meshes; convert the particles to .ply as well"
-                );
+                let what =
+                    format!("cannot read {self} meshes; convert the particles to .ply as well");
                 Err(ReadFault::Unsupported(what))
             }
         }

@@ -206,7 +206,9 @@ fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     let mut triangle = Vec::with_capacity(3);
     for position in corners {
         let next = u32::try_from(mesh.positions.len()).map_err(|_| {
-            ReadFault::Unsupported("2^32 different corners are more than a mesh can have".to_owned())
+            ReadFault::Unsupported(
+                "2^32 different corners are more than a mesh can have".to_owned(),
+            )
         })?;
         let vertex = *known.entry(position.map(f64::to_bits)).or_insert(next);
         if vertex == next {

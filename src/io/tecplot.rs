@@ -248,7 +248,9 @@ impl Zone {
             ("F" | "DATAPACKING", "BLOCK") => self.packing = Some(Packing::Block),
             ("ZONETYPE", "ORDERED") => {}
             ("F" | "DATAPACKING" | "ZONETYPE" | "N" | "NODES" | "E" | "ELEMENTS", _) => {
-                return Err(format!("a zone with {key}={value}: only zones of points are supported"));
+                return Err(format!(
+                    "a zone with {key}={value}: only zones of points are supported"
+                ));
             }
             ("VARLOCATION" | "VARSHARELIST" | "PASSIVEVARLIST", _) => {
                 return Err(format!(

@@ -223,9 +223,9 @@ pub fn read_particles(
             let place = frames.find(view, step)?;
             xyz::read(bytes, place, wanted, unpacking)
         }
-        (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => {
-            Err(ReadFault::Unsupported(format!("contains a single frame, so there is no step {step}")))
-        }
+        (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => Err(
+            ReadFault::Unsupported(format!("contains a single frame, so there is no step {step}")),
+        ),
         (TextFormat::Tecplot, None) => tecplot::read(bytes, unpacking),
         (TextFormat::Raw, None) => xyz::read_raw(bytes),
         (TextFormat::Table, None) => {

@@ -308,9 +308,8 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
 /// # Errors
 /// The system's refusal, of which the kind and the words are kept.
 pub fn make_folder(folder: &Path) -> io::Result<()> {
-    fs::create_dir_all(folder).map_err(|fault| {
-        io::Error::new(fault.kind(), format!("cannot create the folder: {fault}"))
-    })
+    fs::create_dir_all(folder)
+        .map_err(|fault| io::Error::new(fault.kind(), format!("cannot create the folder: {fault}")))
 }
 
 /// In the same folder, so that it can be moved there in one step; with the permissions of any new

@@ -29,8 +29,10 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let bytes = source.count();
     let rest = bytes % TRIPLE;
     if rest > 0 {
-        let what = format!("{rest} extra bytes at the end; raw f32 positions have {TRIPLE} \
-                            bytes each");
+        let what = format!(
+            "{rest} extra bytes at the end; raw f32 positions have {TRIPLE} \
+                            bytes each"
+        );
         return Err(malformed(bytes - rest, what));
     }
     if bytes.is_multiple_of(2 * TRIPLE) && source.with(0..bytes.min(SAMPLED), are_f64) {

@@ -157,8 +157,9 @@ impl FromStr for Condition {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected =
-            || format!("expected a condition such as Type=1, mk=0,2 or age<2.5, got {:?}", text.trim());
+        let expected = || {
+            format!("expected a condition such as Type=1, mk=0,2 or age<2.5, got {:?}", text.trim())
+        };
         let length = |text: &str| {
             WRITTEN.iter().find(|(written, _)| text.starts_with(written)).map(|(w, _)| w.len())
         };

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::particles::Particles;
 
-/// A lattice has as many particles in a cell, along an axis, as divide its edge: so many are tried.
+/// Maximum number of lattice particles per cell along an axis that is tried.
 const DIVISIONS: u32 = 4;
 /// Places in a lattice's step that are told apart.
 const PLACES: usize = 256;

@@ -140,9 +140,7 @@ pub struct MeshInfo {
 
 /// The extensions of all supported files, for a message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
-    format!(
-        "particles: {KNOWN}; packed frames: .mnf; meshes: .ply, .obj, .vtk, .vtp and .stl"
-    )
+    format!("particles: {KNOWN}; packed frames: .mnf; meshes: .ply, .obj, .vtk, .vtp and .stl")
 });
 
 /// Reads the content summary of a particle file, a packed frame or a mesh.

@@ -342,8 +342,12 @@ fn warnings(all: &mut String) {
         Block { name: "walls".into(), holds: "a grid".into() },
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
     );
-    let contradicted = |said, mistake, spray| {
-        Doubt::Contradicted { said, source: SpacingSource::Given, found: 0.05, mistake, spray }
+    let contradicted = |said, mistake, spray| Doubt::Contradicted {
+        said,
+        source: SpacingSource::Given,
+        found: 0.05,
+        mistake,
+        spray,
     };
     examples!(text, Doubt:
         TwoResolutions { spacings: [0.05, 0.1], taken: 0.05 },
@@ -364,11 +368,15 @@ fn warnings(all: &mut String) {
         }),
         SinglePrecision { step: 0.03, spacing: 0.05 },
     );
-    section(&mut text, "Mistake", &[
-        ("Double", contradicted(0.1, Some(Mistake::Double), false)),
-        ("Unit", contradicted(50.0, Some(Mistake::Unit(1000.0)), false)),
-        ("Unit", contradicted(0.0005, Some(Mistake::Unit(0.01)), false)),
-        ("none", contradicted(0.07, None, true)),
-    ]);
+    section(
+        &mut text,
+        "Mistake",
+        &[
+            ("Double", contradicted(0.1, Some(Mistake::Double), false)),
+            ("Unit", contradicted(50.0, Some(Mistake::Unit(1000.0)), false)),
+            ("Unit", contradicted(0.0005, Some(Mistake::Unit(0.01)), false)),
+            ("none", contradicted(0.07, None, true)),
+        ],
+    );
     all.push_str(&text);
 }

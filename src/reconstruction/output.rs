@@ -80,8 +80,10 @@ pub(crate) fn coordinate_width(
         }
         SinglePrecision::TooCoarse => Ok(CoordinateWidth::F32),
         SinglePrecision::Exceeded => {
-            let what = format!("{format} stores coordinates as f32, and these are out of its \
-                               range; use .ply");
+            let what = format!(
+                "{format} stores coordinates as f32, and these are out of its \
+                               range; use .ply"
+            );
             Err(WriteError::new(path, WriteFault::Unsupported(what)))
         }
     }

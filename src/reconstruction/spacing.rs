@@ -271,10 +271,7 @@ impl fmt::Display for Doubt {
                     None => {}
                 }
                 if *spray {
-                    write!(
-                        f,
-                        "; it can be right for spray, or threads of single particles"
-                    )?;
+                    write!(f, "; it can be right for spray, or threads of single particles")?;
                 }
                 Ok(())
             }

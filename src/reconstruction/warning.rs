@@ -163,10 +163,7 @@ impl fmt::Display for Warning {
                 write!(f, "{particles} of {of} particles have the same position as another one")?;
                 match (*alone, *most) {
                     (true, most) => {
-                        write!(
-                            f,
-                            "; {most} are at ({at}), far from all others, like unused slots"
-                        )
+                        write!(f, "; {most} are at ({at}), far from all others, like unused slots")
                     }
                     (false, most) if most > 2 => write!(f, "; {most} are at ({at})"),
                     (false, _) => write!(f, ", such as at ({at})"),
@@ -193,7 +190,8 @@ impl fmt::Display for Warning {
             ),
             Self::PastWall(Past { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
-                let what = if moved.is_some() { "the wall is moved there" } else { "that side is open" };
+                let what =
+                    if moved.is_some() { "the wall is moved there" } else { "that side is open" };
                 write!(
                     f,
                     "particles reach {axis} = {reach}, beyond the wall found at {wall}: {what} \
@@ -213,8 +211,11 @@ impl fmt::Display for Warning {
                 write!(f, "the attribute \"{attribute}\" is stored as \"{name}\" in {format}")
             }
             Self::Coarse { format } => {
-                write!(f, "{format} stores coordinates as f32, which is too coarse here; .ply \
-                           stores f64")
+                write!(
+                    f,
+                    "{format} stores coordinates as f32, which is too coarse here; .ply \
+                           stores f64"
+                )
             }
             Self::LeftOut(part) => write!(f, "left out: {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),

@@ -531,7 +531,9 @@ impl fmt::Display for SheetDone {
         let Self { path, meshes, undrawn } = self;
         match meshes - undrawn.len() {
             0 => write!(f, "{}: no contact sheet, because no frame could be drawn", path.display()),
-            _ if undrawn.is_empty() => write!(f, "{}: a contact sheet of the frames", path.display()),
+            _ if undrawn.is_empty() => {
+                write!(f, "{}: a contact sheet of the frames", path.display())
+            }
             drawn => write!(f, "{}: a contact sheet of {drawn} of {meshes} frames", path.display()),
         }
     }

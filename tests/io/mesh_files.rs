@@ -249,7 +249,10 @@ fn obj_lines_that_do_not_parse_are_named() {
         ("f 1 2 4", "line 4: vertex 4 of the 3 so far"),
         ("f 1 2 0", "line 4: vertex 0 of the 3 so far"),
         ("f 1 2 -4", "line 4: vertex -4 of the 3 so far"),
-        ("f 1 2 9223372036854775808", "line 4: \"9223372036854775808\" is not the number of a vertex"),
+        (
+            "f 1 2 9223372036854775808",
+            "line 4: \"9223372036854775808\" is not the number of a vertex",
+        ),
         ("f 1 2 -9223372036854775808", "line 4: vertex -9223372036854775808 of the 3 so far"),
         ("f 1//1 2//1 3//1", "line 4: normal 1 of the 0 so far"),
         ("f 1 /2 3", "line 4: \"\" is not the number of a vertex"),

@@ -281,7 +281,11 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
     let Layout { footer, index } = layout;
     let second = index + 44;
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
-        (8, 3_u32.to_le_bytes().into(), "version 3 of packed frames; versions 1 to 2 are supported"),
+        (
+            8,
+            3_u32.to_le_bytes().into(),
+            "version 3 of packed frames; versions 1 to 2 are supported",
+        ),
         (8, 0_u32.to_le_bytes().into(), "version 0 of packed frames"),
         (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
         (12, 8_u32.to_le_bytes().into(), "not of its bin"),

@@ -106,7 +106,10 @@ fn a_header_s_box_and_unit_are_told_and_nothing_else_is_taken_from_them() {
         .output()
         .unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
-    assert!(text.contains("edges [4.0, 4.0, 4.0]; may be periodic, the file does not say"), "{text}");
+    assert!(
+        text.contains("edges [4.0, 4.0, 4.0]; may be periodic, the file does not say"),
+        "{text}"
+    );
     assert!(text.contains("2 ghosts"), "{text}");
 }
 
@@ -117,11 +120,7 @@ fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
     assert_eq!(positions(&open_type(&data("pysph_40.hdf5"), "wall").unwrap()), points()[..3]);
     assert_eq!(open_type(&data("openpmd.h5#200"), "water").unwrap().particles.len(), 24);
     for (name, kind, says) in [
-        (
-            GADGET[0],
-            "PartType4",
-            "no particles of type PartType4; available: PartType0, PartType1",
-        ),
+        (GADGET[0], "PartType4", "no particles of type PartType4; available: PartType0, PartType1"),
         ("pysph_40.hdf5", "gas", "there are: fluid, wall"),
         ("openpmd.h5#100", "ions", "there are: water"),
     ] {

@@ -142,11 +142,11 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         ),
         (ball(&["--detail"]), "for cloud, use --smooth"),
         (ball(&["--mu0", "3"]), "--mu0 does not apply to --indicator cloud"),
-        (ball(&["--smooth", "2", "--indicator", "counting"]), "--smooth applies only to --indicator cloud"),
         (
-            ball(&["--smooth", "2", "--indicator", "symmetry"]),
-            "for others, use --sigma",
+            ball(&["--smooth", "2", "--indicator", "counting"]),
+            "--smooth applies only to --indicator cloud",
         ),
+        (ball(&["--smooth", "2", "--indicator", "symmetry"]), "for others, use --sigma"),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
         (ball(&["--method", "mueller", "--cell", "0.05"]), "at most 16 cells per spacing, got 20"),
@@ -441,8 +441,11 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let errors = String::from_utf8(refused.stderr).unwrap();
     assert_eq!(refused.status.code(), Some(2), "{errors}");
     assert_eq!(names(folder.path()), ["spray.xyz"]);
-    let sizes: Vec<&str> =
-        errors.split("cell size of ").skip(1).map(|s| s.split([' ', ',']).next().unwrap()).collect();
+    let sizes: Vec<&str> = errors
+        .split("cell size of ")
+        .skip(1)
+        .map(|s| s.split([' ', ',']).next().unwrap())
+        .collect();
     let [asked, fitting] = sizes[..] else { panic!("{errors}") };
     assert_eq!(asked, "0.5");
     let fitted = run(fitting);
@@ -880,8 +883,11 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
 fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let folder = folder_with_ball();
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
-    let says =
-        ["ball.xyz", "smaller than 0.1 spacings", "use cells of 0.0505 or more (--cell 0.1 or more)"];
+    let says = [
+        "ball.xyz",
+        "smaller than 0.1 spacings",
+        "use cells of 0.0505 or more (--cell 0.1 or more)",
+    ];
     assert_refused(folder.path(), &finest, 2, &says);
     let enough = [
         "reconstruct",
@@ -920,7 +926,10 @@ fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
     let errors = String::from_utf8_lossy(&run.stderr);
-    assert!(run.status.code() == Some(2) && errors.contains("smaller than 0.1 spacings"), "{errors}");
+    assert!(
+        run.status.code() == Some(2) && errors.contains("smaller than 0.1 spacings"),
+        "{errors}"
+    );
     let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &pack);
     assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));

@@ -215,11 +215,7 @@ fn meshes_whose_names_would_make_frames_of_them_are_refused_before_the_work() {
         &["reconstruct", "f_{}.ply", "-o", "f_1{}.ply"],
         "would be taken for a frame",
     );
-    refused(
-        folder.path(),
-        &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"],
-        "choose another file",
-    );
+    refused(folder.path(), &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"], "choose another file");
     refused(folder.path(), &["reconstruct", ".", "-o", "./"], "choose another file");
     run(folder.path(), &["reconstruct", ".", "-o", "mesh_{}.ply", "--spacing", "1"], 0);
 }
@@ -348,11 +344,7 @@ fn odd_numbers_are_refused_with_the_sentence_that_helps() {
             "--fps must be from 0.000000001 to 1000000000",
         );
     }
-    refused(
-        folder.path(),
-        &with(&["--start", "5", "--end", "3"]),
-        "--start 5 is after --end 3",
-    );
+    refused(folder.path(), &with(&["--start", "5", "--end", "3"]), "--start 5 is after --end 3");
     let notes =
         run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "tiny.ply", "--spacing", "1e-320"], 3);
     assert!(notes.contains("cells of 4.99994e-321"), "{notes}");
@@ -415,10 +407,16 @@ fn values_that_32_bits_do_not_hold_are_said() {
     let one = [&["reconstruct", "f_1.csv", "-o", "a.ply"], &heat[..]].concat();
     let count = particles.len();
     let notes = run(folder.path(), &one, 0);
-    assert!(notes.contains(&format!("{count} of {count} particles have no finite 32-bit heat")), "{notes}");
+    assert!(
+        notes.contains(&format!("{count} of {count} particles have no finite 32-bit heat")),
+        "{notes}"
+    );
     let all = [&["reconstruct", "f_{}.csv", "-o", "m_{}.ply"], &heat[..]].concat();
     let notes = run(folder.path(), &all, 0);
-    assert!(notes.contains(&format!("f_2.csv: 1 of {count} particles have no finite 32-bit heat")), "{notes}");
+    assert!(
+        notes.contains(&format!("f_2.csv: 1 of {count} particles have no finite 32-bit heat")),
+        "{notes}"
+    );
     let mesh = read_mesh(&folder.path().join("m_2.ply")).unwrap();
     assert!(mesh.attributes[0].values.iter().all(|value| (value - 7.0).abs() < 1e-4));
     // The same within a budget that spills them.
@@ -689,7 +687,8 @@ fn two_resolutions_in_one_frame_are_said_and_a_fluid_that_thins_out_is_not() {
         let notes = of(&[at(1.0, 0.0), at(fine, 24.0)]);
         assert!(notes.contains("the particles have two spacings"), "{fine}: {notes}");
         let told = notes.split("two spacings, ").nth(1).unwrap();
-        let [a, b] = [0, 2].map(|word| told.split([' ', ';']).nth(word).unwrap().parse::<f64>().unwrap());
+        let [a, b] =
+            [0, 2].map(|word| told.split([' ', ';']).nth(word).unwrap().parse::<f64>().unwrap());
         assert!((a / fine - 1.0).abs() < 0.05 && (b - 1.0).abs() < 0.1, "{fine}: {a} and {b}");
     }
     assert!(!of(&[at(1.0, 0.0)]).contains("two spacings"));

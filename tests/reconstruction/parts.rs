@@ -377,10 +377,7 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
             "--parts does not apply to this --method",
         ),
         (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats needs --merge"),
-        (
-            ask(&["--parts", "2", "--part", "0", "--dry-run"]),
-            "--dry-run does not support --parts",
-        ),
+        (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run does not support --parts"),
         (ask(&["--parts", "2", "--merge", "--resume"]), "--resume needs --plan"),
         (vec!["frames", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["drop.xyz", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),

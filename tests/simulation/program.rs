@@ -279,7 +279,11 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
         (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
-        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"], 2, "--compress applies only to .glb"),
+        (
+            vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"],
+            2,
+            "--compress applies only to .glb",
+        ),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
         (
             vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"],
@@ -665,10 +669,7 @@ fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_war
     }
     fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
     let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
-    assert!(
-        notes.contains("warning: almost no fluid is deep enough to measure"),
-        "{notes}"
-    );
+    assert!(notes.contains("warning: almost no fluid is deep enough to measure"), "{notes}");
     assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
     let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
     let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);

@@ -103,7 +103,9 @@ fn advice(error: &Error) -> String {
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
         FrameError::Unread(Unread::Changed) => "; convert it when it is complete",
-        FrameError::Bin(BinError::NotFinite { .. }) => "; use --skip-invalid to leave out such particles",
+        FrameError::Bin(BinError::NotFinite { .. }) => {
+            "; use --skip-invalid to leave out such particles"
+        }
         FrameError::Bin(BinError::TooFar { .. }) => {
             "; use a larger cell size, move --origin, or leave out such particles with --skip-invalid"
         }
@@ -118,17 +120,13 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use --indicator cloud, which keeps drops and sheets, or smaller cells, a lower --iso or a smaller \
              --sigma; is the --spacing correct?"
         }
-        FrameError::NothingLeft(_) => {
-            "; use a smaller --smallest-component or --smallest-drop"
-        }
+        FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
         FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing correct?",
         FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
         FrameError::WideAttributes { .. } => {
             "; select fewer with --attributes, or use a larger --memory"
         }
-        FrameError::NoRoom { .. } => {
-            "; use another folder with --scratch, or a larger --memory"
-        }
+        FrameError::NoRoom { .. } => "; use another folder with --scratch, or a larger --memory",
         _ => "",
     }
 }

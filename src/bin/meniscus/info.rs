@@ -107,7 +107,10 @@ fn describe(info: &Info) -> String {
             left_out.iter().for_each(|part| line("left out", part.clone()));
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
             if let Some(edges) = box_size {
-                line("file's box", format!("edges {edges:?}; may be periodic, the file does not say"));
+                line(
+                    "file's box",
+                    format!("edges {edges:?}; may be periodic, the file does not say"),
+                );
             }
             if let Some(metres) = unit_metres {
                 line("unit", format!("{metres:?} m, from the file"));

@@ -60,7 +60,9 @@ impl Options {
     pub fn request(&self) -> Result<Reconstruction, Error> {
         let request = Reconstruction::by(self.settings.clone());
         if self.run.vulkan_given() && !request.uses_backend() {
-            return Err(Error::Request("--backend vulkan does not support this --method; use --backend cpu".into()));
+            return Err(Error::Request(
+                "--backend vulkan does not support this --method; use --backend cpu".into(),
+            ));
         }
         Ok(request)
     }

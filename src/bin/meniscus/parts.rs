@@ -21,8 +21,12 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
         _ if options.dry_run => {
             Some("--dry-run does not support --parts: --plan prints what each part takes")
         }
-        Step::Plan | Step::Part(_) if options.stats.is_some() => Some("--stats needs --merge: the other steps of --parts make no mesh"),
-        Step::Plan | Step::Part(_) if options.preview => Some("--preview needs --merge: the other steps of --parts make no mesh"),
+        Step::Plan | Step::Part(_) if options.stats.is_some() => {
+            Some("--stats needs --merge: the other steps of --parts make no mesh")
+        }
+        Step::Plan | Step::Part(_) if options.preview => {
+            Some("--preview needs --merge: the other steps of --parts make no mesh")
+        }
         Step::Merge if options.simulation.resume => {
             Some("--resume needs --plan: --merge always writes the whole mesh")
         }
@@ -89,8 +93,10 @@ fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Erro
 fn listed(planned: &Planned) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
-        let mut line =
-            format!("part {number}: {} particles, {} with its surroundings", part.particles, part.kept);
+        let mut line = format!(
+            "part {number}: {} particles, {} with its surroundings",
+            part.particles, part.kept
+        );
         if let Some(PartTakes { memory, in_core, scratch, .. }) = part.takes {
             let [memory, budget, in_core, scratch] =
                 [memory, planned.budget, in_core, scratch].map(ByteSize);
@@ -115,8 +121,7 @@ fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Ve
     if was_there {
         notes.say(format!("{what}, made earlier"));
     } else {
-        notes
-            .say(format!("{what} from {read} particles in {:.2} s", timings.total()));
+        notes.say(format!("{what} from {read} particles in {:.2} s", timings.total()));
     }
     report_stages(&timings, notes);
     Ok(Verdict::Good)

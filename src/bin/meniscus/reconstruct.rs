@@ -33,7 +33,9 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 /// Joins the inputs, as one frame or frame by frame.
 fn run_together(options: &Options) -> Result<Verdict, Error> {
     if options.parts.parts.is_some() {
-        return Err(Error::Request("--parts reads a single file and cannot be used with --together".into()));
+        return Err(Error::Request(
+            "--parts reads a single file and cannot be used with --together".into(),
+        ));
     }
     match Simulation::if_together(&options.inputs, &options.output)? {
         Some(simulation) => simulation::run(options, simulation),

@@ -58,7 +58,9 @@ pub fn report_cells(
     cells.doubts.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
     if let Some(corner) = moved_to {
         let corner = corner.map(shown).join(",");
-        notes.say(format!("all particles are on a lattice: the grid was moved to the origin {corner}"));
+        notes.say(format!(
+            "all particles are on a lattice: the grid was moved to the origin {corner}"
+        ));
     }
 }
 
@@ -83,8 +85,9 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
     if let Some(tolerance) = options.settings.simplify {
         let whole = report.whole_triangles;
         let share = 100.0 * mesh.triangle_count() as f64 / whole as f64;
-        notes
-            .say(format!("simplified within {tolerance} cells: {share:.1} % of {whole} triangles left"));
+        notes.say(format!(
+            "simplified within {tolerance} cells: {share:.1} % of {whole} triangles left"
+        ));
     }
 }
 

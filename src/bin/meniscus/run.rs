@@ -65,7 +65,9 @@ impl RunOptions {
         let mut request = request;
         if let Some(threads) = self.threads {
             if !(1..=MOST_THREADS).contains(&threads) {
-                return Err(Error::Request(format!("--threads must be from 1 to {MOST_THREADS}, got {threads}")));
+                return Err(Error::Request(format!(
+                    "--threads must be from 1 to {MOST_THREADS}, got {threads}"
+                )));
             }
             request = request.threads(threads);
         }

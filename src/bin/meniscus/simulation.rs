@@ -280,16 +280,18 @@ pub struct SimulationOptions {
 
 fn range(text: &str) -> Result<(i64, i64), String> {
     let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
-    numbers.filter(|(a, b)| a <= b).ok_or_else(|| "expected two increasing numbers, such as 100..199".to_owned())
+    numbers
+        .filter(|(a, b)| a <= b)
+        .ok_or_else(|| "expected two increasing numbers, such as 100..199".to_owned())
 }
 
 /// Rejects an option that was given, but only applies to simulations.
 fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
-        Some((name, _)) => {
-            Err(Error::Request(format!("{name} needs a simulation: several inputs, and an output with {{}}")))
-        }
+        Some((name, _)) => Err(Error::Request(format!(
+            "{name} needs a simulation: several inputs, and an output with {{}}"
+        ))),
     }
 }
 

@@ -158,8 +158,11 @@ fn particles(
 ) -> Result<ParticleFile, ReadFault> {
     let position = record(species, "position")?.filter(|position| position.len() == 3);
     let position = position.ok_or_else(|| {
-        ReadFault::Unsupported("no position with three components; particles must be \
-                               three-dimensional".to_owned())
+        ReadFault::Unsupported(
+            "no position with three components; particles must be \
+                               three-dimensional"
+                .to_owned(),
+        )
     })?;
     let rows = position[0].rows();
     let offset = record(species, "positionOffset")?.filter(|offset| offset.len() == 3);

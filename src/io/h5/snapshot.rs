@@ -53,8 +53,9 @@ impl Header {
             let counts = numbers(&header, name)?.into_iter();
             Some(counts.map(|count| if count >= 0.0 { count as u64 } else { 0 }).collect())
         };
-        let here = counts("NumPart_ThisFile")
-            .ok_or_else(|| malformed(0, "the numbers of particles are missing (NumPart_ThisFile)"))?;
+        let here = counts("NumPart_ThisFile").ok_or_else(|| {
+            malformed(0, "the numbers of particles are missing (NumPart_ThisFile)")
+        })?;
         let high = counts("NumPart_Total_HighWord").unwrap_or_default();
         let total = counts("NumPart_Total").map(|low| {
             let high = high.into_iter().chain(std::iter::repeat(0));
@@ -159,8 +160,10 @@ fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFaul
     match header.total.as_ref().and_then(|total| total.get(index)) {
         Some(&total) if total != found as u64 => Err(malformed(
             0,
-            format!("the header announces {total} particles of {kind}, but the files contain \
-                     {found}"),
+            format!(
+                "the header announces {total} particles of {kind}, but the files contain \
+                     {found}"
+            ),
         )),
         _ => Ok(()),
     }
@@ -187,9 +190,11 @@ fn read_piece(
     let missing = || malformed(0, format!("no {POSITION} with three components in {kind}"));
     let table = Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
-        let what =
-            format!("the header announces {announced} particles of {kind}, but the file \
-                     contains {}", table.rows());
+        let what = format!(
+            "the header announces {announced} particles of {kind}, but the file \
+                     contains {}",
+            table.rows()
+        );
         return Err(malformed(0, what));
     }
     drop(group);
@@ -202,8 +207,11 @@ fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> 
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
     let [stem, extension] =
         [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
-    let unnamed =
-        || ReadFault::Unsupported("is one of several files; their names must be like base.0.hdf5".into());
+    let unnamed = || {
+        ReadFault::Unsupported(
+            "is one of several files; their names must be like base.0.hdf5".into(),
+        )
+    };
     let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
     let mut paths = Vec::new();
     for number in 0..header.files {

@@ -98,7 +98,8 @@ impl Array {
     /// The data set called `name` in a group, which must be there and of numbers.
     pub fn named(group: &Group, name: &str) -> Result<Self, ReadFault> {
         let set = checked(group.dataset(name))?;
-        Self::new(set).ok_or_else(|| malformed(0, format!("{name} does not consist of rows of numbers")))
+        Self::new(set)
+            .ok_or_else(|| malformed(0, format!("{name} does not consist of rows of numbers")))
     }
 
     /// Takes `rows` rows from `first` on.
@@ -253,7 +254,10 @@ impl Array {
             Scalar::I64 => put::<i64>(self, rows, component, out),
             Scalar::U64 => put::<u64>(self, rows, component, out),
             // It is no number of HDF5.
-            Scalar::F16 => Err(malformed(0, format!("{} has 16-bit floats, which are not supported", self.name))),
+            Scalar::F16 => Err(malformed(
+                0,
+                format!("{} has 16-bit floats, which are not supported", self.name),
+            )),
             Scalar::F32 => put::<f32>(self, rows, component, out),
             Scalar::F64 => put::<f64>(self, rows, component, out),
         }
@@ -275,7 +279,10 @@ impl Array {
                 self.values::<u64>(rows, 0)?.into_iter().map(|value| value as f64).collect()
             }
             Scalar::F16 => {
-                return Err(malformed(0, format!("{} has 16-bit floats, which are not supported", self.name)));
+                return Err(malformed(
+                    0,
+                    format!("{} has 16-bit floats, which are not supported", self.name),
+                ));
             }
             Scalar::F32 => self.values::<f32>(rows, 0)?.into_iter().map(f64::from).collect(),
             Scalar::F64 => self.values::<f64>(rows, 0)?,
@@ -538,9 +545,9 @@ pub(super) fn chosen_type(
     let is_there = |name: &&str| known.iter().any(|known| known == name);
     match (named, known) {
         (Some(name), _) if is_there(&name) => Ok(name.to_owned()),
-        (Some(name), _) => Err(ReadFault::Unsupported(format!(
-            "no particles of type {name}; available: {list}"
-        ))),
+        (Some(name), _) => {
+            Err(ReadFault::Unsupported(format!("no particles of type {name}; available: {list}")))
+        }
         (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
         (None, [only]) => Ok(only.clone()),
         (None, _) => usual.filter(is_there).map(str::to_owned).ok_or_else(|| {

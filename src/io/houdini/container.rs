@@ -47,8 +47,11 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
     let total = chunks.total();
     let limit = unpacked_limit(view.len() as u64);
     if total > limit {
-        let what = format!("decompresses to {total} bytes, too many for a file of {}; \
-                            decompress it first", view.len());
+        let what = format!(
+            "decompresses to {total} bytes, too many for a file of {}; \
+                            decompress it first",
+            view.len()
+        );
         return Err(ReadFault::Compression(what));
     }
     let unpacked = if total <= unpacking.in_memory {

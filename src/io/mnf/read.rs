@@ -174,8 +174,7 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
     if version == FIRST_VERSION && indicator == Indicator::Cloud {
-        let what =
-            "version 1 of the indicator cloud is not supported; pack the particles again";
+        let what = "version 1 of the indicator cloud is not supported; pack the particles again";
         return Err(ReadFault::Unsupported(what.into()));
     }
     let index = window.bytes.len() - TAIL - cursor.at();

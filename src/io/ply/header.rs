@@ -92,17 +92,21 @@ impl Header {
                     })?)
                 }
                 ["element", name, count] => {
-                    let count = count.parse().map_err(|_| fault(format!("{count:?} is not a count")))?;
+                    let count =
+                        count.parse().map_err(|_| fault(format!("{count:?} is not a count")))?;
                     elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
                 }
                 ["property", ref rest @ ..] => {
-                    let property = property(rest).ok_or_else(|| fault(format!("{text:?} is not a valid property")))?;
-                    let element =
-                        elements.last_mut().ok_or_else(|| fault("a property without an element".into()))?;
+                    let property = property(rest)
+                        .ok_or_else(|| fault(format!("{text:?} is not a valid property")))?;
+                    let element = elements
+                        .last_mut()
+                        .ok_or_else(|| fault("a property without an element".into()))?;
                     element.properties.push(property);
                 }
                 ["end_header"] => {
-                    let encoding = encoding.ok_or_else(|| fault("the header names no format".into()))?;
+                    let encoding =
+                        encoding.ok_or_else(|| fault("the header names no format".into()))?;
                     return Ok(Self { encoding, elements, body: lines.at() });
                 }
                 _ => return Err(fault(format!("{text:?} is not a valid line of a .ply header"))),

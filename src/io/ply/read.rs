@@ -320,7 +320,9 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
     let filled =
         |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
     if filled("tristrips").is_some() {
-        return Err(ReadFault::Unsupported("triangle strips are not supported; save the mesh with faces".into()));
+        return Err(ReadFault::Unsupported(
+            "triangle strips are not supported; save the mesh with faces".into(),
+        ));
     }
     let Some(element) = filled("face") else {
         return Ok(None);

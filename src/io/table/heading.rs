@@ -441,8 +441,10 @@ fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
 impl Title {
     fn refused(&self) -> ReadFault {
         if let Some(name) = repeated_position(&self.names) {
-            let what = format!("several columns are named {name:?}; rename those that are not \
-                               the position");
+            let what = format!(
+                "several columns are named {name:?}; rename those that are not \
+                               the position"
+            );
             return ReadFault::Line { line: self.line, what };
         }
         let shown: Vec<_> =

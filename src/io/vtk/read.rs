@@ -225,8 +225,9 @@ fn visit(
             }
         };
         let length = length.filter(|length| *length >= 0);
-        let length = length
-            .ok_or_else(|| malformed(stream.at, format!("cell {cell} has a negative number of corners")))?;
+        let length = length.ok_or_else(|| {
+            malformed(stream.at, format!("cell {cell} has a negative number of corners"))
+        })?;
         corners.clear();
         for _ in 0..length {
             corners.push(next(cell)?);

@@ -336,7 +336,10 @@ impl Stored<'_> {
                 Ok(bytes)
             }
             _ => {
-                let what = format!("array {} decompresses to too many bytes for its size", self.array.name);
+                let what = format!(
+                    "array {} decompresses to too many bytes for its size",
+                    self.array.name
+                );
                 Err(ReadFault::Compression(what))
             }
         };
@@ -355,8 +358,7 @@ impl Stored<'_> {
                 let last = self.number(&mut stream)?;
                 let full = if last == 0 { Some(count) } else { count.checked_sub(1) };
                 let full = full.ok_or_else(|| {
-                    let what =
-                        format!("array {} has a last block, but no blocks", self.array.name);
+                    let what = format!("array {} has a last block, but no blocks", self.array.name);
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;

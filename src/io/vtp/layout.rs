@@ -351,10 +351,7 @@ impl<'a> Layout<'a> {
             "raw" => None,
             "base64" => Some(text(xml, data as usize)),
             _ => {
-                return Err(malformed(
-                    tag.at,
-                    format!("data with unknown encoding {encoding:?}"),
-                ));
+                return Err(malformed(tag.at, format!("data with unknown encoding {encoding:?}")));
             }
         };
         for array in self.all_arrays() {

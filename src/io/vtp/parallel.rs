@@ -60,7 +60,8 @@ pub fn open_particles(
     }
     if left_out.len() == files.len() {
         let blocks: Vec<_> = left_out.iter().take(SHOWN).map(ToString::to_string).collect();
-        let what = format!("none of {} blocks contains particles: {}", files.len(), blocks.join("; "));
+        let what =
+            format!("none of {} blocks contains particles: {}", files.len(), blocks.join("; "));
         return Err(fail(ReadFault::Unsupported(what)));
     }
     let named: Vec<_> = sources.iter().map(|source| &*source.path).zip(&files).collect();

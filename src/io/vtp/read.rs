@@ -154,14 +154,18 @@ pub(super) struct NumberedMesh {
 pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let layout = Layout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
-        return Err(ReadFault::Unsupported("an UnstructuredGrid; meshes must be PolyData".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "an UnstructuredGrid; meshes must be PolyData".to_owned(),
+        ));
     }
     let [piece] = &*layout.pieces else {
         let what = format!("a mesh in {} pieces; save it as one", layout.pieces.len());
         return Err(ReadFault::Unsupported(what));
     };
     if piece.strips > 0 {
-        return Err(ReadFault::Unsupported("triangle strips are not supported; save them as triangles".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "triangle strips are not supported; save them as triangles".to_owned(),
+        ));
     }
     let mut decoder = Decoder::new(&layout, Unpacking::in_memory());
     let mut integers = |name: &str| {
@@ -262,7 +266,8 @@ fn vertices(
     let mut parts = Vec::new();
     for piece in &filled {
         let array = piece.arrays.iter().find(is_points);
-        let array = array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
+        let array =
+            array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
         parts.push(Part { points: piece.points, array: Some(array) });
     }
     // First, as they vouch for the number of points.

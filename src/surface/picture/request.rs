@@ -235,8 +235,10 @@ pub(super) const MOST_PIXELS: usize = 1 << 15;
 #[non_exhaustive]
 pub enum PictureError {
     /// A size that no picture can have.
-    #[error("the size of a picture must be from 1 to {MOST_PIXELS} pixels per side, got {0} x \
-             {1}")]
+    #[error(
+        "the size of a picture must be from 1 to {MOST_PIXELS} pixels per side, got {0} x \
+             {1}"
+    )]
     Size(usize, usize),
     /// A view that shows nothing.
     #[error("{0}")]

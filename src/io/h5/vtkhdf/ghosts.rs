@@ -64,8 +64,10 @@ pub(super) fn left(
     };
     let all = [sum(&vertices)?, sum(&ids)?, sum(&others)?];
     if sum(&all)? > file.limit {
-        let what =
-            format!("{} cells with {} points are too many for the size of this file", all[0], all[1]);
+        let what = format!(
+            "{} cells with {} points are too many for the size of this file",
+            all[0], all[1]
+        );
         return Err(ReadFault::Compression(what));
     }
 

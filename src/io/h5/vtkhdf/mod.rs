@@ -104,13 +104,17 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
     }
     let frame = Frame::of(&file, &root, None)?;
     if frame.step.is_some() {
-        return Err(ReadFault::Unsupported("several time steps; a mesh must be a single frame".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "several time steps; a mesh must be a single frame".to_owned(),
+        ));
     }
     let points = frame.points(&file, &root)?;
     if let Some(strips) = sub_group(&root, "Strips")?
         && sum(&frame.of_parts(&file, &strips, "NumberOfCells", 0)?)? > 0
     {
-        return Err(ReadFault::Unsupported("triangle strips are not supported; save them as triangles".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "triangle strips are not supported; save them as triangles".to_owned(),
+        ));
     }
     let mut triangles = Triangles::new(usize::try_from(sum(&points)?).unwrap_or(usize::MAX))?;
     if let Some(polygons) = sub_group(&root, "Polygons")? {
@@ -140,10 +144,7 @@ fn add_polygons(
     let (mut at, mut corner, mut base, mut face) = (0usize, 0usize, 0i64, 0);
     for ((cells, ids), points) in cells.into_iter().zip(ids).zip(points) {
         let short = || {
-            malformed(
-                0,
-                format!("{cells} polygons with {ids} corners are announced, but missing"),
-            )
+            malformed(0, format!("{cells} polygons with {ids} corners are announced, but missing"))
         };
         let end = |start: usize, count: u64| start.checked_add(usize::try_from(count).ok()?);
         let ends = end(at, cells).and_then(|last| offsets.get(at..=last)).ok_or_else(short)?;
