@@ -24,7 +24,7 @@ impl Spacing {
     /// How far an isotropic kernel reaches, in spacings: four times the particles' radius.
     pub const SUPPORT: f64 = 2.0;
 
-    /// A spacing of so many cells.
+    /// A spacing in cells.
     ///
     /// # Errors
     /// [`TooManyCells`] above [`MAX`](Self::MAX).

@@ -215,8 +215,8 @@ impl Images<'_> {
     }
 }
 
-/// The parts of a slice for so many particles from `first` on: those that are among `own`, and
-/// those that come after.
+/// Splits a slice for particles from `first` on into those among the `own` ones, and the images after
+/// them.
 fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
     let at = width * own.saturating_sub(first);
     out.split_at_mut(at.min(out.len()))

@@ -51,7 +51,7 @@ pub enum Error {
     TwoPurposes {
         /// The file.
         path: PathBuf,
-        /// Its other name in the request.
+        /// The other name of the file in the request.
         other: PathBuf,
     },
     /// The caller cancelled the work.

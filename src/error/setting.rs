@@ -41,7 +41,7 @@ pub enum Conflict {
 pub struct Unfit {
     /// The setting.
     pub setting: Setting,
-    /// What it conflicts with.
+    /// The reason of the conflict.
     pub with: Conflict,
 }
 

@@ -94,7 +94,7 @@ pub enum SimulationError {
         /// The damage.
         what: String,
     },
-    /// Another conversion with other settings that writes to the same outputs.
+    /// A conversion with other settings that writes to the same outputs.
     #[error("{}: another conversion with other settings is running there; wait for it, or \
              choose another output", .0.display())]
     Busy(PathBuf),

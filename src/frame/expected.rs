@@ -48,14 +48,14 @@ impl Expected {
 /// The share of a bin that is full, for bins that hold particles.
 type Shares = HashMap<IVec3, f32>;
 
-/// Vertices around a particle alone, whose spacing is so many cells wide: a ball of 0.55 spacings
-/// has 6 to 7 to the squared spacing.
+/// Vertices around a single particle: a ball of 0.55 spacings has 6 to 7 vertices times the squared
+/// spacing in cells.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
 
-/// The surface in those `bins`, in Morton order, that are `meshed`, by the particles that each
-/// holds and those that a `full` one does. A particle by itself has so many vertices `alone`.
+/// The surface in those `bins`, in Morton order, that are `meshed`, from the particles in each and in
+/// a `full` one. `alone` is the number of vertices of a single particle.
 pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
     full: f64,

@@ -463,7 +463,7 @@ impl Engine {
     }
 }
 
-/// A surface with what a reduction leaves of it, of whose triangles so many bytes may be in memory.
+/// A simplified surface, with at most these bytes of triangles in memory.
 ///
 /// # Errors
 /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and

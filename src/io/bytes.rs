@@ -25,7 +25,7 @@ const CHUNK: u64 = 1 << 18;
 /// this.
 const GREATEST_RATIO: u64 = 128;
 
-/// With a byte that is read the system may map so many before it, which were given back already.
+/// When a byte is read, the system may map this many bytes before it again.
 const FAULT_AROUND: usize = 64 << 10;
 
 /// Bytes that any file may unpack to.
@@ -632,7 +632,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     }
 }
 
-/// Reads so many bytes of a file into memory.
+/// Reads `count` bytes of a file into memory.
 fn file_bytes(file: &File, count: u64) -> Result<Kept, ReadFault> {
     let mut bytes = vec![0; count as usize];
     read_exact_at(file, 0, &mut bytes)?;

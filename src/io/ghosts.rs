@@ -51,7 +51,7 @@ pub(super) struct VertexCells {
 }
 
 impl VertexCells {
-    /// Vertices of which none is flagged yet. The file must have been found to hold so many.
+    /// Vertices without flags. The caller has checked that the file contains `count`.
     pub fn new(count: usize) -> Self {
         Self { count, flagged: Bits::new(count) }
     }
@@ -101,7 +101,7 @@ pub(super) struct VertexPoints<'a> {
 }
 
 impl<'a> VertexPoints<'a> {
-    /// Among so many points, of which the file must have been found to hold as many.
+    /// Flags among `points`. The caller has checked that the file contains as many.
     pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
         let [copies, own] = [0; 2].map(|_| Bits::new(points));
         Self { vertices, points, copies, own, count: 0, strayed: None }

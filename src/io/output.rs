@@ -198,11 +198,10 @@ impl MeshFormat {
         vertices <= most_vertices && triangles <= most_triangles
     }
 
-    /// Makes sure that the format can number so many vertices and triangles.
+    /// Checks that the format can store this number of vertices and triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if not, which says what it can, and which formats can number
-    /// these.
+    /// [`io::ErrorKind::InvalidInput`] if not, with the limit, and the formats that can.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());

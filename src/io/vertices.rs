@@ -100,7 +100,7 @@ pub(super) struct Triangles {
 }
 
 impl Triangles {
-    /// Starts without triangles, for a mesh with so many vertices.
+    /// An empty list of triangles for a mesh with `vertices`.
     pub fn new(vertices: usize) -> Result<Self, ReadFault> {
         if u32::try_from(vertices).is_err() {
             return Err(ReadFault::Unsupported(format!(

@@ -51,7 +51,7 @@ impl WantedPieces<'_> {
         }
     }
 
-    /// The number of pieces that are wanted of so many.
+    /// The number of wanted pieces, out of `all`.
     pub fn of(&self, all: usize) -> usize {
         match self {
             Self::All => all,

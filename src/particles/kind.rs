@@ -223,7 +223,7 @@ pub fn settled_for_all(
     settled.collect()
 }
 
-/// Attributes with the kinds that are known of them, where no value tells.
+/// Attributes with their known kinds, where no value determines them.
 #[must_use]
 pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<AttributeInfo> {
     for info in &mut infos {

@@ -60,7 +60,7 @@ pub enum Doubt {
     Contradicted {
         /// The spacing that was given.
         said: f64,
-        /// Its source.
+        /// The source of the given spacing.
         source: SpacingSource,
         /// The estimated spacing of the particles.
         found: f64,

@@ -36,7 +36,7 @@ pub enum Warning {
     },
     /// Particles have the same position as others.
     Coincident {
-        /// Their number and place, and whether they are far from others.
+        /// The number and place of these particles, and whether they are far from others.
         found: Coincident,
         /// Number of particles.
         of: usize,
@@ -88,7 +88,7 @@ pub enum Warning {
     },
     /// Vertices become equal in a format that has no indices.
     Merged {
-        /// Their number.
+        /// The number of these vertices.
         vertices: u64,
         /// The format.
         format: MeshFormat,

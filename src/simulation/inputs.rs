@@ -60,7 +60,7 @@ impl Inputs {
     pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SimulationError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
-            // A file that cannot be read is told of as a single frame.
+            // The error of a file that cannot be read is that of a single frame.
             let several = steps(path).is_ok_and(|steps| steps.len() > 1);
             return Ok(several.then(|| Self::Steps(path.clone())));
         }
@@ -109,16 +109,15 @@ impl Inputs {
         }
     }
 
-    /// The simulations whose frames are there now. Of a folder that holds particles, meshes are
-    /// none, whoever made them.
+    /// The simulations whose frames exist now. In a folder with particles, meshes are ignored.
     ///
-    /// Where frames are still to come, `idle` is the number of seconds without news after which the
-    /// simulation is over. A file of a folder or a glob waits as long, and 5 minutes at most, if
-    /// another file will tell whether it is a piece, or which of its numbers is the frame's.
+    /// When watching, the simulation is over after `idle` seconds without a new file. A file of a
+    /// folder or a glob waits that long, but at most 5 minutes, if another file will show whether it
+    /// is a piece, or which of its numbers is the frame.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
-    /// where the names do not say which number is the frame's.
+    /// if the names do not determine the frame number.
     pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
         let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
         let patience = idle

@@ -77,8 +77,7 @@ impl LiveSimulation {
         self.settled
     }
 
-    /// Gives the frames to come into the hands of another request: what ends them early, and
-    /// whoever is told of their progress.
+    /// Uses the cancel handle and the progress callback of another request for the next frames.
     ///
     /// ```
     /// use meniscus::{Cancel, LiveSimulation, Reconstruction};

@@ -204,7 +204,7 @@ impl Pictures {
         self
     }
 
-    /// Draws and writes them, and tells of each.
+    /// Draws and writes the pictures, and reports each.
     ///
     /// # Errors
     /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`],
@@ -381,7 +381,7 @@ impl Pictures {
                 })?;
             }
             Target::Animation(file) => {
-                // What fails in a picture is told of as itself, and not as a fault of the file.
+                // An error of the picture is returned as such, not as a fault of the file.
                 let mut fault = None;
                 let written = file.write(|out| {
                     let mut animation: Option<Animation<'_>> = None;

@@ -43,7 +43,7 @@ pub(super) struct Setup<'a> {
 }
 
 impl Setup<'_> {
-    /// Tells the caller something.
+    /// Sends an event to the caller.
     pub(super) fn tell(&self, event: Event) {
         self.teller.tell(event);
     }
@@ -90,7 +90,7 @@ impl Setup<'_> {
         Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
     }
 
-    /// The division of the machine among so many frames.
+    /// The division of the machine among `frames`.
     pub(super) fn division(&self, frames: usize) -> Division {
         let Checked { resources, reduction, threads, .. } = self.checked;
         let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };

@@ -66,7 +66,7 @@ pub type Watcher = Arc<dyn Fn(Progress) + Send + Sync>;
 pub struct Control {
     /// The handle that ends it early.
     pub cancel: Cancel,
-    /// Whoever is told how far it is.
+    /// The callback for progress.
     pub progress: Option<Watcher>,
 }
 
@@ -89,7 +89,7 @@ impl Control {
         result
     }
 
-    /// Tells that a stage begins.
+    /// Reports the beginning of a stage.
     pub(crate) fn begin(&self, stage: Stage) {
         self.tell(stage, 0.0);
     }
@@ -100,7 +100,7 @@ impl Control {
         Meter { control: self, stage, span: [0.0, 1.0], parts, done, told: Mutex::new(0) }
     }
 
-    /// Tells how much of a stage is done.
+    /// Reports the progress of a stage.
     fn tell(&self, stage: Stage, done: f64) {
         if let Some(progress) = &self.progress {
             progress(Progress { stage, done });
@@ -108,7 +108,7 @@ impl Control {
     }
 }
 
-/// Steps that a stage is told of at the most.
+/// Maximum number of progress reports of a stage.
 const STEPS: usize = 128;
 
 /// Counts the finished parts of a stage over all threads, reports progress to the caller, and says
@@ -121,7 +121,7 @@ pub struct Meter<'a> {
     span: [f64; 2],
     parts: usize,
     done: AtomicUsize,
-    /// Parts that the caller knows of. Whoever finds it locked leaves the telling to the others.
+    /// Parts that were reported. A thread that finds the lock taken leaves the report to the other.
     told: Mutex<usize>,
 }
 
@@ -141,7 +141,7 @@ impl Meter<'_> {
         !self.control.cancel.is_cancelled()
     }
 
-    /// Notes that so many parts more are done.
+    /// Adds `parts` to the finished ones.
     pub fn add(&self, parts: usize) {
         self.done.fetch_add(parts, Ordering::Relaxed);
         let Ok(mut told) = self.told.try_lock() else { return };

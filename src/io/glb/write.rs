@@ -74,7 +74,7 @@ pub fn write_mesh(
     }
 }
 
-/// Writes all that comes before so many bytes of numbers.
+/// Writes everything before the `stored` bytes of numbers.
 fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Result<()> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');

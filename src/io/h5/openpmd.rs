@@ -85,7 +85,7 @@ struct Component {
 
 enum Values {
     Stored(Box<Array>),
-    /// One value for so many particles.
+    /// One value for all particles, with their number.
     Constant(f64, u64),
 }
 

@@ -372,7 +372,7 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// The first row of a window, and the one behind its last, of so many.
+    /// The first row of a window and the one after its last, out of `all`.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
         match index as u64 {
@@ -386,7 +386,7 @@ impl Windows {
         row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
-    /// Divides so many rows, of so many bytes each, that are in no data set.
+    /// Divides `rows` of `stride` bytes each that are in no data set.
     pub fn of(rows: u64, stride: u64) -> Self {
         let size = (WINDOW / stride.max(1)).max(1);
         Self { lead: size.min(rows), size, count: rows.div_ceil(size) as usize }

@@ -68,7 +68,7 @@ pub(super) enum CellKind {
 
 #[derive(Debug)]
 pub(super) enum Corners {
-    /// A stream of so many cells, each its number of corners and then these (before version 5).
+    /// A stream of `cells`, each its number of corners and then the corners (before version 5).
     Counted { cells: usize, stream: Array },
     /// Cell i has the corners from offset i to offset i + 1.
     Offsets { offsets: Array, connectivity: Array },

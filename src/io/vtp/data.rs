@@ -254,7 +254,7 @@ fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     }
 }
 
-/// Returns the bytes that an array takes that has a value for each of so many points.
+/// Returns the bytes of an array with a value for each of `points`.
 fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
     let values = points.checked_mul(array.components).filter(|values| *values > 0);
     let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
@@ -307,7 +307,7 @@ impl Stored<'_> {
     }
 
     /// Passes the numbers' bytes on in pieces, if the `allowance` bears them: a value for each of
-    /// so many `points`, or however many there are.
+    /// `points`, or all that there are.
     fn read(
         &self,
         points: Option<usize>,

@@ -61,7 +61,7 @@ impl Array {
         }
     }
 
-    /// Returns the fault of an array that has not a value for each of so many points.
+    /// Returns the fault of an array without a value for each of `points`.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
         let what =

@@ -133,8 +133,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens a part's file, whose vertices carry attributes of so many components, and reads all of
-    /// it to see that it is whole; `None` where there is none.
+    /// Opens the file of a part whose attributes have these components, and reads it to check that it
+    /// is complete; `None` if it does not exist.
     pub(super) fn open(
         path: &Path,
         mark: Mark,

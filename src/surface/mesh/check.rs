@@ -354,7 +354,7 @@ pub struct Stars {
 }
 
 impl Stars {
-    /// Gathers the stars of so many vertices.
+    /// Gathers the stars of `vertices`.
     pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let sound = || triangles.iter().filter(|&&t| is_sound(t, vertices));
         let mut ends = vec![0; vertices];

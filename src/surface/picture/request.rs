@@ -203,7 +203,7 @@ impl Picture {
 pub(super) enum Memory {
     /// Room for the whole mesh, whatever it takes.
     Whole,
-    /// No more than for batches of so many bytes.
+    /// At most batches of this many bytes.
     Batches(u64),
 }
 
@@ -219,7 +219,7 @@ impl Budget {
         Self { used, allowed }
     }
 
-    /// Makes sure that so many bytes more may be used.
+    /// Checks that `bytes` more may be used.
     pub(super) fn check(&self, bytes: u64) -> Result<(), PictureError> {
         let Self { used, allowed } = *self;
         let needed = used + bytes;

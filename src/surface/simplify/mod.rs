@@ -40,10 +40,10 @@ use surface::Outside;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass a vertex stays in about every square of so many cells: without them triangles
-/// on flat ground would reach from a seam beyond the chunk that is to simplify it in the second.
+/// In the first pass, a vertex stays in about every square of this many cells. Without them, triangles
+/// on flat ground would extend from a seam beyond the chunk that simplifies it in the second pass.
 const PIN_SPACING: i32 = 16;
-/// The second pass simplifies triangles that come within so many cells of a seam of the first.
+/// The second pass simplifies triangles within this many cells of a seam of the first.
 const BAND: i32 = 4;
 /// Edge of the boxes by which it is found what lies near them, in cells.
 const BOX: i32 = 4;

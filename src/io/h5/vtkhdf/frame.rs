@@ -47,8 +47,7 @@ impl Frame {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for every partition, each with so many behind it that are taken
-    /// too.
+    /// The entries of a data set for every partition, each with the given number of entries after it.
     pub fn of_parts(
         &self,
         file: &File,

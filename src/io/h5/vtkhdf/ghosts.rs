@@ -273,7 +273,7 @@ impl Numbers {
         self.at = self.at.saturating_add(rows);
     }
 
-    /// Passes so many numbers on, each with its place among them.
+    /// Passes `rows` numbers on, each with its index.
     fn each(&mut self, rows: u64, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
         let Array { name, rows: all, .. } = &self.array;
         let end = self.at.saturating_add(rows);
