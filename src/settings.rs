@@ -216,10 +216,10 @@ settings! {
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// Join particles of thin sheets and threads up to this distance [default: 0, off].
+    /// Join particles of sheets and threads up to this distance [default: 0].
     ///
-    /// 2.15 joins the particles of a sheet that is stretched to twice the spacing. For the indicator
-    /// cloud.
+    /// 0 turns this off. 2.15 joins the particles of a sheet that is stretched to twice the spacing.
+    /// For the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -253,13 +253,14 @@ settings! {
     #[arg(help_heading = "Output")]
     normals: bool,
 
-    /// Attributes of the particles to interpolate to the vertices, or none [default: velocity].
+    /// Particle attributes for the vertices, or none [default: velocity].
     ///
-    /// By default the mesh has velocities if the particles have them and the format can store them.
+    /// They are interpolated. By default the mesh has velocities if the particles have them and the
+    /// format can store them.
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 
-    /// Use fewer triangles; the surface moves no farther than this.
+    /// Use fewer triangles; the surface moves at most this many cells.
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 

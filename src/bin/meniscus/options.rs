@@ -38,7 +38,7 @@ pub struct Options {
     /// For a simulation: a pattern with {} or {:04} for the frame number, or a folder.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a .png picture beside the mesh; for a simulation, a contact sheet.
+    /// Draw a .png beside the mesh; a contact sheet for a simulation.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.

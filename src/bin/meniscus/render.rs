@@ -60,7 +60,7 @@ pub struct Options {
     /// [default: three quarters of the available memory].
     #[arg(long, value_name = "SIZE")]
     memory: Option<ByteSize>,
-    /// Replace a picture that exists.
+    /// Replace existing pictures.
     #[arg(long)]
     overwrite: bool,
     /// Print only errors.
