@@ -74,7 +74,7 @@ fn advice(error: &Error) -> String {
             "; use --format for particle files with another extension"
         }
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => {
-            "; use --resume to make this frame again"
+            "; convert it again when it is complete (with --resume in a simulation)"
         }
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         Error::Simulation(SimulationError::Settings { .. }) => {
@@ -225,6 +225,11 @@ fn limits(too_small: TooSmall) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use std::io;
+    use std::path::PathBuf;
+
+    use meniscus::error::{ReadError, WriteError};
+
     use super::*;
 
     #[test]
@@ -237,5 +242,95 @@ mod tests {
         ] {
             assert_eq!(shell_word(text), word);
         }
+    }
+
+    fn path(text: &str) -> PathBuf {
+        text.into()
+    }
+
+    /// Errors for which there is advice, or which are told in the names of options.
+    fn errors() -> Vec<Error> {
+        let frame = |fault| Error::Frame { path: Some(path("f_1.vtk")), fault };
+        let spacing = |why| Error::NoSpacing { path: None, particles: 7, why, suggested: None };
+        let memory = |simplifying| Error::LittleMemory { least: 16 << 20, simplifying };
+        let write = |fault: WriteFault| WriteError::new("m.ply".as_ref(), fault).into();
+        let plan = || path("m.ply.meniscus-parts/plan.json");
+        let remedy = Remedy::Origin([0.5; 3]);
+        let steps = TooFine::Steps { cell_size: 0.1, plateau: 9.0, step_cells: 0.2, remedy };
+        let nothing_left = TooSmall { components: 1, drops: 0 };
+        vec![
+            memory(None),
+            memory(Some(1)),
+            memory(Some(4)),
+            SimulationError::Wait(-1.0).into(),
+            SimulationError::Steps("sim.h5part".into()).into(),
+            SimulationError::Range { first: 5, last: 3 }.into(),
+            SimulationError::NoneWanted("f_{}.vtk".into()).into(),
+            SimulationError::State { path: path("state.json"), what: "expected value".into() }
+                .into(),
+            SimulationError::Settings { path: path("state.json"), differing: "cell".into() }.into(),
+            spacing(Untold::TooFew),
+            spacing(Untold::SinglePrecision { step: 0.03 }),
+            write(WriteFault::Exists),
+            write(WriteFault::ExistsInSimulation),
+            ReadError::new("f.abc", ReadFault::UnknownExtension { known: ".bgeo, .csv" }).into(),
+            ReadError::new("f_1.vtk", ReadFault::Changed).into(),
+            frame(FrameError::TooFine(steps)),
+            frame(FrameError::TooFine(TooFine::Finest { cell_size: 0.001, spacing: 0.05 })),
+            frame(FrameError::TooFine(TooFine::Symmetry { cell_size: 0.02, spacing: 0.05 })),
+            frame(FrameError::Unread(Unread::Changed)),
+            frame(FrameError::Bin(BinError::NotFinite { index: 7, position: [f64::NAN; 3] })),
+            frame(FrameError::NoDistanceSurface),
+            frame(FrameError::NoKernelSurface),
+            frame(FrameError::NothingLeft(nothing_left)),
+            frame(FrameError::NoRoom { folder: path("/tmp"), needed: 1 << 30, free: 1 << 20 }),
+            frame(FrameError::WideAttributes { components: 300, needed: 1 << 30, budget: 1 << 20 }),
+            PartsError::NoPlan(plan()).into(),
+            PartsError::Settings { path: plan(), differing: "smooth".into() }.into(),
+            PartsError::Missing { folder: path("parts"), missing: vec![0, 2], of: 3 }.into(),
+            PartsError::Foreign(path("parts/part_3")).into(),
+            PartsError::Io { path: plan(), fault: io::ErrorKind::StorageFull.into() }.into(),
+        ]
+    }
+
+    fn warnings() -> Vec<Warning> {
+        let spacing = |source, mistake| {
+            Warning::Spacing(Doubt::Contradicted {
+                said: 0.025,
+                source,
+                found: 0.05,
+                mistake,
+                spray: false,
+            })
+        };
+        let empty = |why, measured_on| Warning::Empty { why, clouds: false, measured_on };
+        vec![
+            spacing(SpacingSource::Given, Some(Mistake::Radius)),
+            spacing(SpacingSource::Given, None),
+            spacing(SpacingSource::Packed, None),
+            Warning::Spacing(Doubt::Random { taken: 0.05 }),
+            Warning::Spacing(Doubt::SinglePrecision { step: 0.03, spacing: 0.05 }),
+            Warning::Spacing(Doubt::TwoResolutions { spacings: [0.05, 0.1], taken: 0.05 }),
+            Warning::Crowded { times: 8.5, spacing: 0.1 },
+            Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
+            Warning::Lost { lost: 12, of: 1000, smoothed: true },
+            Warning::Lost { lost: 12, of: 1000, smoothed: false },
+            empty(Emptiness::Field, Some(1)),
+            empty(Emptiness::TooSmall(TooSmall { components: 1, drops: 2 }), None),
+        ]
+    }
+
+    /// A change of a message or its advice shows in the list. Set `MENISCUS_UPDATE=1` to write it.
+    #[test]
+    fn advice_is_as_the_list_has_it() {
+        let warnings = warnings();
+        let lines = errors().iter().map(told).collect::<Vec<_>>().into_iter();
+        let lines = lines.chain(warnings.iter().map(|warning| warned(warning, None)));
+        let listed: String = lines.map(|line| format!("{line}\n")).collect();
+        let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/program/advice.txt");
+        if std::env::var_os("MENISCUS_UPDATE").is_some() {
+            std::fs::write(&file, &listed).unwrap();
+        }
+        assert_eq!(listed, std::fs::read_to_string(&file).unwrap());
     }
 }
