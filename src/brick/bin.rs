@@ -2,8 +2,8 @@
 //!
 //! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into
 //! its bin's place in memory, or into its run of bins (`runs`). Where there is room, the first
-//! reading keeps what the second would find. The order inside a bin is arbitrary; whoever reads a
-//! bin adds integers.
+//! reading keeps what the second would find. The order inside a bin is arbitrary; readers of a bin
+//! only add integers.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -187,8 +187,8 @@ impl BinPlan {
         Self::count_while(particles, grid, domain, invalid, room, |_| ())
     }
 
-    /// Counts `particles`, and lets `look` see the positions of all, some at once, in no order, for
-    /// whoever needs them too: of none twice, and not of all where there are too many bins.
+    /// Counts `particles`, and calls `look` with the positions, in batches and in no order. It sees no
+    /// particle twice, and not all if there are too many bins.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -486,7 +486,7 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // Whoever finds too many bins stops all: what was counted is of no use then.
+        // A thread that finds too many bins stops the others: the counts are useless then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             look(positions);
             table.place_all(addresses, &mut latest, &mut placed);

@@ -117,8 +117,8 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Puts the particles of every bin in order of their cells, x fastest, and of their places in
-    /// them: whoever adds real numbers can then add them in one order.
+    /// Sorts the particles of every bin by cell, x fastest, and by place in the cell, so that sums of
+    /// floating-point numbers have a fixed order.
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read or written.

@@ -1,9 +1,9 @@
 //! Particles of a periodic box together with their images: all that binning has to know of such a
 //! box.
 //!
-//! Images follow the particles, and are never kept: of every group of particles it is known how
-//! many its particles have, and whoever reads images has them made anew of the particles of their
-//! groups. Groups without any are not read again.
+//! Images follow the particles, and are never stored. The number of images is known for each group of
+//! particles, and reading images computes them again from the particles of their groups. Groups
+//! without images are not read again.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};

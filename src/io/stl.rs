@@ -70,8 +70,8 @@ pub fn write_mesh(
     })
 }
 
-/// How many vertices have the place of another in f32: whoever joins equal corners finds that the
-/// surface touches itself there.
+/// Number of vertices with the f32 position of another. The surface touches itself there in programs
+/// that join equal corners.
 ///
 /// # Errors
 /// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.

@@ -9,7 +9,7 @@ use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use crate::notes::Notes;
 
-/// More than any machine has cores, and few enough to start.
+/// Maximum number of threads: more than the cores of any machine, and few enough to start.
 const MOST_THREADS: usize = 1024;
 
 #[derive(Args)]
@@ -54,8 +54,8 @@ enum BackendName {
 }
 
 impl RunOptions {
-    /// Sets what the machine gives: threads, memory, scratch files, and a backend that suits inputs
-    /// of as many bytes as is told where it matters, if that is known.
+    /// Sets threads, memory, scratch folder and backend. `input_bytes` is the size of the inputs, if
+    /// known, and called only if the choice of a backend needs it.
     pub fn machine(
         &self,
         request: Reconstruction,
@@ -72,7 +72,7 @@ impl RunOptions {
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        // A folder that is not there yet will be made in the first that is.
+        // Missing folders will be created in the first existing one.
         let beside =
             output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
         let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
@@ -86,7 +86,7 @@ impl RunOptions {
         })
     }
 
-    /// Whether a device was asked for.
+    /// Whether a Vulkan device was requested.
     pub fn vulkan_given(&self) -> bool {
         matches!(self.backend, BackendName::Vulkan)
     }
@@ -126,12 +126,12 @@ impl RunOptions {
     }
 }
 
-/// Bytes of particles in some files, if all of them are there and tell.
+/// Bytes of particles in some files, if all exist and their sizes indicate it.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }
 
-/// Whether an output is a device, beside which nothing else is to be written.
+/// Whether an output is a device file, whose folder takes no other files.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
 }

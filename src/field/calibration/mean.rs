@@ -20,7 +20,7 @@ pub struct NoMeanCount(#[source] pub(crate) UnitError);
 pub trait Binned {
     /// The pages, and whatever else is left when they are made.
     type Made;
-    /// The errors of whoever keeps them.
+    /// The errors of the storage.
     type Error: From<NoMeanCount>;
 
     /// Makes the pages of all bins, and says how many cells are full of how many particles.

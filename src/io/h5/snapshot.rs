@@ -18,7 +18,7 @@ use crate::particles::Particles;
 use super::file::{File, checked, number, numbers, time_of};
 use super::table::{Array, Table, chosen_type, types};
 
-/// Name of the group of all that is said of the snapshot.
+/// Name of the group with the snapshot's header.
 pub const HEADER: &str = "Header";
 /// Prefix of the names of the groups of particles.
 const TYPE: &str = "PartType";

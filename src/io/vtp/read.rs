@@ -300,7 +300,7 @@ fn not_ghosts(
     layout: &Layout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    // Whoever reads the points refuses more of them than the file can hold.
+    // Reading the points rejects more of them than the file can contain.
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }

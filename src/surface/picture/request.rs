@@ -174,13 +174,13 @@ impl Picture {
         }
     }
 
-    /// Sets the bytes of memory, where nothing is said of them.
+    /// Sets the memory limit, unless it is set.
     pub(crate) fn memory_unless_said(mut self, bytes: u64) -> Self {
         self.memory = self.memory.or(Some(bytes));
         self
     }
 
-    /// Sets the axis that points up, where nothing is said of it.
+    /// Sets the axis that points up, unless it is set.
     pub(crate) fn up_unless_said(mut self, up: impl FnOnce() -> UpAxis) -> Self {
         self.up = self.up.or_else(|| Some(up()));
         self

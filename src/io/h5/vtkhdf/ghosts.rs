@@ -51,7 +51,7 @@ pub(super) fn left(
     };
 
     let points = frame.points(file, root)?;
-    // Whoever reads the points refuses more of them than the file can hold.
+    // Reading the points rejects more of them than the file can contain.
     if sum(&points)? > file.limit {
         return Ok(None);
     }
