@@ -314,13 +314,13 @@ pub mod internals {
     pub mod shaders {
         pub use crate::shaders::*;
     }
-    /// The frames of a simulation: their files, their shared calibration, and the records of finished
-    /// frames.
+    /// The frames of a simulation: their files, their shared calibration, and the records of
+    /// finished frames.
     pub mod simulation {
         pub use crate::simulation::*;
     }
-    /// From the field to a mesh: dual marching cubes, attributes, stitching, simplifying, checks and
-    /// comparisons.
+    /// From the field to a mesh: dual marching cubes, attributes, stitching, simplifying, checks
+    /// and comparisons.
     pub mod surface {
         pub use crate::surface::*;
     }

@@ -123,7 +123,8 @@ macro_rules! settings {
                 false
             }
 
-            /// The first setting that is given, differs from that of `other`, and satisfies `meant`.
+            /// The first setting that is given, differs from that of `other`, and satisfies
+            /// `meant`.
             pub(crate) fn given_otherwise(
                 &self,
                 other: &Self,
@@ -173,8 +174,8 @@ settings! {
     /// Use only particles that satisfy conditions on their attributes.
     ///
     /// A condition is a name, one of =, !=, <, <=, > and >=, and a value: Type=1, age<2.5,
-    /// phase!=boundary. Several values after = are alternatives: mk=0,2. `and` joins conditions that
-    /// must all hold. velocity.y or velocity[1] is a component of a vector; x, y and z are the
+    /// phase!=boundary. Several values after = are alternatives: mk=0,2. `and` joins conditions
+    /// that must all hold. velocity.y or velocity[1] is a component of a vector; x, y and z are the
     /// position. In a file with several types of particles, type selects one of them, such as
     /// type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD
     /// [default: gas, else fluid].
@@ -191,9 +192,9 @@ settings! {
 
     /// Periodic box: beyond a face, the fluid continues as behind the opposite face.
     ///
-    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z. Particles
-    /// on an upper face count as on the lower one. Other particles outside are an error, unless
-    /// invalid particles are skipped.
+    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z.
+    /// Particles on an upper face count as on the lower one. Other particles outside are an error,
+    /// unless invalid particles are skipped.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
@@ -218,8 +219,8 @@ settings! {
 
     /// Join particles of sheets and threads up to this distance [default: 0].
     ///
-    /// 0 turns this off. 2.15 joins the particles of a sheet that is stretched to twice the spacing.
-    /// For the indicator cloud.
+    /// 0 turns this off. 2.15 joins the particles of a sheet that is stretched to twice the
+    /// spacing. For the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -394,7 +395,8 @@ impl Settings {
         Some(if names == ["none"] { &[] } else { names })
     }
 
-    /// The settings as state files and plans store them: equal for settings that make the same mesh.
+    /// The settings as state files and plans store them: equal for settings that make the same
+    /// mesh.
     #[must_use]
     pub fn kept(&self) -> Kept {
         // Rounded to the nearest step of the field.

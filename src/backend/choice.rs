@@ -119,8 +119,8 @@ pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, Vu
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device if that pays for inputs of this size, if it is known, within a memory limit.
-/// Otherwise returns the CPU and the reason.
+/// Opens the best device if that pays for inputs of this size, if it is known, within a memory
+/// limit. Otherwise returns the CPU and the reason.
 #[must_use]
 pub fn fastest(
     budget: MemoryBudget,

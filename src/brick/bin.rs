@@ -187,8 +187,8 @@ impl BinPlan {
         Self::count_while(particles, grid, domain, invalid, room, |_| ())
     }
 
-    /// Counts `particles`, and calls `look` with the positions, in batches and in no order. It sees no
-    /// particle twice, and not all if there are too many bins.
+    /// Counts `particles`, and calls `look` with the positions, in batches and in no order. It sees
+    /// no particle twice, and not all if there are too many bins.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -297,8 +297,8 @@ impl BinPlan {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Bytes per thread to look up the bins of `particles`, of which those that are not `wanted` may be
-    /// left out.
+    /// Bytes per thread to look up the bins of `particles`, of which those that are not `wanted`
+    /// may be left out.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { Sieve::bytes(particles) } else { 0 }
     }

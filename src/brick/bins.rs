@@ -41,8 +41,8 @@ pub(super) enum Store {
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
 }
 
-/// At most `most` of `len` items along the Morton curve, at equal distances. The step is odd, because
-/// the curve turns at even steps.
+/// At most `most` of `len` items along the Morton curve, at equal distances. The step is odd,
+/// because the curve turns at even steps.
 pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
@@ -117,8 +117,8 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Sorts the particles of every bin by cell, x fastest, and by place in the cell, so that sums of
-    /// floating-point numbers have a fixed order.
+    /// Sorts the particles of every bin by cell, x fastest, and by place in the cell, so that sums
+    /// of floating-point numbers have a fixed order.
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read or written.

@@ -49,7 +49,8 @@ pub(super) struct Latest<T> {
 }
 
 impl<T: Copy + Default> Latest<T> {
-    /// A cache for `particles` in any order: about as many cubes along each axis as a pool of them has.
+    /// A cache for `particles` in any order: about as many cubes along each axis as a pool of them
+    /// has.
     pub(super) fn of(particles: usize) -> Self {
         let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }

@@ -477,8 +477,8 @@ mod tests {
     /// The particles of each bin, sorted.
     type Sorted = Vec<(MortonKey, Vec<Record>)>;
 
-    /// All bins as a visitor sees them that keeps `kept` bytes of each run; and the bytes of pieces in
-    /// memory and in the scratch file, after binning and after sorting each run.
+    /// All bins as a visitor sees them that keeps `kept` bytes of each run; and the bytes of pieces
+    /// in memory and in the scratch file, after binning and after sorting each run.
     fn visited(memory_bytes: u64, kept: u64) -> (Sorted, Vec<[u64; 2]>) {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 320.0;

@@ -46,7 +46,8 @@ pub enum SimulationError {
     /// Steps inside one file, which cannot be watched.
     #[error("{0}: cannot watch the steps inside one file")]
     Steps(String),
-    /// Frames in several files, which cannot be watched because no file tells when a frame is complete.
+    /// Frames in several files, which cannot be watched because no file tells when a frame is
+    /// complete.
     #[error(
         "{0}: cannot watch frames that are in several files, because no file tells when a frame \
          is complete; convert them once the simulation is over"

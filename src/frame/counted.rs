@@ -181,8 +181,8 @@ impl Sampling {
         Estimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
-    /// Bytes of a surface that may be in memory while parts are merged, when only lists of its blocks
-    /// and of full bins are in memory besides.
+    /// Bytes of a surface that may be in memory while parts are merged, when only lists of its
+    /// blocks and of full bins are in memory besides.
     pub fn merging_share(
         &self,
         surfacing: &Surfacing,

@@ -174,8 +174,8 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
 }
 
 impl Estimate {
-    /// An estimate for particles counted by bin, in Morton order, from the shape of pages of the DIF, if
-    /// there is one, and the bytes of the input. Only bins that are `meshed` get a surface.
+    /// An estimate for particles counted by bin, in Morton order, from the shape of pages of the
+    /// DIF, if there is one, and the bytes of the input. Only bins that are `meshed` get a surface.
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,

@@ -54,8 +54,8 @@ pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
 
-/// The surface in those `bins`, in Morton order, that are `meshed`, from the particles in each and in
-/// a `full` one. `alone` is the number of vertices of a single particle.
+/// The surface in those `bins`, in Morton order, that are `meshed`, from the particles in each and
+/// in a `full` one. `alone` is the number of vertices of a single particle.
 pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
     full: f64,
@@ -105,8 +105,8 @@ mod tests {
     use super::*;
     use crate::grid::CellBox;
 
-    /// The surface of bins with these numbers of particles, in cells of one spacing, where a full bin
-    /// has 4096.
+    /// The surface of bins with these numbers of particles, in cells of one spacing, where a full
+    /// bin has 4096.
     fn surface_of(bins: &[(IVec3, usize)]) -> Expected {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)

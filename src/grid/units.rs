@@ -163,8 +163,9 @@ impl Sigma {
         }
     }
 
-    /// A standard deviation in cells, but at least one cell. A width that follows from the particles'
-    /// spacing removes the traces of their lattice, and of its place on the grid, in cells of any size.
+    /// A standard deviation in cells, but at least one cell. A width that follows from the
+    /// particles' spacing removes the traces of their lattice, and of its place on the grid, in
+    /// cells of any size.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))

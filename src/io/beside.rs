@@ -103,9 +103,10 @@ impl Folder {
         all.finalize()
     }
 
-    /// Renames the folder to its final name. An existing folder is removed if it is `replaceable`, after
-    /// the file at `named`, which lists its files. Another process that does this at the same time
-    /// waits for the end of [`turn`]; without file locks it continues, and the last folder stays.
+    /// Renames the folder to its final name. An existing folder is removed if it is `replaceable`,
+    /// after the file at `named`, which lists its files. Another process that does this at the same
+    /// time waits for the end of [`turn`]; without file locks it continues, and the last folder
+    /// stays.
     ///
     /// # Errors
     /// [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be

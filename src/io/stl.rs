@@ -70,8 +70,8 @@ pub fn write_mesh(
     })
 }
 
-/// Number of vertices with the f32 position of another. The surface touches itself there in programs
-/// that join equal corners.
+/// Number of vertices with the f32 position of another. The surface touches itself there in
+/// programs that join equal corners.
 ///
 /// # Errors
 /// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.

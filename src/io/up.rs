@@ -1,8 +1,8 @@
 //! The axis that points up, in files whose format cannot store it: in a comment or a title.
 //!
-//! Only z is recorded; without a record y points up, as most programs expect. `.ply`, `.obj`, `.vtk`,
-//! `.vtp`, `.pvtp` and `.stl` have comments or titles; the listing of a simulation
-//! records it for all formats.
+//! Only z is recorded; without a record y points up, as most programs expect. `.ply`, `.obj`,
+//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles; the listing of a simulation records
+//! it for all formats.
 
 use std::fs::File;
 use std::io::Read;

@@ -83,8 +83,8 @@ impl WantedAttributes<'_> {
         is_kind(name) || conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
-    /// Whether each of an input's attributes is to be read. All are if a wanted one is missing, so that
-    /// the error can list them.
+    /// Whether each of an input's attributes is to be read. All are if a wanted one is missing, so
+    /// that the error can list them.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let Self::Only { .. } = self else { return vec![true; infos.len()] };
         let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_kind(name);

@@ -1,4 +1,5 @@
-//! The interface to particles: the pipeline reads ranges of them, from several threads and repeatedly.
+//! The interface to particles: the pipeline reads ranges of them, from several threads and
+//! repeatedly.
 
 mod cloud;
 pub mod condition;
@@ -73,8 +74,8 @@ pub enum Unread {
 
 /// Particles, held in memory or in a file.
 ///
-/// Particles are in the order of the file, and error messages use their index. Values are returned as
-/// stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
+/// Particles are in the order of the file, and error messages use their index. Values are returned
+/// as stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
 /// are particles without attributes; a [`Cloud`] adds some.
 pub trait Particles: Sync {
     /// Number of particles.
@@ -104,7 +105,8 @@ pub trait Particles: Sync {
         0
     }
 
-    /// Hints that a range will not be read soon, so that a mapped scratch file can release its pages.
+    /// Hints that a range will not be read soon, so that a mapped scratch file can release its
+    /// pages.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }
@@ -153,8 +155,8 @@ pub trait Particles: Sync {
         }
     }
 
-    /// Like [`attribute`](Self::attribute), for integers that f32 cannot represent. Values beyond i64
-    /// become the greatest i64.
+    /// Like [`attribute`](Self::attribute), for integers that f32 cannot represent. Values beyond
+    /// i64 become the greatest i64.
     ///
     /// # Panics
     /// As [`attribute`](Self::attribute).
@@ -221,8 +223,8 @@ pub struct StridedPositions<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
-    /// Positions with x, y and z in every `stride` numbers, beginning with number `first`. Both count
-    /// numbers, not bytes. `None` if the stride is less than 3.
+    /// Positions with x, y and z in every `stride` numbers, beginning with number `first`. Both
+    /// count numbers, not bytes. `None` if the stride is less than 3.
     ///
     /// ```
     /// use meniscus::{Particles, StridedPositions};
@@ -342,8 +344,8 @@ pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
 /// Particles that are looked at together.
 pub(crate) const CHUNK: usize = 1 << 12;
 
-/// Calls `look` with ranges of some thousands of particles, on all threads. A mapped file releases its
-/// pages afterwards.
+/// Calls `look` with ranges of some thousands of particles, on all threads. A mapped file releases
+/// its pages afterwards.
 pub fn chunks<T: Send>(
     particles: &(impl Particles + ?Sized),
     look: impl Fn(Range<usize>) -> T + Send + Sync,

@@ -115,8 +115,8 @@ impl Reconstruction {
         self
     }
 
-    /// Finds the walls of the tank, from a scene file beside the input, or as the planes at which the
-    /// particles end. No particle is outside these walls, and an uncertain side stays open.
+    /// Finds the walls of the tank, from a scene file beside the input, or as the planes at which
+    /// the particles end. No particle is outside these walls, and an uncertain side stays open.
     ///
     /// ```
     /// use meniscus::Reconstruction;
@@ -141,8 +141,8 @@ impl Reconstruction {
         self
     }
 
-    /// Sets a periodic box by its faces along x, y and z; `None` is an open axis. Beyond a face, the
-    /// fluid continues as behind the opposite face.
+    /// Sets a periodic box by its faces along x, y and z; `None` is an open axis. Beyond a face,
+    /// the fluid continues as behind the opposite face.
     ///
     /// Particles on an upper face count as on the lower one. Other particles outside are an error,
     /// or left out with [`skip_invalid`](Self::skip_invalid). Open axes can have walls.
@@ -179,15 +179,15 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the isovalue, between 0 and 1, for counting, symmetry and the kernel methods. By default it
-    /// is measured, and 0.5 for kernel methods.
+    /// Sets the isovalue, between 0 and 1, for counting, symmetry and the kernel methods. By
+    /// default it is measured, and 0.5 for kernel methods.
     pub fn iso(mut self, value: f64) -> Self {
         self.settings.iso = Some(Iso::Value(value));
         self
     }
 
-    /// Interpolates these attributes of the particles to the vertices. By default, the velocity if the
-    /// particles have it.
+    /// Interpolates these attributes of the particles to the vertices. By default, the velocity if
+    /// the particles have it.
     pub fn attributes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.settings.attributes = Some(names.into_iter().map(Into::into).collect());
         self
@@ -195,8 +195,8 @@ impl Reconstruction {
 
     /// Uses only particles that satisfy conditions on their attributes.
     ///
-    /// If an input has several types of particles, `type` selects one: `PartType1` of a snapshot, an
-    /// array of PySPH, a species of openPMD. By default that is gas, `fluid`, or the only type.
+    /// If an input has several types of particles, `type` selects one: `PartType1` of a snapshot,
+    /// an array of PySPH, a species of openPMD. By default that is gas, `fluid`, or the only type.
     ///
     /// ```
     /// use meniscus::{Cloud, Reconstruction, Where};
@@ -275,8 +275,8 @@ impl Reconstruction {
         self
     }
 
-    /// Calls a function with progress, from any thread. A [`Simulation`](crate::Simulation) reports the
-    /// progress of its frames by [`Event::Stage`](crate::Event::Stage) instead.
+    /// Calls a function with progress, from any thread. A [`Simulation`](crate::Simulation) reports
+    /// the progress of its frames by [`Event::Stage`](crate::Event::Stage) instead.
     pub fn progress(mut self, tell: impl Fn(Progress) + Send + Sync + 'static) -> Self {
         self.control.progress = Some(Arc::new(tell));
         self
@@ -320,11 +320,11 @@ setters! {
     mu0: f64,
     /// Sets the smoothing width in spacings, for clouds: 1.6 by default, more for calmer water.
     smooth: f64,
-    /// Joins particles of thin sheets and threads up to this distance in spacings, such as 2.15, for
-    /// clouds. 0, the default, turns this off.
+    /// Joins particles of thin sheets and threads up to this distance in spacings, such as 2.15,
+    /// for clouds. 0, the default, turns this off.
     sheets: f64,
-    /// Sets the standard deviation of the Gaussian in cells, for counting and symmetry. The default is
-    /// one spacing, but at least one cell.
+    /// Sets the standard deviation of the Gaussian in cells, for counting and symmetry. The default
+    /// is one spacing, but at least one cell.
     sigma: f64,
     /// Recovers details that smoothing removes, for counting and symmetry.
     detail: bool,
@@ -340,8 +340,8 @@ setters! {
     skip_invalid: bool,
     /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression).
     compress: bool,
-    /// Sets the axis that points up in mesh files; rotates the mesh if another axis points up in the
-    /// particles.
+    /// Sets the axis that points up in mesh files; rotates the mesh if another axis points up in
+    /// the particles.
     up: UpAxis,
     /// Sets the axis that points up in the particles. The default is z for `.bi4` and y for other
     /// formats.

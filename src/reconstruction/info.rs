@@ -69,8 +69,8 @@ pub struct ParticlesInfo {
     pub box_size: Option<[f64; 3]>,
     /// The file's unit of length in metres.
     pub unit_metres: Option<f64>,
-    /// Types of particles in the file; the first is the one that was read. Empty if the only type has
-    /// no name.
+    /// Types of particles in the file; the first is the one that was read. Empty if the only type
+    /// has no name.
     pub particle_types: Vec<String>,
     /// Distance between neighbouring particles.
     pub spacing: Option<f64>,

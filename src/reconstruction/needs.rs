@@ -44,18 +44,19 @@ pub struct Needs {
     pub simplifying: Option<[u64; 2]>,
     /// Additional bytes of a writer that needs the whole mesh in memory.
     pub writing: Option<u64>,
-    /// Approximate number of triangles before simplifying: exact for a small frame, estimated from the
-    /// counted particles for a large one.
+    /// Approximate number of triangles before simplifying: exact for a small frame, estimated from
+    /// the counted particles for a large one.
     pub triangles: u64,
     /// Approximate size of the mesh on disk in bytes.
     pub disk: u64,
-    /// Approximate time of the reconstruction in seconds, without writing the mesh. `None` if a sample
-    /// cannot be measured: for large frames with kernel methods, or if the sample has no surface.
+    /// Approximate time of the reconstruction in seconds, without writing the mesh. `None` if a
+    /// sample cannot be measured: for large frames with kernel methods, or if the sample has no
+    /// surface.
     pub seconds: Option<f64>,
 }
 
-/// Approximate size of a mesh on disk: 24 bytes per vertex with its velocity, and 13 per triangle, as
-/// in `.ply`, without further attributes and before simplifying.
+/// Approximate size of a mesh on disk: 24 bytes per vertex with its velocity, and 13 per triangle,
+/// as in `.ply`, without further attributes and before simplifying.
 pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
     24 * vertices + 13 * triangles
 }
@@ -70,8 +71,8 @@ struct Tried {
 }
 
 impl Opened {
-    /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. A part
-    /// of the frame is made to measure the time.
+    /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. A
+    /// part of the frame is made to measure the time.
     ///
     /// # Errors
     /// [`Error::Frame`] for invalid particles, or too little memory, and [`Error::Cancelled`].

@@ -78,7 +78,8 @@ impl Reconstruction {
         self.checked()?.on_threads()?.open(&paths)
     }
 
-    /// Checks before the work that a mesh file can be written, and can store the requested attributes.
+    /// Checks before the work that a mesh file can be written, and can store the requested
+    /// attributes.
     ///
     /// # Errors
     /// [`Error::Write`], and [`Error::Unfit`] for settings that the format cannot store.

@@ -86,8 +86,8 @@ impl Surface {
     }
 
     /// Draws a picture of the mesh, on the threads that made it, with the up axis of its particles.
-    /// Unless the picture has its own memory limit, it uses at most half of the frame's; the mesh may
-    /// use the other half.
+    /// Unless the picture has its own memory limit, it uses at most half of the frame's; the mesh
+    /// may use the other half.
     ///
     /// # Errors
     /// [`Error::Picture`] and [`Error::Threads`].
@@ -125,8 +125,8 @@ impl Surface {
 
     /// Writes the mesh to a new file, completely or not at all, and returns its size in bytes.
     ///
-    /// The extension selects the format. Coordinates are f64 if f32 would move vertices by more than
-    /// 1 / 256 of a cell and the format can store f64. Missing folders are created.
+    /// The extension selects the format. Coordinates are f64 if f32 would move vertices by more
+    /// than 1 / 256 of a cell and the format can store f64. Missing folders are created.
     ///
     /// To replace a file call [`overwrite`](Self::overwrite).
     ///
@@ -158,8 +158,8 @@ impl Surface {
     /// Writes the mesh to a file that was prepared before the work, and returns its size in bytes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the surface or
-    /// prepared the file.
+    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the
+    /// surface or prepared the file.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.settings.orientation(self.particles_up, format);

@@ -6,7 +6,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Threads of a request. They exist only while work runs; later work starts new ones.
 ///
-/// Callers keep hundreds of surfaces, and fork processes, in which the parent's threads do not exist.
+/// Callers keep hundreds of surfaces, and fork processes, in which the parent's threads do not
+/// exist.
 #[derive(Debug, Clone)]
 pub(crate) struct Threads {
     pool: Weak<ThreadPool>,

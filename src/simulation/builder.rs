@@ -48,9 +48,9 @@ pub struct Simulation {
 impl Simulation {
     /// A request for the meshes of frames.
     ///
-    /// The input is a pattern with `{}` for the frame number, a folder, a glob, or a file with several
-    /// steps. The output is a pattern with `{}` or `{:04}`, or a folder for `.ply` files, which exists
-    /// or ends in `/`. Missing folders are created.
+    /// The input is a pattern with `{}` for the frame number, a folder, a glob, or a file with
+    /// several steps. The output is a pattern with `{}` or `{:04}`, or a folder for `.ply` files,
+    /// which exists or ends in `/`. Missing folders are created.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>) -> Self {
         Self::of_files([input], output)
     }
@@ -77,9 +77,9 @@ impl Simulation {
         }
     }
 
-    /// A request for a simulation, if inputs and output name one; `None` if both name a single frame.
-    /// The output of a single file is taken literally unless it has `{}`: `##` and `%04d` are not
-    /// frame numbers then.
+    /// A request for a simulation, if inputs and output name one; `None` if both name a single
+    /// frame. The output of a single file is taken literally unless it has `{}`: `##` and `%04d`
+    /// are not frame numbers then.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
@@ -96,8 +96,8 @@ impl Simulation {
         }
     }
 
-    /// A request for a simulation whose inputs are [joined](Self::together), if the output names one;
-    /// `None` if it names a single frame.
+    /// A request for a simulation whose inputs are [joined](Self::together), if the output names
+    /// one; `None` if it names a single frame.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
@@ -146,15 +146,15 @@ impl Simulation {
         self
     }
 
-    /// Converts only these frames of the simulation, as one of several jobs. All jobs share the same
-    /// calibration.
+    /// Converts only these frames of the simulation, as one of several jobs. All jobs share the
+    /// same calibration.
     pub fn frames(mut self, numbers: RangeInclusive<i64>) -> Self {
         self.frames = numbers.into_inner();
         self
     }
 
-    /// Resumes an interrupted conversion: keeps meshes that are complete and made from the same inputs.
-    /// Other settings are an error unless outputs may be [replaced](Self::overwrite).
+    /// Resumes an interrupted conversion: keeps meshes that are complete and made from the same
+    /// inputs. Other settings are an error unless outputs may be [replaced](Self::overwrite).
     pub fn resume(mut self) -> Self {
         self.resume = true;
         self
@@ -173,8 +173,8 @@ impl Simulation {
         self
     }
 
-    /// Joins the frames with the same number from all inputs: their particles make one surface, with
-    /// the attributes that all of them have.
+    /// Joins the frames with the same number from all inputs: their particles make one surface,
+    /// with the attributes that all of them have.
     pub fn together(mut self) -> Self {
         self.together = true;
         self
@@ -186,8 +186,8 @@ impl Simulation {
         self
     }
 
-    /// Names a file that the caller writes beside the meshes; an error if the conversion writes it as
-    /// well.
+    /// Names a file that the caller writes beside the meshes; an error if the conversion writes it
+    /// as well.
     pub fn beside(mut self, file: impl Into<PathBuf>) -> Self {
         self.beside.push(file.into());
         self

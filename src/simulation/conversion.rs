@@ -293,8 +293,8 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame that reports its progress as that of its lane: at the beginning and end of
-    /// a stage, and rarely in between, because each event wakes the caller's thread.
+    /// The request for a frame that reports its progress as that of its lane: at the beginning and
+    /// end of a stage, and rarely in between, because each event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: i64) -> Checked {
         let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
         let told = Mutex::new(Instant::now());

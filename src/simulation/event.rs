@@ -219,7 +219,8 @@ pub struct Summary {
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
     pub missing: Vec<Missing>,
-    /// Numbers without a file, if more are missing than exist: then they are not counted as missing.
+    /// Numbers without a file, if more are missing than exist: then they are not counted as
+    /// missing.
     pub chosen: Option<Gaps>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: LeftOut,
@@ -387,7 +388,8 @@ pub(super) fn hearing<T: Send>(
     })
 }
 
-/// Receives all events. A thread of a rayon pool keeps working, because the sender may need the pool.
+/// Receives all events. A thread of a rayon pool keeps working, because the sender may need the
+/// pool.
 fn hear_all(told: &Receiver<Event>, mut hear: impl FnMut(Event)) {
     if rayon::current_thread_index().is_none() {
         return told.iter().for_each(hear);

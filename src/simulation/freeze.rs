@@ -51,8 +51,8 @@ impl Setup<'_> {
         Ok((state, file))
     }
 
-    /// Calibrates all frames on the first suitable one, whose particles may still be open, and finds
-    /// walls in some frames, if requested.
+    /// Calibrates all frames on the first suitable one, whose particles may still be open, and
+    /// finds walls in some frames, if requested.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],

@@ -297,10 +297,10 @@ fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
     pattern
 }
 
-/// Whether the runs in `others` distinguish simulations whose frames are numbered by the run `last`:
-/// there are fewer simulations than frames, and at least half of each one's numbers are also those
-/// of the longest. Numbers that count from 0 in the same way in all can be pieces, unless they are
-/// padded like frames.
+/// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
+/// `last`: there are fewer simulations than frames, and at least half of each one's numbers are
+/// also those of the longest. Numbers that count from 0 in the same way in all can be pieces,
+/// unless they are padded like frames.
 fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {

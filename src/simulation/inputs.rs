@@ -112,8 +112,8 @@ impl Inputs {
     /// The simulations whose frames exist now. In a folder with particles, meshes are ignored.
     ///
     /// When watching, the simulation is over after `idle` seconds without a new file. A file of a
-    /// folder or a glob waits that long, but at most 5 minutes, if another file will show whether it
-    /// is a piece, or which of its numbers is the frame.
+    /// folder or a glob waits that long, but at most 5 minutes, if another file will show whether
+    /// it is a piece, or which of its numbers is the frame.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]

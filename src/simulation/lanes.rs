@@ -21,8 +21,8 @@ pub(super) struct Division {
 }
 
 impl Division {
-    /// Lanes for `frames`: one per thread, and one more to compensate for uneven frames and reading. Each
-    /// thread reserves `chunk` bytes.
+    /// Lanes for `frames`: one per thread, and one more to compensate for uneven frames and
+    /// reading. Each thread reserves `chunk` bytes.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // A lane has a thread at the least, and a frame that is alone has all.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);

@@ -19,9 +19,9 @@ use super::frozen::{Measured, Trust, measure_in};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
-/// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of the
-/// filters (for the indicator counting, also not a lattice), and kept for all later frames. Before
-/// that, [`is_settled`](Self::is_settled) is false, and each frame is measured by itself.
+/// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
+/// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
+/// Before that, [`is_settled`](Self::is_settled) is false, and each frame is measured by itself.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};

@@ -1,4 +1,5 @@
-//! Pictures of meshes in files: of each mesh, on a contact sheet, or as an animation, with one camera.
+//! Pictures of meshes in files: of each mesh, on a contact sheet, or as an animation, with one
+//! camera.
 
 use std::fmt;
 use std::fs::File;
@@ -142,8 +143,8 @@ enum Target {
 
 impl Pictures {
     /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. Unless the
-    /// picture sets the up axis, it is z if the first mesh whose file or listing records the axis has
-    /// z up, else y.
+    /// picture sets the up axis, it is z if the first mesh whose file or listing records the axis
+    /// has z up, else y.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -164,8 +165,8 @@ impl Pictures {
         }
     }
 
-    /// Sets the width and height in pixels. The default is 1920 x 1080, 960 x 540 in an animation, and
-    /// 640 x 360 on a sheet.
+    /// Sets the width and height in pixels. The default is 1920 x 1080, 960 x 540 in an animation,
+    /// and 640 x 360 on a sheet.
     pub fn size(mut self, width: usize, height: usize) -> Self {
         self.picture = self.picture.size(width, height);
         self.sized = true;
@@ -190,8 +191,8 @@ impl Pictures {
         self
     }
 
-    /// Limits the memory of a mesh and its picture in bytes. A .ply from this library that needs more
-    /// than half of it is streamed from its file.
+    /// Limits the memory of a mesh and its picture in bytes. A .ply from this library that needs
+    /// more than half of it is streamed from its file.
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
         self
@@ -539,12 +540,12 @@ impl fmt::Display for SheetDone {
 }
 
 impl Simulation {
-    /// Checks before the work that a contact sheet can be written beside the meshes. It has their name
-    /// without numbers, or is `frames.png`. An existing sheet is replaced if the simulation replaces its
-    /// outputs, or resumes and it is a sheet of them.
+    /// Checks before the work that a contact sheet can be written beside the meshes. It has their
+    /// name without numbers, or is `frames.png`. An existing sheet is replaced if the simulation
+    /// replaces its outputs, or resumes and it is a sheet of them.
     ///
-    /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame beside
-    /// the state, for this run and those that resume it.
+    /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame
+    /// beside the state, for this run and those that resume it.
     ///
     /// # Errors
     /// [`Error::Write`].

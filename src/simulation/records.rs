@@ -1,8 +1,9 @@
 //! Records of finished frames, one line of JSON each.
 //!
-//! Each process writes its own log, `frames.1.jsonl`, `frames.2.jsonl` and so on, and locks it while
-//! it runs. A process that finishes merges all unlocked logs into `frames.jsonl`, in the order of
-//! frames. At the end only this file exists, and its bytes do not depend on the division of work.
+//! Each process writes its own log, `frames.1.jsonl`, `frames.2.jsonl` and so on, and locks it
+//! while it runs. A process that finishes merges all unlocked logs into `frames.jsonl`, in the
+//! order of frames. At the end only this file exists, and its bytes do not depend on the division
+//! of work.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions, TryLockError};

@@ -135,8 +135,8 @@ impl Simulation {
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
 
-    /// Bytes of all requested frames; `None` when watching, or if the size of files does not indicate that
-    /// of their particles.
+    /// Bytes of all requested frames; `None` when watching, or if the size of files does not
+    /// indicate that of their particles.
     #[must_use]
     pub fn input_bytes(&self) -> Option<u64> {
         if self.watch.is_some() {

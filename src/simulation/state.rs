@@ -133,8 +133,9 @@ impl Store {
         }
     }
 
-    /// Begins with the state that was found, and returns it if it is kept. From now on, other processes
-    /// can see whether this one is `at_work`. A stale state stays until [`add`](Self::add) replaces it.
+    /// Begins with the state that was found, and returns it if it is kept. From now on, other
+    /// processes can see whether this one is `at_work`. A stale state stays until
+    /// [`add`](Self::add) replaces it.
     ///
     /// # Errors
     /// [`SimulationError::Busy`] and [`SimulationError::Io`].

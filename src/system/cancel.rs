@@ -69,8 +69,8 @@ impl Cancel {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Removes all unfinished outputs, for a process that exits now. Threads that would create another
-    /// one wait forever.
+    /// Removes all unfinished outputs, for a process that exits now. Threads that would create
+    /// another one wait forever.
     ///
     /// Renamed files stay; pending records of frames are written first.
     pub fn abandon(&self) {

@@ -9,8 +9,8 @@ use memmap2::MmapMut;
 
 use crate::grid::units::MemoryBudget;
 
-/// Three quarters of the available memory: the system's estimate, but at most what a control group or
-/// `ulimit` allows.
+/// Three quarters of the available memory: the system's estimate, but at most what a control group
+/// or `ulimit` allows.
 ///
 /// There is no limit if the system has no estimate.
 #[must_use]

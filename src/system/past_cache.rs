@@ -1,8 +1,8 @@
 //! Writing a large file past the system's cache.
 //!
-//! A program that writes gigabytes and waits until they are on disk gains nothing from the cache: the
-//! system finds as much memory, copies everything into it, and drops useful data for it, such as the
-//! particles of the next frame.
+//! A program that writes gigabytes and waits until they are on disk gains nothing from the cache:
+//! the system finds as much memory, copies everything into it, and drops useful data for it, such
+//! as the particles of the next frame.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};

@@ -47,8 +47,8 @@ impl Arguments {
         Self::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
     }
 
-    /// The commands and options, as help, completions and man pages show them. `pack` accepts settings
-    /// of a surface, but hidden, and only to reject them with a reason.
+    /// The commands and options, as help, completions and man pages show them. `pack` accepts
+    /// settings of a surface, but hidden, and only to reject them with a reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {
             Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())

@@ -132,8 +132,8 @@ pub struct PartsOptions {
     /// Make the mesh of one frame in N parts: run with --plan, then --part I for each part, then
     /// --merge.
     ///
-    /// All runs need the same settings, and can be on different machines. The plan and the parts are
-    /// in a folder beside the output, with .meniscus-parts appended to its name.
+    /// All runs need the same settings, and can be on different machines. The plan and the parts
+    /// are in a folder beside the output, with .meniscus-parts appended to its name.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
     /// Make part I, counted from 0, in any order. A part that was killed can be made again.

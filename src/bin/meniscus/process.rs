@@ -13,8 +13,8 @@ pub fn set_up() {
     outlive_large_files();
 }
 
-/// Runs `work` on a thread with a large enough stack, whatever the limit of the process (`ulimit -s`).
-/// Falls back to this thread if the system starts no other.
+/// Runs `work` on a thread with a large enough stack, whatever the limit of the process (`ulimit
+/// -s`). Falls back to this thread if the system starts no other.
 pub fn on_own_stack<T: Send + 'static>(work: fn() -> T) -> T {
     match thread::Builder::new().stack_size(STACK).spawn(work) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
@@ -22,8 +22,8 @@ pub fn on_own_stack<T: Send + 'static>(work: fn() -> T) -> T {
     }
 }
 
-/// Starts the global threads, for commands without their own. Falls back to this thread if the system
-/// starts none.
+/// Starts the global threads, for commands without their own. Falls back to this thread if the
+/// system starts none.
 pub fn start_threads() {
     let all = rayon::ThreadPoolBuilder::new;
     // The global pool can be built only once, so another one is tried first, and ended.
@@ -44,9 +44,9 @@ pub fn start_threads() {
     let _ = builder.build_global();
 }
 
-/// Keeps up to 8 MiB of freed memory per thread. Frames, and blocks of a frame that exceeds its memory,
-/// free memory that the next one allocates again; returning it to the system in between would cost
-/// a page fault per page.
+/// Keeps up to 8 MiB of freed memory per thread. Frames, and blocks of a frame that exceeds its
+/// memory, free memory that the next one allocates again; returning it to the system in between
+/// would cost a page fault per page.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_freed() {
     for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)]
@@ -61,8 +61,8 @@ fn keep_freed() {
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn keep_freed() {}
 
-/// Makes a write beyond the limit on file sizes (`ulimit -f`) an ordinary error, instead of a signal
-/// that ends the process.
+/// Makes a write beyond the limit on file sizes (`ulimit -f`) an ordinary error, instead of a
+/// signal that ends the process.
 #[cfg(unix)]
 fn outlive_large_files() {
     // SAFETY: no handler is installed that could run, and no other thread is there yet.

@@ -24,8 +24,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Starts bars for `bytes` of input, and returns the notes to use with them. The estimate of the
-    /// remaining time uses bytes, because frames differ in size.
+    /// Starts bars for `bytes` of input, and returns the notes to use with them. The estimate of
+    /// the remaining time uses bytes, because frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),

@@ -20,8 +20,8 @@ pub struct Options {
     /// Meshes: files, a folder, a glob, or a pattern with {} for the frame number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// Picture: .png. For several meshes: a folder or a pattern with {} for a picture of each, .apng
-    /// for an animation, .png for a contact sheet.
+    /// Picture: .png. For several meshes: a folder or a pattern with {} for a picture of each,
+    /// .apng for an animation, .png for a contact sheet.
     #[arg(short, long)]
     output: PathBuf,
     /// Width and height in pixels
@@ -43,8 +43,8 @@ pub struct Options {
     /// Show the edges of the triangles.
     #[arg(long)]
     wireframe: bool,
-    /// Colour: water; a colour such as ff8800; an attribute such as velocity, with a colour map as in
-    /// velocity:turbo; or distance:red-blue with --reference.
+    /// Colour: water; a colour such as ff8800; an attribute such as velocity, with a colour map as
+    /// in velocity:turbo; or distance:red-blue with --reference.
     #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
     colour: Asked,
     /// Colour by the distance from this mesh, negative inside, in the meshes' unit of length.

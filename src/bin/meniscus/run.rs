@@ -54,8 +54,8 @@ enum BackendName {
 }
 
 impl RunOptions {
-    /// Sets threads, memory, scratch folder and backend. `input_bytes` is the size of the inputs, if
-    /// known, and called only if the choice of a backend needs it.
+    /// Sets threads, memory, scratch folder and backend. `input_bytes` is the size of the inputs,
+    /// if known, and called only if the choice of a backend needs it.
     pub fn machine(
         &self,
         request: Reconstruction,

@@ -89,8 +89,8 @@ pub struct Distances {
 /// is still told.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian that, together with the clouds' variance of a quarter of a squared cell, has a standard
-/// deviation of `cells`, if possible.
+/// A Gaussian that, together with the clouds' variance of a quarter of a squared cell, has a
+/// standard deviation of `cells`, if possible.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);

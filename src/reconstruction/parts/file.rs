@@ -133,8 +133,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens the file of a part whose attributes have these components, and reads it to check that it
-    /// is complete; `None` if it does not exist.
+    /// Opens the file of a part whose attributes have these components, and reads it to check that
+    /// it is complete; `None` if it does not exist.
     pub(super) fn open(
         path: &Path,
         mark: Mark,

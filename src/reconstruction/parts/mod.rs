@@ -2,13 +2,13 @@
 //! of a single run.
 //!
 //! `plan.json` and the parts' files are in a folder beside the output, with `.meniscus-parts`
-//! appended to its name. The plan samples the whole frame once, measures what a single run would, and
-//! cuts the Morton curve of blocks into stretches of about equal work. A part
-//! samples the bins that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what
-//! filters reach, by the recipe), and meshes those blocks. It reads the chunks of the input that
-//! can contain particles of these bins: the plan lists all chunks with their bounding boxes. Merging
-//! lists the blocks of all parts in order, like the scratch file of a single run, and continues like
-//! a single run. Vertices are stitched by identity, so the cuts leave no trace.
+//! appended to its name. The plan samples the whole frame once, measures what a single run would,
+//! and cuts the Morton curve of blocks into stretches of about equal work. A part samples the bins
+//! that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what filters reach, by
+//! the recipe), and meshes those blocks. It reads the chunks of the input that can contain
+//! particles of these bins: the plan lists all chunks with their bounding boxes. Merging lists the
+//! blocks of all parts in order, like the scratch file of a single run, and continues like a single
+//! run. Vertices are stitched by identity, so the cuts leave no trace.
 //!
 //! The guide for users is `parts.md`.
 
@@ -160,8 +160,8 @@ pub struct PartMade {
 }
 
 impl Reconstruction {
-    /// A request for the mesh of a particle file in `count` parts, which are in a folder beside the output
-    /// until they are merged.
+    /// A request for the mesh of a particle file in `count` parts, which are in a folder beside the
+    /// output until they are merged.
     pub fn parts(
         &self,
         input: impl Into<PathBuf>,

@@ -197,8 +197,8 @@ fn block_of(bin: MortonKey) -> MortonKey {
     MortonKey::of(block_of_bin(bin.coord()))
 }
 
-/// Work of the blocks that contain particles, or through which a surface can pass, in the unit of one
-/// binned particle, in Morton order.
+/// Work of the blocks that contain particles, or through which a surface can pass, in the unit of
+/// one binned particle, in Morton order.
 fn work(
     bins: &[(MortonKey, usize)],
     passed: impl Iterator<Item = (MortonKey, usize)>,
@@ -218,8 +218,8 @@ fn work(
     work
 }
 
-/// The first block of each of `parts`, which have about equal work. The first part also has all blocks
-/// before.
+/// The first block of each of `parts`, which have about equal work. The first part also has all
+/// blocks before.
 fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);

@@ -78,8 +78,8 @@ impl ListedBlock {
     }
 }
 
-/// Bytes of a vertex without its tile: the samples of its edge, its normal, and the components of its
-/// attributes.
+/// Bytes of a vertex without its tile: the samples of its edge, its normal, and the components of
+/// its attributes.
 pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
     let attributes = components.iter().sum::<usize>() * size_of::<f32>();

@@ -46,8 +46,8 @@ pub enum Effort {
     /// Four samples per pixel.
     #[default]
     Full,
-    /// A draft in about half of the time: one sample per pixel, softer shadows, and no refraction. A
-    /// surface with more than two vertices per pixel is drawn with fewer and larger triangles.
+    /// A draft in about half of the time: one sample per pixel, softer shadows, and no refraction.
+    /// A surface with more than two vertices per pixel is drawn with fewer and larger triangles.
     Draft,
 }
 
@@ -78,7 +78,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The default: 1920 x 1080 pixels of water, completely visible from the front, right and above.
+    /// The default: 1920 x 1080 pixels of water, completely visible from the front, right and
+    /// above.
     #[must_use]
     pub fn new() -> Self {
         Self::default()

@@ -40,8 +40,9 @@ use surface::Outside;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass, a vertex stays in about every square of this many cells. Without them, triangles
-/// on flat ground would extend from a seam beyond the chunk that simplifies it in the second pass.
+/// In the first pass, a vertex stays in about every square of this many cells. Without them,
+/// triangles on flat ground would extend from a seam beyond the chunk that simplifies it in the
+/// second pass.
 const PIN_SPACING: i32 = 16;
 /// The second pass simplifies triangles within this many cells of a seam of the first.
 const BAND: i32 = 4;

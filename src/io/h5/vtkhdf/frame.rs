@@ -47,7 +47,8 @@ impl Frame {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for every partition, each with the given number of entries after it.
+    /// The entries of a data set for every partition, each with the given number of entries after
+    /// it.
     pub fn of_parts(
         &self,
         file: &File,
