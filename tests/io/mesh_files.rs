@@ -424,7 +424,7 @@ fn vtp_files_that_are_not_read_say_why() {
         ),
         ("NumberOfVerts", "NumberOfStrips", "triangle strips"),
         ("<Piece", "<Piece NumberOfPoints=\"0\"/><Piece", "2 pieces"),
-        ("7 8 9 10", "7 8 9", "array id is not of 1 numbers for each of 4 points"),
+        ("7 8 9 10", "7 8 9", "array id must have 1 numbers for each of 4 points"),
         ("4\n7", "4\n8", "polygon 1 has no corners from 4 to 8"),
         ("4\n7", "4\n3", "polygon 1 has no corners from 4 to 3"),
         ("4\n7", "7", "2 polygons are announced, 1 have an offset"),

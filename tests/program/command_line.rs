@@ -860,7 +860,7 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let frame = frame.to_str().unwrap();
     // The one finds an interior, the other none.
     for (indicator, told) in
-        [("cloud", "because no fluid is deep enough"), ("counting", "the spacing tells")]
+        [("cloud", "because no fluid is deep enough"), ("counting", "computed from the spacing")]
     {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) =

@@ -168,7 +168,7 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
         "--skip-invalid",
     ];
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
-    for word in ["missing from the surface", "no heat", "looks too large", "not finite"] {
+    for word in ["missing from the surface", "no finite 32-bit heat", "looks too large", "not finite"] {
         assert!(single.contains(word), "nothing of {word:?}: {single}");
     }
     in_parts(folder, "mist.csv", "many.ply", 5, &[0, 1, 2, 3, 4], &options);
@@ -368,7 +368,7 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         (ask(&["--merge"]), "--parts"),
         (ask(&["--plan"]), "--plan needs a simulation"),
         (ask(&["--parts", "0", "--plan"]), "--parts"),
-        (ask(&["--parts", "1001", "--plan"]), "1 to 1000 parts"),
+        (ask(&["--parts", "1001", "--plan"]), "must be from 1 to 1000"),
         (ask(&["--parts", "2", "--part", "2"]), "the part must be from 0 to 1, got 2"),
         (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a simulation"),
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
