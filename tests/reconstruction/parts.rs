@@ -168,7 +168,9 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
         "--skip-invalid",
     ];
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
-    for word in ["missing from the surface", "no finite 32-bit heat", "looks too large", "not finite"] {
+    for word in
+        ["missing from the surface", "no finite 32-bit heat", "looks too large", "not finite"]
+    {
         assert!(single.contains(word), "nothing of {word:?}: {single}");
     }
     in_parts(folder, "mist.csv", "many.ply", 5, &[0, 1, 2, 3, 4], &options);
