@@ -737,7 +737,10 @@ fn a_frame_whose_kernels_reach_no_cell_s_centre_is_an_empty_mesh() {
     fs::write(folder.path().join("in/f_2.xyz"), raw(&[[0.0; 3]])).unwrap();
     let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
     let notes = run(folder.path(), &with(&coarse), 0);
-    assert!(notes.contains("f_2.xyz: the mesh is empty: the surface contains no cell's centre"), "{notes}");
+    assert!(
+        notes.contains("f_2.xyz: the mesh is empty: the surface contains no cell's centre"),
+        "{notes}"
+    );
     let [ball, nothing] =
         ["out/m_1.ply", "out/m_2.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
     assert!(ball.triangles.len() > 100 && nothing.triangles.is_empty());
