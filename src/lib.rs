@@ -1,11 +1,24 @@
-//! Watertight surface meshes from particle fluids, by discrete indicator functions (DIF).
+//! Watertight surface meshes from the particles of fluid simulations (SPH, PBD, FLIP, MPM).
+//!
+//! | to | use |
+//! |---|---|
+//! | mesh one frame, from memory or a file | [`Reconstruction`], which gives a [`Surface`] and a [`Report`] |
+//! | try several surfaces of the same particles | [`Reconstruction::sample`], which gives a [`Frame`] |
+//! | convert the files of a simulation | [`Simulation`] |
+//! | mesh the frames of a simulation while it runs | [`LiveSimulation`] |
+//! | mesh a frame that exceeds one machine | [`Parts`] |
+//! | add attributes to positions in memory | [`Cloud`] |
+//! | set every option of the program | [`Settings`] |
+//! | cancel any of these | [`Cancel`] |
+//!
+//! Failures are an [`Error`]; its [`Cause`] says who has to change something.
 //!
 //! # A frame from memory
 //!
 //! ```
 //! use meniscus::Reconstruction;
 //!
-//! // A ball of particles, one a unit.
+//! // A ball of particles, one per unit of volume.
 //! let steps = || (-6..=6).map(f64::from);
 //! let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
 //! let ball: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 36.0).collect();
@@ -15,14 +28,6 @@
 //! surface.write(folder.path().join("ball.ply"))?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-//!
-//! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a
-//! [`Report`]; [`Reconstruction::sample`] gives a [`Frame`], which is sampled once and drawn as
-//! often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a simulation
-//! are a [`Simulation`], or a [`LiveSimulation`] while it runs. [`Settings`] hold all that a
-//! request can say of a surface, and a [`Cloud`] adds attributes to positions in memory. What fails
-//! is an [`Error`], whose [`Cause`] says whose fault it is. Any of them can be ended early by a
-//! [`Cancel`].
 //!
 //! # Frames of a simulation
 //!
@@ -68,7 +73,7 @@
 //! # Ok::<(), meniscus::Error>(())
 //! ```
 //!
-//! # A frame beyond memory
+//! # A frame larger than memory
 //!
 //! ```
 //! use meniscus::{Cancel, MemoryBudget, Reconstruction};
@@ -85,12 +90,12 @@
 //!     .progress(|progress| println!("{} {:.0} %", progress.stage, 100.0 * progress.done))
 //!     .cancel(cancel.clone())
 //!     .run_file("dam.xyz")?;
-//! // Neither the particles nor the mesh are in memory as a whole.
+//! // Neither all particles nor the whole mesh are in memory at once.
 //! surface.write("dam.ply")?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! # Particles that are on a GPU
+//! # Particles on a GPU
 //!
 //! ```
 //! use meniscus::Reconstruction;
@@ -101,13 +106,13 @@
 //! # let ball: Vec<[f32; 3]> = (0..3375).map(|i| [i % 15, i / 15 % 15, i / 225].map(|c| c as f32)).collect();
 //! # let Ok(instance) = Instance::connect(false) else { return Ok(()) };
 //! # let Ok(device) = Device::open(&instance, &DeviceChoice::Best, &DeviceOptions::default()) else { return Ok(()) };
-//! // A program with a device of its own lends it by `Device::adopt`, and buffers by `Device::foreign_buffer`.
+//! // To use your own device and buffers, see `Device::adopt` and `Device::foreign_buffer`.
 //! let view = device.uploaded(&ball)?;
 //! let positions = DevicePositions { view, count: ball.len(), coordinate: Coordinate::Single };
 //!
 //! let request = Reconstruction::new().spacing(1.0).smooth(1.2).on_device()?;
 //! let surface = Pipeline::new(&device)?.surface(&[positions], &request)?;
-//! // `surface.positions` and `surface.indices` are buffers to draw from.
+//! // `surface.positions` and `surface.indices` are buffers on the device.
 //! assert!(surface.vertices > 0 && surface.triangles > 0);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -121,18 +126,24 @@
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
-//! Everything from a particle to the field is integer, so the result depends on nothing but the
-//! input: not on the particles' order, the threads, or how the field is stored. Every mesh is a
-//! closed, oriented 2-manifold; vertices are shared by the identity of the grid edge that they lie
-//! on.
+//! All arithmetic from a particle to the field is on integers, so the result depends only on the
+//! input, and not on the order of the particles, the threads, or the storage of the field. Every
+//! mesh is a closed, oriented 2-manifold. Neighbouring blocks share a vertex because it has the
+//! same grid edge, never because it has the same position.
 //!
-//! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to
-//! know in [`guide`]. The modules of the pipeline are in [`internals`], for whoever changes them;
-//! [`guide::contributing`] says how.
+//! [`method`] has the formulas and their sources, [`guide`] everything for users,
+//! [`guide::glossary`] the terms. To change meniscus, see [`guide::contributing`] and
+//! [`internals`].
 //!
-//! Features, all of them on by default: `cli` builds the program, and what it needs of terminals;
-//! `pictures` the module [`picture`]; `hdf5` reads HDF5. A library that only makes meshes needs
-//! none of them.
+//! # Features
+//!
+//! All are on by default, and a library that only makes meshes needs none of them.
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `cli` | the program `meniscus`, with its dependencies |
+//! | `pictures` | the module [`picture`] |
+//! | `hdf5` | HDF5 inputs |
 
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
@@ -163,9 +174,8 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, the spacing of the particles, simulations, animations in Blender
-/// and ParaView, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs,
-/// limits, trust, and how to change it.
+/// Guides for users: formats, spacing, simulations, animations, pictures, tanks and periodic boxes,
+/// choosing options, accuracy, speed, GPUs, limits, guarantees; and a page for contributors.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -179,6 +189,8 @@ pub mod guide {
     pub mod contributing {}
     #[doc = include_str!("io/formats.md")]
     pub mod formats {}
+    #[doc = include_str!("glossary.md")]
+    pub mod glossary {}
     #[doc = include_str!("vulkan/guide.md")]
     pub mod gpus {}
     #[doc = include_str!("reconstruction/limits.md")]
@@ -195,8 +207,6 @@ pub mod guide {
     pub mod pictures {}
     #[doc = include_str!("surface/simplify/guide.md")]
     pub mod simplifying {}
-    #[doc = include_str!("frame/scale.md")]
-    pub mod scale {}
     #[doc = include_str!("simulation/guide.md")]
     pub mod simulations {}
     #[doc = include_str!("field/spacing/guide.md")]
@@ -207,8 +217,7 @@ pub mod guide {
     pub mod trust {}
 }
 
-/// Meshes: their pieces, whole ones in memory, and what there is to check, to measure and to
-/// compare.
+/// Meshes in pieces and in memory: checks, measures and comparisons.
 pub mod mesh {
     pub use crate::io::output::read_mesh;
     pub use crate::surface::mesh::check::{Found, Report as CheckReport, Topology, check};
@@ -218,7 +227,7 @@ pub mod mesh {
     pub use crate::surface::mesh::{Mesh, VertexAttribute};
 }
 
-/// Pictures of meshes, as files or in memory: with the feature `pictures`.
+/// Pictures of meshes, as files or in memory (feature `pictures`).
 #[cfg(feature = "pictures")]
 pub mod picture {
     pub use crate::simulation::{PictureDone, PictureFile, Pictures, Sheet, SheetDone};
@@ -227,7 +236,7 @@ pub mod picture {
     };
 }
 
-/// Files: formats, outputs that are made ready before the work, and what a file holds.
+/// Files: formats, outputs that are checked before the work, and the content of a file.
 pub mod files {
     pub use crate::io::input::{InputFormat, file_and_step};
     pub use crate::io::mnf::is_packed;
@@ -246,10 +255,10 @@ pub mod files {
     pub use crate::simulation::{FrameFile, files, frames};
 }
 
-/// Where stages run: the processor, a Vulkan device, or a caller's own. A
-/// [`Pipeline`](devices::Pipeline) meshes particles that are on a device already, by a
-/// [`DeviceRequest`](devices::DeviceRequest) that [`Reconstruction::on_device`] makes of the usual
-/// settings.
+/// Backends: the CPU, a Vulkan device, or the caller's Vulkan device.
+///
+/// A [`Pipeline`](devices::Pipeline) meshes particles that are already on a device. Its
+/// [`DeviceRequest`](devices::DeviceRequest) comes from [`Reconstruction::on_device`].
 pub mod devices {
     pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
     pub use crate::backend::{Backend, Work};
@@ -264,11 +273,10 @@ pub mod devices {
     };
 }
 
-/// All modules, for the library's own tests and tools: what is in here may change from one version
-/// to the next.
+/// All modules, for the library's own tests and tools. Anything here may change in any version.
 #[doc(hidden)]
 pub mod internals {
-    /// Backends for the stages of a frame: the processor's cores, or a Vulkan device.
+    /// Backends for the stages of a frame: CPU or Vulkan device.
     pub mod backend {
         pub use crate::backend::*;
     }
@@ -282,8 +290,8 @@ pub mod internals {
     pub mod brick {
         pub use crate::brick::*;
     }
-    /// From particles to the field whose level the surface is: indicators, filters, the recipe that
-    /// joins them, and the calibration that says which level.
+    /// From particles to the field: indicators, filters, the recipe that combines them, and the
+    /// calibration of the level at which the surface lies.
     pub mod field {
         pub use crate::field::*;
     }
@@ -291,8 +299,7 @@ pub mod internals {
     pub mod frame {
         pub use crate::frame::*;
     }
-    /// Where things are: the world-anchored cell grid, boxes of cells, Morton keys and the walls of
-    /// a tank.
+    /// The world-anchored cell grid, boxes of cells, Morton keys and the walls of a tank.
     pub mod grid {
         pub use crate::grid::*;
     }
@@ -300,39 +307,38 @@ pub mod internals {
     pub mod io {
         pub use crate::io::*;
     }
-    /// The interface to particles: read by range, from several threads, as often as the pipeline
-    /// likes.
+    /// The interface to particles: the pipeline reads ranges of them, from several threads and
+    /// repeatedly.
     pub mod particles {
         pub use crate::particles::*;
     }
-    /// Particles to a surface in one call, with everything chosen that is not said: the facade, and
-    /// the policy behind it.
+    /// The facade: particles to a surface in one call, and the policy that chooses defaults.
     pub mod reconstruction {
         pub use crate::reconstruction::*;
     }
-    /// Settings of a surface, each said once.
+    /// Settings of a surface, each defined once.
     pub mod settings {
         pub use crate::settings::*;
     }
-    /// Every shader, and the push constants that each takes: generated from the WGSL sources.
+    /// All shaders and their push constants, generated from the WGSL sources.
     pub mod shaders {
         pub use crate::shaders::*;
     }
-    /// The frames of a simulation: which files they are, what is measured once for all of them, and
-    /// what is known of each that is done.
+    /// The frames of a simulation: their files, their shared calibration, and the records of
+    /// finished frames.
     pub mod simulation {
         pub use crate::simulation::*;
     }
-    /// From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and
-    /// what a mesh is checked and compared by.
+    /// From the field to a mesh: dual marching cubes, attributes, stitching, simplifying, checks
+    /// and comparisons.
     pub mod surface {
         pub use crate::surface::*;
     }
-    /// Resources of the machine: memory and its budget, scratch files, time, and an early end.
+    /// Resources of the machine: memory budget, scratch files, timings, and cancellation.
     pub mod system {
         pub use crate::system::*;
     }
-    /// Compute on a Vulkan device: choosing one, its memory, its shaders, and batches of commands.
+    /// Compute on a Vulkan device: selection, memory, shaders, and batches of commands.
     pub mod vulkan {
         pub use crate::vulkan::*;
     }

@@ -1,7 +1,7 @@
-//! Settings of a surface: each said once, with its name, its type, and the help that people read.
+//! Settings of a surface: name, type and help of each, defined once.
 //!
 //! The command line is parsed into [`Settings`], the bindings fill them by name, state files and
-//! plans keep them, and errors name them by [`Setting`]. Numbers are checked where they are used.
+//! plans store them, and errors name them by [`Setting`]. Numbers are checked where they are used.
 
 mod faces;
 mod plain;
@@ -80,7 +80,7 @@ impl std::fmt::Display for Setting {
 
 macro_rules! settings {
     ($( $(#[doc = $doc:literal])* #[arg($($arg:tt)*)] $name:ident: $type:ty, )*) => {
-        /// Settings of a surface. One that is not given is measured, or the default.
+        /// Settings of a surface. A setting that is not given is measured, or has its default.
         #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
         #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
         #[cfg_attr(feature = "cli", derive(clap::Args))]
@@ -100,8 +100,8 @@ macro_rules! settings {
             /// The lines of documentation of each setting, in the same order.
             const DOCS: &[&[&str]] = &[$(&[$($doc),*]),*];
 
-            /// Sets what is called so in snake case from a caller's value; `false` where nothing
-            /// is.
+            /// Sets the setting of this name in snake case from a caller's value; `false` if no
+            /// setting has the name.
             ///
             /// # Errors
             /// Those of the source, for a value of another type.
@@ -123,8 +123,8 @@ macro_rules! settings {
                 false
             }
 
-            /// The first setting that is given, differs from another one's, and is one of those
-            /// that are meant.
+            /// The first setting that is given, differs from that of `other`, and satisfies
+            /// `meant`.
             pub(crate) fn given_otherwise(
                 &self,
                 other: &Self,
@@ -145,7 +145,7 @@ macro_rules! settings {
 settings! {
     /// Distance between neighbouring particles.
     ///
-    /// By default it is taken from the file or the scene beside it, else estimated.
+    /// The default comes from the file or a scene file beside it, or else is estimated.
     #[arg(value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true, help_heading = "Input")]
     spacing: Option<f64>,
 
@@ -167,125 +167,124 @@ settings! {
     #[arg(value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     origin: Option<[f64; 3]>,
 
-    /// The format of the input, whatever its extension says [default: by the extension].
+    /// Format of the input [default: by its extension].
     #[arg(value_enum, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
     format: Option<InputFormat>,
 
     /// Use only particles that satisfy conditions on their attributes.
     ///
     /// A condition is a name, one of =, !=, <, <=, > and >=, and a value: Type=1, age<2.5,
-    /// phase!=boundary. Several values after = are alternatives: mk=0,2. Conditions joined by `and`
-    /// must all hold. The name of a vector takes a component: velocity.y, velocity[1]. x, y and z
-    /// are the position. In a file with several types of particles, type selects the one that is
-    /// read, such as type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, a species of
-    /// openPMD [default: gas, else fluid].
+    /// phase!=boundary. Several values after = are alternatives: mk=0,2. `and` joins conditions
+    /// that must all hold. velocity.y or velocity[1] is a component of a vector; x, y and z are the
+    /// position. In a file with several types of particles, type selects one of them, such as
+    /// type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD
+    /// [default: gas, else fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
-    /// A tank with walls, or auto to find them [default: unbounded].
+    /// Walls of a tank, or auto to find them [default: unbounded].
     ///
-    /// Particles outside are not counted. `-` leaves a side without a wall. auto takes the tank of
-    /// the scene beside the file, or the planes at which the particles end; no particle is outside
-    /// of walls that are found.
+    /// The surface ends exactly on the walls. Particles outside are left out. `-` leaves a side
+    /// open. auto uses the tank in the scene file beside the input, or the planes at which the
+    /// particles end, and leaves out no particle.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Input")]
     domain: Option<Tank>,
 
-    /// A box beyond whose faces the fluid repeats itself.
+    /// Periodic box: beyond a face, the fluid continues as behind the opposite face.
     ///
-    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z. Beyond a
-    /// face the fluid goes on as it does behind the opposite one. Particles on an upper face count
-    /// as on the lower one; others outside are refused.
+    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z.
+    /// Particles on an upper face count as on the lower one. Other particles outside are an error,
+    /// unless invalid particles are skipped.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
-    /// A closed mesh that the fluid ends at, such as an obstacle, in any mesh format that is read.
+    /// A closed mesh at which the fluid ends, such as an obstacle.
     ///
-    /// May be given several times. Its units and axes are those of the particles. {} in the name
-    /// stands for the frame's number: solid.{}.obj gives each frame a mesh of its own. For the
-    /// indicator cloud.
+    /// Any mesh format that can be read. You can give several. The mesh has the units and axes of
+    /// the particles. {} in the name is the frame's number: solid.{}.obj gives each frame its own
+    /// mesh. For the indicator cloud.
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
     /// Distance between the fluid and solids, in spacings [default: -0.1].
     ///
-    /// More than 0 leaves a gap. Less than 0 lets the fluid reach into solids, so that no gap shows
-    /// in a picture.
+    /// A positive value leaves a gap. A negative one lets the fluid reach into solids, so that no
+    /// gap shows in a picture.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Input", hide_short_help = true)]
     solid_offset: Option<f64>,
 
-    /// How a cell's share of fluid is told from its particles [default: cloud].
+    /// How a cell's sample is computed from its particles [default: cloud].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorKind>,
 
-    /// Mean number of particles in a full cell, for counting [default: measured].
+    /// Mean number of particles in cells that contain any, for the indicator counting [default:
+    /// measured].
     #[arg(value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
     mu0: Option<f64>,
 
-    /// Leave out particles that are not finite or too far away, and count them.
+    /// Leave out and count particles that are not finite or too far away, instead of an error.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 
     /// Smoothing width in spacings; more is calmer [default: 1.6].
     ///
-    /// Particles within this distance merge: 2 for the noise of FLIP, less to see every ripple. For
-    /// the indicator cloud.
+    /// Use 2 for noisy FLIP particles, and less to see every ripple. For the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// Neighbours in a sheet or a thread are joined up to this distance, however thin it is; 0 turns
-    /// this off [default: 2.15]. For the indicator cloud.
+    /// Join particles of sheets and threads up to this distance [default: 2.15].
+    ///
+    /// 0 turns this off. 2.15 joins the particles of a sheet that is stretched to twice the
+    /// spacing. For the indicator cloud.
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
-    /// How the field is made: by discrete indicator functions, or by a kernel method to compare
-    /// them with [default: dif].
+    /// Method: discrete indicator functions, or a kernel method for comparison [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
 
-    /// Width of the Gaussian, for the indicators counting and symmetry
-    /// [default: a spacing, and a cell at the least].
+    /// Standard deviation of the Gaussian, for the indicators counting and symmetry
+    /// [default: one spacing, but at least one cell].
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
     sigma: Option<f64>,
 
     /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller
     /// and yu-turk [default: auto].
     ///
-    /// auto is 0.47 of the field deep in the fluid. Where no fluid is deep, the spacing tells what
-    /// the field would be there. For kernel methods auto is 0.5.
+    /// auto is 0.47 of the field deep in the fluid. If no fluid is deep enough, that field is
+    /// computed from the spacing. For kernel methods auto is 0.5.
     #[arg(value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     iso: Option<Iso>,
 
-    /// Recover details that smoothing loses, such as drops, for the indicators counting and
+    /// Recover details that smoothing removes, such as drops, for the indicators counting and
     /// symmetry.
     #[arg(help_heading = "Surface", hide_short_help = true)]
     detail: bool,
 
-    /// Where the mesh ends at the faces of a periodic box [default: cut].
+    /// How the mesh ends at the faces of a periodic box [default: cut].
     #[arg(value_enum, value_name = "ENDS", help_heading = "Surface", hide_short_help = true)]
     periodic_mesh: Option<PeriodicMesh>,
 
-    /// Vertex normals, from the field's gradient.
+    /// Add vertex normals, from the field's gradient.
     #[arg(help_heading = "Output")]
     normals: bool,
 
-    /// Attributes to carry to the vertices [default: velocity].
+    /// Particle attributes for the vertices, or none [default: velocity].
     ///
-    /// Those of the particles by their names, or none. Velocity goes where the format can hold it.
+    /// They are interpolated. By default the mesh has velocities if the particles have them and the
+    /// format can store them.
     #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
     attributes: Option<Vec<String>>,
 
-    /// Use fewer triangles, within this distance.
-    ///
-    /// No part of the surface moves farther.
+    /// Use fewer triangles; the surface moves at most this many cells.
     #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
     simplify: Option<f64>,
 
-    /// Leave out whole components, drops or bubbles, of less than this volume, in cells.
+    /// Leave out drops and bubbles of less than this volume, in cells.
     #[arg(alias = "drop-smaller", value_name = "CELLS3", allow_negative_numbers = true, help_heading = "Output", hide_short_help = true)]
     smallest_component: Option<f64>,
 
-    /// Leave out drops of fewer particles, as told by their volume
-    /// [default: 1, which leaves out none].
+    /// Leave out drops of fewer particles, estimated from their volume [default: 1, keeps all].
     #[arg(value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
     smallest_drop: Option<u32>,
 
@@ -293,21 +292,22 @@ settings! {
     #[arg(help_heading = "Output", hide_short_help = true)]
     compress: bool,
 
-    /// The axis that points up in the mesh, which is turned where the particles have the other one
-    /// up. In a .glb y does [default: as in the particles].
+    /// Axis that points up in the mesh: rotate it if another axis points up in the particles.
+    ///
+    /// A .glb always has y up [default: as in the particles].
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<UpAxis>,
 
-    /// The axis that points up in the particles [default: z for .bi4, else y].
+    /// Axis that points up in the particles [default: z for .bi4, else y].
     #[arg(value_enum, help_heading = "Input", hide_short_help = true)]
     particles_up: Option<UpAxis>,
 }
 
-/// Settings by their keys, as state files and plans keep them.
+/// Settings by their keys, as state files and plans store them.
 pub type Kept = Map<String, Value>;
 
-/// Says what is different now from when a version was asked for some settings, for people; empty
-/// where nothing is. Another version may have made something else of the same settings.
+/// Names of the settings that differ from those kept by a run of `version`, or "version" if that
+/// differs, since another version may give another mesh; empty if nothing differs.
 pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "version".into();
@@ -319,7 +319,7 @@ pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
         .join(", ")
 }
 
-/// Settings that need the particles: a frame that is sampled keeps those that it was sampled by.
+/// Settings that need the particles: a sampled frame cannot change them.
 const OF_PARTICLES: [&str; 13] = [
     "format",
     "spacing",
@@ -337,13 +337,13 @@ const OF_PARTICLES: [&str; 13] = [
 ];
 
 impl Setting {
-    /// Whether it says how particles are sampled, and not how a surface is drawn of the samples.
+    /// Whether the setting affects how particles are sampled, not only the surface.
     #[must_use]
     pub fn needs_particles(self) -> bool {
         OF_PARTICLES.contains(&self.0)
     }
 
-    /// Whether packed frames, which hold samples and are made by indicators alone, are made by it.
+    /// Whether the setting affects packed frames, which store samples and have no kernel method.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && self.0 != "method"
@@ -357,8 +357,8 @@ impl Settings {
         self.spacing.or(self.radius.map(|radius| 2.0 * radius))
     }
 
-    /// Settings that make the same mesh, said in one way: a spacing for a radius, and nothing for a
-    /// default.
+    /// The normal form of settings that make the same mesh: a spacing instead of a radius, and no
+    /// value that equals the default.
     pub(crate) fn plain(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];
@@ -376,13 +376,13 @@ impl Settings {
         }
     }
 
-    /// The conditions that particles have to satisfy.
+    /// Conditions that particles must satisfy.
     #[must_use]
     pub fn conditions(&self) -> &[Where] {
         self.r#where.as_deref().unwrap_or_default()
     }
 
-    /// The isovalue, unless it is to be measured.
+    /// The isovalue; `None` if it is measured.
     #[must_use]
     pub fn isovalue(&self) -> Option<f64> {
         match self.iso {
@@ -402,18 +402,19 @@ impl Settings {
         }
     }
 
-    /// The names of the attributes that are to be carried; `None` for the velocity, where it can be
-    /// held.
+    /// Names of the attributes on the vertices; `None` means the velocity if the format can store
+    /// it.
     #[must_use]
     pub fn attribute_names(&self) -> Option<&[String]> {
         let names = self.attributes.as_deref()?;
         Some(if names == ["none"] { &[] } else { names })
     }
 
-    /// The settings as state files and plans keep them: those that make the same mesh are the same.
+    /// The settings as state files and plans store them: equal for settings that make the same
+    /// mesh.
     #[must_use]
     pub fn kept(&self) -> Kept {
-        // Held as the nearest step of the field.
+        // Rounded to the nearest step of the field.
         let iso = self.isovalue().and_then(|iso| Isovalue::new(iso).ok());
         let kept = Self {
             iso: iso.map(|iso| Iso::Value(iso.value())),

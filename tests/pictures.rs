@@ -172,11 +172,11 @@ fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
     let missing = by("pressure", "magma").draw(&mesh).unwrap_err();
     assert_eq!(
         missing.to_string(),
-        "no attribute \"pressure\" on the vertices; there are: height, velocity"
+        "no attribute \"pressure\" on the vertices; available: height, velocity"
     );
     let unknown = "rainbow".parse::<meniscus::picture::ColourMap>().unwrap_err();
     assert!(
-        unknown.to_string().starts_with("no colour map \"rainbow\"; there are: viridis, "),
+        unknown.to_string().starts_with("no colour map \"rainbow\"; available: viridis, "),
         "{unknown}"
     );
 }
@@ -684,14 +684,14 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
     let before = listing(folder.path());
     for (arguments, code, said) in [
         (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: exists"),
-        (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; known are .png, and .apng"),
-        (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; known are .png"),
-        (&["ball_2.ply", "-o", "a.apng"], 2, "an animation takes several meshes"),
-        (&["ball_2.ply", "-o", "ball_2.ply", "--overwrite"], 2, "is given for two purposes"),
+        (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; supported: .png, and .apng"),
+        (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; supported: .png"),
+        (&["ball_2.ply", "-o", "a.apng"], 2, "an animation needs several meshes"),
+        (&["ball_2.ply", "-o", "ball_2.ply", "--overwrite"], 2, "choose another file"),
         (&["ball_2.ply", "-o", "a.png", "--size", "0x5"], 2, "0 x 5 pixels"),
         (&["ball_2.ply", "-o", "a.png", "--size", "5"], 2, "a width and a height"),
         (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,3,4"], 2, "--camera takes"),
-        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,0"], 2, "a zoom positive"),
+        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,0"], 2, "the zoom positive"),
         (
             &["ball_2.ply", "-o", "a.png", "--colour", "velocity"],
             2,
@@ -705,7 +705,7 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
         (
             &["ball_2.ply", "-o", "a.png", "--memory", "1MiB"],
             2,
-            "ball_2.ply: a picture of this mesh takes",
+            "ball_2.ply: a picture of this mesh needs",
         ),
         (&["ball_2.ply", "-o", "a.png", "--reference", "bad.ply"], 3, "bad.ply"),
         (&["ball_2.ply", "-o", "ball_2.ply/a.png"], 4, "ball_2.ply/a.png"),

@@ -76,15 +76,15 @@ const UNTOLD: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum OnCpu {
-    /// Drivers may need more memory than there is to be used: so many bytes.
+    /// Drivers may need this many bytes, more than the limit.
     LittleMemory(u64),
     /// The machine has no GPU.
     NoGpu,
-    /// Particles of so many bytes are done before a device is ready.
+    /// The CPU needs less time for these bytes of particles than a device to start.
     Small(u64),
-    /// The best device is no discrete GPU.
+    /// The best device is not a discrete GPU.
     NotDiscrete(String),
-    /// The best device passes no conformance tests.
+    /// The best device has not passed the conformance tests.
     NotConformant(String),
     /// No device can be used.
     Vulkan(VulkanError),
@@ -94,16 +94,16 @@ impl fmt::Display for OnCpu {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::LittleMemory(needed) => {
-                write!(f, "drivers of GPUs may need {}, and less may be used", ByteSize(*needed))
+                write!(f, "GPU drivers may need {}, more than the memory limit", ByteSize(*needed))
             }
-            Self::NoGpu => {
-                f.write_str("no GPU (drivers such as llvmpipe compute on the processor)")
-            }
+            Self::NoGpu => f.write_str("no GPU (drivers such as llvmpipe compute on the CPU)"),
             Self::Small(bytes) => {
-                write!(f, "{} of particles are done before a GPU is ready", ByteSize(*bytes))
+                write!(f, "{} of particles take less time than starting a GPU", ByteSize(*bytes))
             }
-            Self::NotDiscrete(name) => write!(f, "{name} is no discrete GPU"),
-            Self::NotConformant(name) => write!(f, "{name} passes no conformance tests"),
+            Self::NotDiscrete(name) => write!(f, "{name} is not a discrete GPU"),
+            Self::NotConformant(name) => {
+                write!(f, "{name} has not passed the Vulkan conformance tests")
+            }
             Self::Vulkan(error) => error.fmt(f),
         }
     }
@@ -119,8 +119,8 @@ pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Backend, Vu
     opened(&instance, &instance.choose(choice)?, cache)
 }
 
-/// Opens the best device if it is worth while for inputs of so many bytes, if that is known, under
-/// a budget; else says why not, and takes the processor.
+/// Opens the best device if that pays for inputs of this size, if it is known, within a memory
+/// limit. Otherwise returns the CPU and the reason.
 #[must_use]
 pub fn fastest(
     budget: MemoryBudget,

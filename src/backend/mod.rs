@@ -75,7 +75,7 @@ pub trait Stages: Debug + Send + Sync {
     ) -> io::Result<Pages>;
 
     /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes
-    /// them in order, so many at once as are made together, while others are on their way. `meter`
+    /// them in order, in the batches in which they are made, while others are in progress. `meter`
     /// counts the regions; once it does not go on, what is taken is worth nothing.
     fn contour(
         &self,

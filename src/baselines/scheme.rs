@@ -14,7 +14,7 @@ pub struct Spacing(f64);
 
 /// A spacing that is too large for the cells.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error("{0} cells a spacing are more than the {max} that kernel methods take; use larger cells", max = Spacing::MAX)]
+#[error("kernel methods support at most {max} cells per spacing, got {0}; use larger cells", max = Spacing::MAX)]
 pub struct TooManyCells(pub f64);
 
 impl Spacing {
@@ -24,7 +24,7 @@ impl Spacing {
     /// How far an isotropic kernel reaches, in spacings: four times the particles' radius.
     pub const SUPPORT: f64 = 2.0;
 
-    /// A spacing of so many cells.
+    /// A spacing in cells.
     ///
     /// # Errors
     /// [`TooManyCells`] above [`MAX`](Self::MAX).

@@ -2,8 +2,8 @@
 //!
 //! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into
 //! its bin's place in memory, or into its run of bins (`runs`). Where there is room, the first
-//! reading keeps what the second would find. The order inside a bin is arbitrary; whoever reads a
-//! bin adds integers.
+//! reading keeps what the second would find. The order inside a bin is arbitrary; readers of a bin
+//! only add integers.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -48,8 +48,7 @@ impl CountingRoom {
     /// Bytes of a place that is kept.
     pub const PLACE: u64 = size_of::<Record>() as u64;
 
-    /// The room that suits a budget of so many bytes: half of it for tables, and an eighth, or less
-    /// if that is enough, for places.
+    /// The room within a budget in bytes: half of it for tables, and at most an eighth for places.
     pub fn within(budget: u64) -> Self {
         let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
         let places = (budget / 8).min(MOST_PLACES) / Self::PLACE;
@@ -84,14 +83,14 @@ pub enum BinError {
         position: [f64; 3],
     },
     /// The particles are spread over more bins than memory may hold the list of.
-    #[error("the particles touch more than {limit} bins of 16^3 cells")]
+    #[error("the particles touch more than {limit} bins of 16^3 cells; use larger cells")]
     TooManyBins {
         /// How many are allowed.
         limit: usize,
     },
     /// A particle of a periodic box is not in it.
     #[error(
-        "particle {index} at ({}, {}, {}) is outside of the periodic box along {axis}",
+        "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}",
         position[0], position[1], position[2]
     )]
     OutsideBox {
@@ -188,8 +187,8 @@ impl BinPlan {
         Self::count_while(particles, grid, domain, invalid, room, |_| ())
     }
 
-    /// Counts `particles`, and lets `look` see the positions of all, some at once, in no order, for
-    /// whoever needs them too: of none twice, and not of all where there are too many bins.
+    /// Counts `particles`, and calls `look` with the positions, in batches and in no order. It sees
+    /// no particle twice, and not all if there are too many bins.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
         grid: &Grid,
@@ -298,8 +297,8 @@ impl BinPlan {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
-    /// Bytes that each thread takes to look up the bins of so many particles, of which it may leave
-    /// those out that are not `wanted`.
+    /// Bytes per thread to look up the bins of `particles`, of which those that are not `wanted`
+    /// may be left out.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
         LatestNumbers::bytes(particles) + if wanted { Sieve::bytes(particles) } else { 0 }
     }
@@ -487,7 +486,7 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // Whoever finds too many bins stops all: what was counted is of no use then.
+        // A thread that finds too many bins stops the others: the counts are useless then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             look(positions);
             table.place_all(addresses, &mut latest, &mut placed);
@@ -542,7 +541,7 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
-        // Along each axis so many bins: in the second scene more than a place can name.
+        // Number of bins along each axis: in the second scene more than a place can number.
         for bins in [5, 25] {
             let coordinate =
                 |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;

@@ -63,9 +63,9 @@ impl BinTable {
         }
     }
 
-    /// For each particle the rank of its bin, and its place there. Whoever has these of many at
-    /// once reads what belongs to their bins in a short loop: it waits for several lines of the
-    /// cache at the same time.
+    /// For each particle the rank of its bin, and its place there. With these for many particles at
+    /// once, a short loop can read the data of their bins, and wait for several cache lines at the
+    /// same time.
     pub(super) fn place_all(
         &mut self,
         addresses: &[Address],

@@ -41,13 +41,13 @@ pub(super) enum Store {
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
 }
 
-/// At most `most` of so many things along the Morton curve, equally far apart. An odd step, for the
-/// curve takes turns in even ones.
+/// At most `most` of `len` items along the Morton curve, at equal distances. The step is odd,
+/// because the curve turns at even steps.
 pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
 
-/// Bytes of a particle with attributes of so many components.
+/// Bytes of a particle whose attributes have these components.
 pub(super) fn tuple_bytes(components: &[usize]) -> usize {
     size_of::<Record>() + size_of::<f32>() * components.iter().sum::<usize>()
 }
@@ -102,7 +102,7 @@ impl Bins {
         &self.without
     }
 
-    /// Bytes of a binned particle with attributes of so many components.
+    /// Bytes of a binned particle whose attributes have these components.
     pub fn particle_bytes(components: &[usize]) -> u64 {
         tuple_bytes(components) as u64
     }
@@ -117,8 +117,8 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Puts the particles of every bin in order of their cells, x fastest, and of their places in
-    /// them: whoever adds real numbers can then add them in one order.
+    /// Sorts the particles of every bin by cell, x fastest, and by place in the cell, so that sums
+    /// of floating-point numbers have a fixed order.
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read or written.

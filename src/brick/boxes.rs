@@ -56,7 +56,7 @@ impl Extent {
 }
 
 impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
-    /// Watches `particles`, whose chunks are of so many one after the other: all of them, together.
+    /// Watches `particles`, whose consecutive chunks have these `counts`, which sum to all.
     pub fn new(particles: &'a P, counts: impl Iterator<Item = usize>, grid: &Grid) -> Self {
         let mut end = 0;
         let chunks = counts.map(|count| {

@@ -41,8 +41,7 @@ pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
     cube | axis(0) | axis(1) | axis(2)
 }
 
-/// A direct-mapped cache of what is known of cubes: of all cubes that are so many apart along each
-/// axis, that which was last asked for.
+/// A direct-mapped cache for cubes. Of all cubes with the same slot, it stores the last one used.
 pub(super) struct Latest<T> {
     /// The number of low bits of a cube's coordinate that index the cache, along each axis.
     bits: u32,
@@ -50,8 +49,8 @@ pub(super) struct Latest<T> {
 }
 
 impl<T: Copy + Default> Latest<T> {
-    /// For so many particles, which may lie in any order: about as many cubes along each axis as a
-    /// pool of them has.
+    /// A cache for `particles` in any order: about as many cubes along each axis as a pool of them
+    /// has.
     pub(super) fn of(particles: usize) -> Self {
         let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }
@@ -62,7 +61,7 @@ impl<T: Copy + Default> Latest<T> {
         3 + (doublings / 3).min(4)
     }
 
-    /// Bytes that it takes for so many particles.
+    /// Bytes of a cache for `particles`.
     pub(super) fn bytes(particles: usize) -> u64 {
         (size_of::<(BinCode, T)>() as u64) << (3 * Self::bits(particles))
     }

@@ -1,9 +1,9 @@
 //! Particles of a periodic box together with their images: all that binning has to know of such a
 //! box.
 //!
-//! Images follow the particles, and are never kept: of every group of particles it is known how
-//! many its particles have, and whoever reads images has them made anew of the particles of their
-//! groups. Groups without any are not read again.
+//! Images follow the particles, and are never stored. The number of images is known for each group
+//! of particles, and reading images computes them again from the particles of their groups. Groups
+//! without images are not read again.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -215,8 +215,8 @@ impl Images<'_> {
     }
 }
 
-/// The parts of a slice for so many particles from `first` on: those that are among `own`, and
-/// those that come after.
+/// Splits a slice for particles from `first` on into those among the `own` ones, and the images
+/// after them.
 fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
     let at = width * own.saturating_sub(first);
     out.split_at_mut(at.min(out.len()))

@@ -66,12 +66,12 @@ struct KnownBins {
 const _: () = assert!(CUBE <= u8::BITS as usize);
 
 impl Sieve {
-    /// For so many particles.
+    /// Lookup of bins for `particles`.
     fn new(wanted: WantedBins, particles: usize) -> Self {
         Self { wanted, known: Latest::of(particles) }
     }
 
-    /// Bytes that it takes for so many.
+    /// Bytes of a lookup for `particles`.
     pub(super) fn bytes(particles: usize) -> u64 {
         Latest::<KnownBins>::bytes(particles)
     }

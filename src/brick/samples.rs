@@ -7,8 +7,7 @@ use glam::IVec3;
 
 use super::{BrickSide, PageShape};
 
-/// Samples that are not 0 are kept by their places where they are no more than one in so many of
-/// all.
+/// Samples are stored sparsely, with their places, if at most one in this many is not 0.
 const ONE_IN: usize = 8;
 
 /// Bits of a coordinate of a [`SamplePlace`].
@@ -53,7 +52,7 @@ impl SamplePlace {
 }
 
 impl PageSamples {
-    /// Whether so many samples that are not 0 are few enough to be kept by their places.
+    /// Whether `nonzero` samples are few enough to be stored sparsely.
     pub fn are_sparse(nonzero: usize, shape: PageShape) -> bool {
         shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / ONE_IN
     }
@@ -129,8 +128,8 @@ impl PageSamples {
         }
     }
 
-    /// Bytes that they take at the most where no more than so many are not 0, in so many bricks at
-    /// the most.
+    /// Upper bound of the bytes of samples with at most `nonzero` nonzero ones in at most `bricks`
+    /// bricks.
     pub fn most_bytes(nonzero: usize, bricks: usize, shape: PageShape) -> usize {
         if Self::are_sparse(nonzero, shape) {
             nonzero * size_of::<(SamplePlace, u16)>()

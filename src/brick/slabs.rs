@@ -30,12 +30,12 @@ pub(super) struct Slabs {
 }
 
 impl Slabs {
-    /// Bytes of a slab of lists that may take so many bytes each, about.
+    /// Bytes of a slab, for lists that may take about `share` bytes each.
     pub(super) fn slab_bytes(share: u64) -> usize {
         1 << (share / A_SHARE).clamp(LEAST, MOST).ilog2()
     }
 
-    /// No words, and slabs of so many bytes for more.
+    /// An empty list with slabs of `slab_bytes`.
     pub(super) fn new(slab_bytes: usize) -> Self {
         Self { slab: slab_bytes / size_of::<u64>(), slabs: Vec::new(), len: 0 }
     }
@@ -51,7 +51,7 @@ impl Slabs {
         self.bytes_of(self.slabs.len())
     }
 
-    /// Bytes of slabs that so many words more take.
+    /// Bytes of additional slabs for `words` more words.
     pub(super) fn bytes_for(&self, words: usize) -> u64 {
         self.bytes_of((self.len + words).div_ceil(self.slab) - self.slabs.len())
     }

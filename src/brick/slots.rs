@@ -18,7 +18,7 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// For so many particles with attributes of so many components each.
+    /// Slots for `particles` whose attributes have these `components`.
     pub(super) fn new(particles: usize, components: &[usize]) -> Self {
         let attributes = components.iter().map(|n| zeroed_in_huge_pages(particles * n)).collect();
         Self { records: zeroed_in_huge_pages(particles), attributes }

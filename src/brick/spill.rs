@@ -71,7 +71,7 @@ struct Room {
 }
 
 impl Room {
-    /// Whether so many bytes more have room, which are then taken.
+    /// Reserves `bytes` and returns true if there is room.
     fn take(&self, bytes: u64) -> bool {
         let fitting = |taken: u64| Some(taken + bytes).filter(|&taken| taken <= self.most);
         self.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fitting).is_ok()
@@ -107,8 +107,8 @@ enum Place {
 const CODED: usize = 6;
 
 impl SpilledBins {
-    /// Bytes that a particle with attributes of so many components takes before it is sorted, at
-    /// the least.
+    /// Lower bound of the bytes of a particle before it is sorted, whose attributes have these
+    /// `components`.
     pub fn least_particle_bytes(components: &[usize]) -> u64 {
         (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
     }
@@ -150,19 +150,19 @@ impl SpilledBins {
         self.components.iter().sum()
     }
 
-    /// The code of so many particles of run number `run`.
+    /// The code for `particles` of run number `run`.
     fn code(&self, run: usize, particles: usize) -> EliasFano {
         let last_bin = self.runs[run].len() as Record - 1;
         EliasFano::new(particles, last_bin << RECORD_BITS | RECORD_MASK)
     }
 
-    /// Words of a piece of run number `run` with so many particles.
+    /// Words of a piece of run number `run` with `particles`.
     fn words(&self, run: usize, particles: usize) -> usize {
         let values = size_of::<f32>() * self.width() * particles;
         self.code(run, particles).words() + values.div_ceil(size_of::<u64>())
     }
 
-    /// Buffers for one of so many threads, which take `bytes` together.
+    /// Buffers for one of `threads`, which all together take `bytes`.
     pub(super) fn buffers(&self, threads: usize, bytes: usize) -> RunBuffers<'_> {
         let tuple = tuple_bytes(&self.components);
         let full = bytes / tuple / (threads * (self.runs.len() + CODING));
@@ -214,7 +214,7 @@ impl SpilledBins {
         Ok(())
     }
 
-    /// Adds a piece of run number `run`, of so many particles: to its memory while there is room.
+    /// Adds a piece of `particles` to run number `run`, in memory while there is room.
     fn keep(&self, run: usize, particles: usize, words: &[u64]) -> io::Result<()> {
         if !self.keep_in_memory(run, particles, words) {
             let at = Place::File(self.scratch.append(cast_slice(words))?);
@@ -477,9 +477,8 @@ mod tests {
     /// The particles of each bin, sorted.
     type Sorted = Vec<(MortonKey, Vec<Record>)>;
 
-    /// All bins as a visitor sees them that keeps so many bytes of each run; and the bytes of
-    /// pieces in memory, and in the scratch file, when all were binned and when each run was
-    /// sorted.
+    /// All bins as a visitor sees them that keeps `kept` bytes of each run; and the bytes of pieces
+    /// in memory and in the scratch file, after binning and after sorting each run.
     fn visited(memory_bytes: u64, kept: u64) -> (Sorted, Vec<[u64; 2]>) {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 320.0;

@@ -1,4 +1,4 @@
-//! Every error of the library, with the file that it concerns, and whose fault it is.
+//! Every error of the library, with the file that it concerns, and its cause.
 
 mod parts;
 mod setting;
@@ -36,36 +36,35 @@ use crate::system::cancel::Cancelled;
 
 /// Anything that can go wrong between a particle file and a mesh file.
 ///
-/// Printed, it says all: the file, the place, and what the system said. `source()` leads to the
-/// kinds of errors that it is made of, such as [`std::io::Error`], which print parts of the same
-/// sentence: there is nothing to be joined.
+/// The message is complete: it names the file, the place, and the system's error. `source()` gives
+/// access to the errors inside, such as [`std::io::Error`]; do not append their messages.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A request that makes no sense, in words.
+    /// An invalid request.
     #[error("{0}")]
     Request(String),
-    /// A setting that has no meaning for what it is asked of.
+    /// A setting that does not apply to the request.
     #[error(transparent)]
     Unfit(#[from] Unfit),
-    /// A file that is to be read or written, and written once more.
+    /// A file that is both an input and an output, or two outputs.
     #[error("{}", two_purposes(path, other))]
     TwoPurposes {
         /// The file.
         path: PathBuf,
-        /// The name by which it is wanted already.
+        /// The other name of the file in the request.
         other: PathBuf,
     },
-    /// The caller asked for an early end.
+    /// The caller cancelled the work.
     #[error("cancelled")]
     Cancelled,
     /// A number out of range.
     #[error(transparent)]
     Unit(#[from] UnitError),
-    /// A box that cannot be a domain.
+    /// An invalid domain.
     #[error(transparent)]
     Domain(#[from] DomainError),
-    /// A box that cannot be periodic.
+    /// An invalid periodic box.
     #[error(transparent)]
     Periodic(#[from] PeriodicError),
     /// An input file that cannot be read.
@@ -74,7 +73,7 @@ pub enum Error {
     /// A condition that cannot be applied to particles in memory.
     #[error(transparent)]
     Selection(SelectionFault),
-    /// A Vulkan device that was asked for and cannot be used.
+    /// A requested Vulkan device that cannot be used.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
     /// An output file that cannot be written.
@@ -83,19 +82,19 @@ pub enum Error {
     /// A frame of particles that cannot be reconstructed.
     #[error("{}{fault}", file(path.as_deref()))]
     Frame {
-        /// The file, if the particles are of one.
+        /// The file, if the particles come from one.
         path: Option<PathBuf>,
         /// The fault.
         #[source]
         fault: FrameError,
     },
-    /// A simulation that cannot be begun or gone on with.
+    /// A simulation that cannot be converted.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
-    /// A mesh that cannot be held in memory as a whole.
+    /// A mesh that cannot be in memory as a whole.
     #[error(transparent)]
     WholeMesh(#[from] WholeMeshError),
-    /// A mesh that is made in parts.
+    /// An error of a mesh in parts.
     #[error(transparent)]
     Parts(#[from] PartsError),
     /// A mesh that cannot be compared.
@@ -107,7 +106,7 @@ pub enum Error {
         #[source]
         fault: CompareError,
     },
-    /// A mesh that no fluid can end at.
+    /// A mesh that cannot be a solid.
     #[error("{}: {fault}", path.display())]
     Solid {
         /// The file.
@@ -116,47 +115,47 @@ pub enum Error {
         #[source]
         fault: SolidFault,
     },
-    /// A mesh of which no picture can be drawn.
+    /// A picture that cannot be drawn.
     #[cfg(feature = "pictures")]
     #[error("{}{fault}", file(path.as_deref()))]
     Picture {
-        /// The file, if it is one.
+        /// The mesh file, if there is one.
         path: Option<PathBuf>,
         /// The fault.
         #[source]
         fault: PictureError,
     },
     /// An attribute that the particles do not have.
-    #[error("{}no attribute {name:?}; there are: {}", file(path.as_deref()), listed(known))]
+    #[error("{}no attribute {name:?}; available: {}", file(path.as_deref()), listed(known))]
     NoAttribute {
-        /// The file, if the particles are of one.
+        /// The file, if the particles come from one.
         path: Option<PathBuf>,
-        /// The attribute that was asked for.
+        /// The requested attribute.
         name: String,
-        /// The names of those that there are.
+        /// The names of the available attributes.
         known: Vec<String>,
     },
-    /// Less memory than any frame takes.
-    #[error("{}memory of at least {} is needed", to_simplify(*simplifying), ByteSize(*least))]
+    /// A memory limit that is too small for any frame.
+    #[error("{}at least {} of memory is needed", to_simplify(*simplifying), ByteSize(*least))]
     LittleMemory {
-        /// Bytes that are enough to begin.
+        /// The minimum in bytes.
         least: u64,
-        /// The threads of which each simplifies a part of the mesh, if that is what takes it.
+        /// The number of threads, if simplifying needs the memory.
         simplifying: Option<usize>,
     },
-    /// Threads that the system does not start.
-    #[error("threads cannot be started: {0}")]
+    /// Threads that cannot be started.
+    #[error("cannot start threads: {0}")]
     Threads(String),
     /// The spacing is not given, not in the file, and cannot be estimated.
     #[error(
-        "{}the spacing of {particles} particles cannot be estimated: {why}{}",
+        "{}cannot estimate the spacing of {particles} particles: {why}{}",
         file(path.as_deref()),
         suggestion(*suggested)
     )]
     NoSpacing {
-        /// The file, if the particles are of one.
+        /// The file, if the particles come from one.
         path: Option<PathBuf>,
-        /// How many particles it has.
+        /// The number of particles.
         particles: usize,
         /// The reason.
         why: Untold,
@@ -165,7 +164,7 @@ pub enum Error {
     },
 }
 
-/// The begin of a message on a file, if it is on one.
+/// The beginning of a message about a file.
 fn file(path: Option<&Path>) -> String {
     path.map_or(String::new(), |path| format!("{}: ", path.display()))
 }
@@ -184,9 +183,9 @@ fn two_purposes(path: &Path, other: &Path) -> String {
     let path = path.display();
     match other.display() {
         other if other.to_string() == path.to_string() => {
-            format!("{path}: is given for two purposes")
+            format!("{path}: used twice in this request; choose another file")
         }
-        other => format!("{path}: is given for two purposes: it is the same file as {other}"),
+        other => format!("{path}: is the same file as {other}; choose another file"),
     }
 }
 
@@ -194,19 +193,19 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// The kind of an error: who has to change something.
+/// The kind of an error: what has to change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Cause {
-    /// The arguments or the request; nothing was done.
+    /// The request is wrong; nothing was done.
     Request,
     /// The input is bad.
     Input,
     /// The output cannot be written.
     Output,
-    /// The device that was asked for cannot be used.
+    /// The requested device cannot be used.
     Device,
-    /// The caller asked for an early end.
+    /// The caller cancelled the work.
     Cancelled,
 }
 
@@ -226,13 +225,12 @@ impl From<SelectionFault> for Error {
 }
 
 impl Error {
-    /// The message, with settings called as `name` says: an option's name for a program, a
-    /// keyword's for a binding.
+    /// The message, with settings named by `name`: options for a program, keywords for a binding.
     #[must_use]
     pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
             Self::Unfit(unfit) => unfit.told(name),
-            // Its message begins with the key.
+            // The message begins with the key.
             Self::Unit(unit) => match Setting::by_key(unit.name()) {
                 Some(setting) => unit.to_string().replacen(unit.name(), &name(setting), 1),
                 None => unit.to_string(),
@@ -241,7 +239,7 @@ impl Error {
         }
     }
 
-    /// Names the file that particles are of, where the error does not say it.
+    /// Adds the file of the particles, if the error has none.
     #[must_use]
     pub fn of_file(mut self, file: &Path) -> Self {
         if let Self::Frame { path, .. }
@@ -253,7 +251,7 @@ impl Error {
         self
     }
 
-    /// Returns the kind of the error: who has to change something.
+    /// Returns the kind of the error: what has to change.
     #[must_use]
     pub fn cause(&self) -> Cause {
         match self {
@@ -274,7 +272,7 @@ impl Error {
             }
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
-            // Another frame may have some.
+            // Another frame may have selected particles.
             Self::Read(ReadError {
                 fault: ReadFault::Selection(SelectionFault::None { .. }),
                 ..

@@ -1,36 +1,36 @@
-//! Why a mesh cannot be made in parts, or its parts not be merged.
+//! Errors of making a mesh in parts and of merging them.
 
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// A mesh that is made in parts, of which something is not as it has to be.
+/// An error of a mesh in parts.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PartsError {
-    /// A number of parts that none can have.
-    #[error("a mesh is made in 1 to {most} parts; {asked} are not")]
+    /// An invalid number of parts.
+    #[error("the number of parts must be from 1 to {most}, got {asked}")]
     Count {
-        /// The number that was asked for.
+        /// The requested number.
         asked: u32,
-        /// The most that there can be.
+        /// The maximum.
         most: u32,
     },
     /// A part beyond the last.
-    #[error("there is no part {part} of {of}: the first is 0, the last {last}", last = of - 1)]
+    #[error("the part must be from 0 to {last}, got {part}", last = of - 1)]
     NoPart {
         /// The part's number.
         part: u32,
-        /// How many parts there are.
+        /// The number of parts.
         of: u32,
     },
-    /// An output that has no folder beside it.
-    #[error("{}: parts are kept beside a file, which this is not", .0.display())]
+    /// An output that cannot have a folder of parts beside it.
+    #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
     NoFile(PathBuf),
-    /// Nothing is planned yet.
+    /// The plan does not exist yet.
     #[error("{}: there is no plan yet", .0.display())]
     NoPlan(PathBuf),
-    /// A plan that is damaged, or no plan.
+    /// A damaged plan.
     #[error("{}: {what}", path.display())]
     Plan {
         /// The plan's file.
@@ -38,33 +38,33 @@ pub enum PartsError {
         /// The damage.
         what: String,
     },
-    /// A plan for something else.
-    #[error("{}: the plan there was made with other settings ({differing})", path.display())]
+    /// A plan with other settings.
+    #[error("{}: the plan was made with other settings ({differing})", path.display())]
     Settings {
         /// The plan's file.
         path: PathBuf,
         /// The settings' names.
         differing: String,
     },
-    /// Particles that are not those that the plan was made for.
-    #[error("{}: it is not what {} was made for, or has changed since", input.display(), plan.display())]
+    /// Particles that differ from those of the plan.
+    #[error("{}: differs from the input of {}, or has changed since", input.display(), plan.display())]
     Changed {
         /// The particles' file.
         input: PathBuf,
         /// The plan's file.
         plan: PathBuf,
     },
-    /// Parts that are not there.
+    /// Missing parts.
     #[error("{}: {} of {of} parts are missing: {}", folder.display(), missing.len(), shortened(missing))]
     Missing {
-        /// Where they would be.
+        /// The folder of the parts.
         folder: PathBuf,
-        /// Numbers of those parts.
+        /// Numbers of the missing parts.
         missing: Vec<u32>,
-        /// How many parts there are.
+        /// The number of parts.
         of: u32,
     },
-    /// A part that is damaged.
+    /// A damaged part.
     #[error("{}: damaged: {what}", path.display())]
     Damaged {
         /// The part's file.
@@ -72,25 +72,24 @@ pub enum PartsError {
         /// The damage.
         what: String,
     },
-    /// A part that was made by another plan.
-    #[error("{}: it is a part of another plan", .0.display())]
+    /// A part of another plan.
+    #[error("{}: belongs to another plan", .0.display())]
     Foreign(PathBuf),
-    /// A folder, the plan or a part that cannot be read or written.
+    /// A folder, plan or part that cannot be read or written.
     #[error("{}: {fault}", path.display())]
     Io {
-        /// Where.
+        /// The file or folder.
         path: PathBuf,
-        /// The system's own refusal.
+        /// The system's error.
         #[source]
         fault: std::io::Error,
     },
 }
 
-/// Numbers that are listed, at the most.
+/// Maximum number of ranges in a message.
 const LISTED: usize = 16;
 
-/// Numbers as people read them: those that follow one another as a range, and no more than the
-/// first few.
+/// Lists numbers, with consecutive ones as a range, and only the first few ranges.
 fn shortened(numbers: &[u32]) -> String {
     let ranges = numbers.chunk_by(|a, b| a + 1 == *b).map(|range| match range {
         [first, .., last] => format!("{first} to {last}"),

@@ -1,4 +1,4 @@
-//! Settings that exclude each other, or what they are asked of.
+//! Settings that conflict with each other or with the request.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -12,66 +12,65 @@ use crate::settings::Setting;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
-    /// A setting that says the same.
+    /// A setting with the same meaning.
     Setting(Setting),
-    /// A setting that it is about, and that is not given.
+    /// A required setting that is missing.
     Needs(Setting),
-    /// The indicator that makes the field.
+    /// The indicator.
     Indicator(IndicatorKind),
-    /// The kernel method that makes the field.
+    /// The kernel method.
     Method(KernelMethod),
-    /// A packed frame, of which the particles themselves are not there any more.
+    /// A packed frame, which has no particles.
     Packed(PathBuf),
-    /// A frame that is to be packed: it holds samples, and no surface.
+    /// Packing a frame, which stores samples and no surface.
     Packing,
-    /// A frame that was sampled already, otherwise than is asked for now.
+    /// A frame that was already sampled with another value.
     Sampled,
-    /// Particles and a surface that stay on a device.
+    /// Particles and a surface on a device.
     OnDevice,
     /// The format of the mesh.
     Format {
         /// The mesh's file.
         path: PathBuf,
-        /// The format by its name.
+        /// The format.
         format: MeshFormat,
     },
 }
 
-/// A setting that was given, and has no meaning for what it is asked of.
+/// A given setting that does not apply.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Unfit {
     /// The setting.
     pub setting: Setting,
-    /// The setting, file or format that it conflicts with.
+    /// The reason of the conflict.
     pub with: Conflict,
 }
 
 impl Unfit {
-    /// The sentence, with the setting called as `name` says.
+    /// The message, with settings named by `name`.
     pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));
         match (&self.with, self.setting.name()) {
             (Conflict::Setting(other), _) => {
-                format!("{setting} and {} exclude each other", name(*other))
+                format!("{setting} cannot be used with {}", name(*other))
             }
             (Conflict::Needs(other), _) => format!("{setting} needs {}", name(*other)),
             (Conflict::Packed(path), "format") => {
                 format!(
-                    "{}: {setting} is for particles, and this is a packed frame",
+                    "{}: {setting} applies to particle files, but this is a packed frame",
                     path.display()
                 )
             }
             (Conflict::Indicator(kind), "mu0") => {
-                format!("{setting} has no meaning for {} {}", named("indicator"), kind.name())
+                format!("{setting} does not apply to {} {}", named("indicator"), kind.name())
             }
             (Conflict::Indicator(IndicatorKind::Cloud), which) => format!(
-                "{setting} is for {} counting and symmetry{}: the surface lies where distances told by clouds are 0, and {} says how \
-                 calm it is",
+                "{setting} applies only to {} counting and symmetry{}; for cloud, use {}",
                 named("indicator"),
                 if which == "iso" {
-                    format!(", and for {} mueller and yu-turk", named("method"))
+                    format!(" and to {} mueller and yu-turk", named("method"))
                 } else {
                     String::new()
                 },
@@ -81,36 +80,44 @@ impl Unfit {
                 format!("{setting} is for {} cloud", named("indicator"))
             }
             (Conflict::Indicator(_), _) => format!(
-                "{setting} is for {} cloud: {} says how smooth the surface of others is",
+                "{setting} applies only to {} cloud; for others, use {}",
                 named("indicator"),
                 named("sigma")
             ),
             (Conflict::Method(_), _) => {
-                format!("{setting} has no meaning for this {}", named("method"))
+                format!("{setting} does not apply to this {}", named("method"))
             }
             (Conflict::Packed(path), _) => {
-                format!("{}: {setting} needs the particles themselves", path.display())
+                format!(
+                    "{}: {setting} needs the particles, which a packed frame does not \
+                         contain",
+                    path.display()
+                )
             }
             (Conflict::Packing, _) => {
-                format!("{setting} is for surfaces: give it when the packed frame is reconstructed")
+                format!(
+                    "{setting} is for surfaces: use it when you reconstruct the packed \
+                         frame"
+                )
             }
             (Conflict::Sampled, _) => {
                 format!(
-                    "{setting} needs the particles themselves, and the frame is sampled already"
+                    "{setting} cannot change in a frame that is already sampled; sample the \
+                     particles again"
                 )
             }
             (Conflict::OnDevice, _) => {
-                format!("{setting} has no meaning for a surface that stays on a device")
+                format!("{setting} does not apply to a surface on a device")
             }
             (Conflict::Format { path, .. }, "compress") => {
-                format!("{}: {setting} goes with .glb", path.display())
+                format!("{}: {setting} applies only to .glb", path.display())
             }
             (Conflict::Format { .. }, "up") => format!(
-                "{setting} z: in a .glb y points up; {} z says that the particles have z up",
+                "{setting} z: a .glb always has y up; use {} z if z points up in the particles",
                 named("particles_up")
             ),
             (Conflict::Format { path, format }, _) => {
-                format!("{}: {format} cannot hold {setting}", path.display())
+                format!("{}: {format} cannot store {setting}", path.display())
             }
         }
     }

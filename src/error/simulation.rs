@@ -1,92 +1,93 @@
-//! Why a simulation cannot be begun.
+//! Errors of converting a simulation.
 
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Rates of frames whose times programs can tell apart.
+/// Frame rates whose times programs can distinguish.
 pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
-/// A simulation that cannot be begun.
+/// A simulation that cannot be converted.
 #[derive(Debug, Error)]
 pub enum SimulationError {
-    /// The request names no frame.
-    #[error("{0}: there are no frames")]
+    /// The inputs contain no frame.
+    #[error("{0}: no frames found")]
     NoFrames(String),
-    /// A folder or a pattern of files that names none that can be read.
-    #[error("{0}: no such files")]
+    /// A folder or pattern without supported files.
+    #[error("{0}: no matching files")]
     NoFiles(String),
     /// A folder of inputs that does not exist.
-    #[error("{}: there is no such folder", .0.display())]
+    #[error("{}: the folder does not exist", .0.display())]
     NoFolder(PathBuf),
     /// A folder of inputs that cannot be read.
     #[error("{}: {fault}", path.display())]
     Unreadable {
         /// The folder.
         path: PathBuf,
-        /// The system's own refusal.
+        /// The system's error.
         #[source]
         fault: std::io::Error,
     },
-    /// Frames that are asked for, of which none is there.
+    /// A selection of frames of which none exists.
     #[error("{0}: no frame matches the selection")]
     NoneWanted(String),
-    /// A rate of frames whose times programs could not tell apart.
+    /// An invalid frame rate.
     #[error("fps must be from {} to {} frames per second, got {rate:?}", range.start(), range.end())]
     Rate {
-        /// The rate that was asked for.
+        /// The requested rate.
         rate: f64,
-        /// The rates that can be.
+        /// The valid rates.
         range: RangeInclusive<f64>,
     },
-    /// A time to wait that is none.
+    /// An invalid timeout.
     #[error("watch must be a number of seconds, got {0}")]
     Wait(f64),
-    /// Steps of one file, which cannot be followed while they are written.
+    /// Steps inside one file, which cannot be watched.
     #[error("{0}: cannot watch the steps inside one file")]
     Steps(String),
-    /// Frames in several files, of which nothing says when all are there.
+    /// Frames in several files, which cannot be watched because no file tells when a frame is
+    /// complete.
     #[error(
         "{0}: cannot watch frames that are in several files, because no file tells when a frame \
          is complete; convert them once the simulation is over"
     )]
     Joined(String),
-    /// A first number after the last.
-    #[error("there are no frames from {first} to {last}")]
+    /// A first frame after the last.
+    #[error("the first frame ({first}) is after the last ({last})")]
     Range {
         /// The first number.
         first: i64,
         /// The last number.
         last: i64,
     },
-    /// A step that leads nowhere.
+    /// A step of 0.
     #[error("the step between frames must be at least 1")]
     Step,
-    /// The names do not say which frame is which.
+    /// File names that do not determine the frame numbers.
     #[error("{0}")]
     Names(String),
-    /// The files are of several simulations, and what is asked for goes with one.
+    /// Files of several simulations where only one is possible.
     #[error(
-        "{from}: holds several simulations: {families}; name one of them, or write the meshes \
-         into a folder"
+        "{from}: contains several simulations: {families}; name one of them, or write the \
+         meshes into a folder"
     )]
     Several {
-        /// Where they were found.
+        /// The folder or pattern.
         from: String,
-        /// The names of the simulations, and how many frames each has.
+        /// The simulations with their numbers of frames.
         families: String,
     },
     /// A folder or the state that cannot be read.
     #[error("{}: {fault}", path.display())]
     Io {
-        /// Where.
+        /// The file or folder.
         path: PathBuf,
-        /// The system's own refusal.
+        /// The system's error.
         #[source]
         fault: std::io::Error,
     },
-    /// A state file that is damaged, or of another version.
+    /// A damaged state file, or one of another version.
     #[error("{}: {what}", path.display())]
     State {
         /// The file.
@@ -94,10 +95,11 @@ pub enum SimulationError {
         /// The damage.
         what: String,
     },
-    /// A folder that another conversion writes to, with other settings.
-    #[error("{}: another conversion with other settings is writing there", .0.display())]
+    /// A conversion with other settings that writes to the same outputs.
+    #[error("{}: another conversion with other settings is running there; wait for it, or \
+             choose another output", .0.display())]
     Busy(PathBuf),
-    /// The state is of a run with other settings.
+    /// A state from a run with other settings.
     #[error("{}: the existing frames were made with other settings ({differing})", path.display())]
     Settings {
         /// The state file.

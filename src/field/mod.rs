@@ -1,11 +1,11 @@
-//! From particles to the field whose level the surface is: indicators, filters, the recipe that
-//! joins them, and the calibration that says which level.
+//! From particles to the field: indicators, filters, the recipe that combines them, and the
+//! calibration of the level at which the surface lies.
 //!
-//! One folder a stage: `mod.rs` states the formula and the promise, `cpu.rs` computes it,
-//! `vulkan.rs` has shaders do so.
+//! Each stage is a folder: `mod.rs` states the formula and the guarantees, `cpu.rs` computes it,
+//! and `vulkan.rs` runs its shaders.
 //!
-//! Which of them to choose is said in `choosing.md`, how near they come in `accuracy.md`: both are
-//! pages of the docs.
+//! The guides `choosing.md` and `accuracy.md` help to choose between indicators, and show how
+//! accurate they are.
 
 pub mod blur;
 pub mod calibration;

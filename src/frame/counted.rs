@@ -181,8 +181,8 @@ impl Sampling {
         Estimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
-    /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many
-    /// bins that hold particles, are listed and nothing else of the frame is there.
+    /// Bytes of a surface that may be in memory while parts are merged, when only lists of its
+    /// blocks and of full bins are in memory besides.
     pub fn merging_share(
         &self,
         surfacing: &Surfacing,

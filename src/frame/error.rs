@@ -53,15 +53,18 @@ pub enum FrameError {
         iso: Isovalue,
     },
     /// No cell's middle is inside of a surface that was drawn by distances.
-    #[error("the surface is empty: no cell's centre is inside of it")]
+    #[error("the surface is empty: it contains no cell's centre")]
     NoDistanceSurface,
     /// The calibration was measured on a frame of another indicator, and says nothing of this one.
-    #[error("it was packed with another indicator than the frame that all are drawn by")]
+    #[error(
+        "its indicator differs from that of the calibration frame; pack it again with the \
+             same indicator"
+    )]
     OtherIndicator,
     /// Images were made for filters that do not see as far.
     #[error(
-        "the frame has images up to {there} cells beyond its periodic faces, and these filters see {needed}: ask for as much \
-         smoothing when the particles are sampled"
+        "the frame has images up to {there} cells beyond its periodic faces, but this smoothing \
+         needs {needed}; sample the particles again with this smoothing"
     )]
     FewImages {
         /// How far the filters see beyond a face, in cells.
@@ -70,18 +73,18 @@ pub enum FrameError {
         there: i32,
     },
     /// Kernels are as wide as the spacing says.
-    #[error("kernel methods have to know the spacing of the particles")]
+    #[error("kernel methods need the spacing of the particles")]
     NoSpacing,
     /// Kernels cannot be drawn on so fine a grid.
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
     /// The field of a kernel method is positive nowhere.
-    #[error("the surface is empty: no cell's centre is inside of it")]
+    #[error("the surface is empty: it contains no cell's centre")]
     NoKernelSurface,
     /// Scratch files for what exceeds the memory budget would not fit on the disk; nothing was
     /// written.
     #[error(
-        "scratch files take at least {} in {}, where {} are free",
+        "scratch files need at least {} in {}, which has {} free",
         ByteSize(*needed), folder.display(), ByteSize(*free)
     )]
     NoRoom {
@@ -94,7 +97,8 @@ pub enum FrameError {
     },
     /// Attributes are so wide that a few blocks of the surface are larger than the budget.
     #[error(
-        "attributes of {components} numbers together take at least {} of memory; {} may be used",
+        "the attributes have {components} numbers per particle and need at least {} of memory, \
+         but the limit is {}",
         ByteSize(*needed), ByteSize(*budget)
     )]
     WideAttributes {
@@ -110,7 +114,8 @@ pub enum FrameError {
     NothingLeft(TooSmall),
     /// A mesh on a device has vertices that 32 bits cannot number.
     #[error(
-        "the surface has more vertices or triangles than 32 bits can number; use a larger cell size"
+        "the surface has more vertices or triangles than 32 bits can count; use a larger cell \
+         size"
     )]
     TooManyVertices,
     /// A caller's buffers cannot hold a surface.
@@ -156,10 +161,13 @@ impl From<DeviceBinError> for FrameError {
 
 fn explain(census: &Census) -> String {
     match *census {
-        Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
+        Census { not_finite: 0, too_far: 0, outside: 0, .. } => {
+            "there are none in the input".into()
+        }
         Census { not_finite, too_far, outside, .. } => {
             format!(
-                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain or the periodic box"
+                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside the \
+                 domain or the periodic box"
             )
         }
     }

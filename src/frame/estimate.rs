@@ -104,7 +104,8 @@ pub struct Shares {
 /// A frame that cannot be brought under its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "with a cell size of {} the tables of bins alone need more than the {} of memory that may be used; a cell size of {} fits",
+    "with a cell size of {}, the tables of bins alone exceed the memory limit of {}; use a cell \
+     size of {}",
     shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
 pub struct OverBudget {
@@ -173,9 +174,8 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
 }
 
 impl Estimate {
-    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if
-    /// there is one, and an input that takes so many bytes. Only the bins that are `meshed` get a
-    /// surface.
+    /// An estimate for particles counted by bin, in Morton order, from the shape of pages of the
+    /// DIF, if there is one, and the bytes of the input. Only bins that are `meshed` get a surface.
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
@@ -236,7 +236,7 @@ impl Estimate {
         Self { surface, vertices: expected.vertices, meshing, ..self }
     }
 
-    /// Adds a bin of so many bytes of the DIF.
+    /// Adds a bin with `field` bytes of the DIF.
     fn add_bin(&mut self, field: u64) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;

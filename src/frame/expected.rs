@@ -36,8 +36,7 @@ impl Expected {
     /// The most there can be, for frames of which nothing is known.
     pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
 
-    /// How many vertices are in so many blocks together, at the most, if no block has more than
-    /// `most`.
+    /// Upper bound of the vertices in `blocks` blocks together, if no block has more than `most`.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
         // One block can be full of spray where the others are like most, and few frames have twice
         // what is expected.
@@ -49,14 +48,14 @@ impl Expected {
 /// The share of a bin that is full, for bins that hold particles.
 type Shares = HashMap<IVec3, f32>;
 
-/// Vertices around a particle alone, whose spacing is so many cells wide: a ball of 0.55 spacings
-/// has 6 to 7 to the squared spacing.
+/// Vertices around a single particle: a ball of 0.55 spacings has 6 to 7 vertices times the squared
+/// spacing in cells.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
 
-/// The surface in those `bins`, in Morton order, that are `meshed`, by the particles that each
-/// holds and those that a `full` one does. A particle by itself has so many vertices `alone`.
+/// The surface in those `bins`, in Morton order, that are `meshed`, from the particles in each and
+/// in a `full` one. `alone` is the number of vertices of a single particle.
 pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
     full: f64,
@@ -106,8 +105,8 @@ mod tests {
     use super::*;
     use crate::grid::CellBox;
 
-    /// The surface of bins that hold so many particles where 4096 are a full one, in cells of one
-    /// spacing.
+    /// The surface of bins with these numbers of particles, in cells of one spacing, where a full
+    /// bin has 4096.
     fn surface_of(bins: &[(IVec3, usize)]) -> Expected {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)

@@ -81,7 +81,7 @@ pub(super) fn kernel_spacing(spacing: Option<f64>, grid: &Grid) -> Result<Spacin
     Ok(Spacing::new(spacing.ok_or(FrameError::NoSpacing)? / grid.cell_size())?)
 }
 
-/// A Gaussian that reaches as far as the kernels of particles so many cells apart.
+/// A Gaussian with the reach of kernels for a spacing in cells.
 pub(super) fn attribute_smoothing(spacing: f64) -> Smoothing {
     let sigma = ((Spacing::SUPPORT * spacing).ceil() + 1.0) / 3.0;
     let sigma = Sigma::new(sigma.min(Sigma::MAX)).expect("a length within the bounds");

@@ -137,7 +137,8 @@ impl Occupied {
         Ok(())
     }
 
-    /// How full cells are: all that hold particles, which are so many unless some are images.
+    /// How full cells are. `all_cells` is the number of cells with particles, unless some are
+    /// images.
     pub(super) fn fullness(&self, all_cells: u64) -> Fullness {
         Fullness {
             cells: if self.own.is_some() { self.full.cells } else { all_cells },
@@ -151,8 +152,8 @@ impl Occupied {
             .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
     }
 
-    /// How many times as many particles there are, at the least, as particles so many cells apart
-    /// leave room for in the tiles that they are in.
+    /// Lower bound of the ratio of the particles' density to that of particles `spacing_cells`
+    /// apart, in the tiles that contain particles.
     pub fn crowding(&self, spacing_cells: f64) -> f64 {
         self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
     }

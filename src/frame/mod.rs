@@ -4,7 +4,7 @@
 //! samples, calibrates and meshes. [`resident`] takes the same steps for particles and meshes that
 //! stay on a device.
 //!
-//! Speed and memory are in `speed.md`, a page of the docs.
+//! The guide `speed.md` has figures of speed and memory.
 
 mod binned;
 mod coincident;
@@ -471,7 +471,7 @@ impl Engine {
     }
 }
 
-/// A surface with what a reduction leaves of it, of whose triangles so many bytes may be in memory.
+/// A simplified surface, with at most these bytes of triangles in memory.
 ///
 /// # Errors
 /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and

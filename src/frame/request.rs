@@ -158,8 +158,8 @@ impl Surfacing {
         }
     }
 
-    /// How far beyond those that its field is made of particles decide what goes on into a solid, in
-    /// cells; 0 where there is none.
+    /// How far particles beyond the halo of the field influence its continuation into a solid, in
+    /// cells; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if self.solid.is_none() {
             return 0;
@@ -180,8 +180,7 @@ impl Surfacing {
         Fill::bytes(wide.grown(distances.wide_halo(), distances.wide_halo()))
     }
 
-    /// Memory that the surface takes through the field of particles so far apart, with attributes
-    /// of so many components.
+    /// Memory of the surface, for a spacing in cells and the components of its attributes.
     pub(super) fn drawing(
         &self,
         method: Method,

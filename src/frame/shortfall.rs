@@ -50,7 +50,8 @@ impl fmt::Display for Shortfall {
         let percent = 100.0 * share;
         write!(
             f,
-            "the surface holds {percent:.1} % of the volume of {particles} particles {} apart",
+            "the surface encloses only {percent:.1} % of the volume of {particles} particles \
+             with spacing {}",
             shown(*spacing)
         )
     }

@@ -79,18 +79,20 @@ pub struct Domain {
 pub enum DomainError {
     /// The corners are not in order, or no numbers.
     #[error(
-        "the domain's second corner must be above the first along every axis that has two walls, and all coordinates numbers"
+        "the domain's second corner must be above the first along each axis with two walls, and \
+         coordinates must be numbers"
     )]
     Corners,
     /// Too thin for a single layer of cells.
-    #[error("the domain holds no cell centre along {axis}; use a smaller cell size")]
+    #[error("the domain contains no cell centre along {axis}; use a smaller cell size")]
     Thin {
         /// x, y or z.
         axis: char,
     },
     /// Beyond the grid.
     #[error(
-        "the domain reaches more than {CELL_LIMIT} cells from the origin; use a larger cell size"
+        "the domain extends more than {CELL_LIMIT} cells from the origin; use a larger cell \
+         size"
     )]
     TooFar,
 }

@@ -33,10 +33,10 @@ pub struct Periodic {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum PeriodicMesh {
-    /// On the faces, where it is closed as it is at the walls of a tank.
+    /// On the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Beyond the faces, by as much as filters reach: copies that are put side by side overlap.
+    /// Beyond the faces, by the reach of the filters, so that copies side by side overlap.
     Overlap,
 }
 
@@ -56,25 +56,26 @@ impl PeriodicMesh {
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
     #[error(
-        "the periodic box's corners must be finite, and the second above the first along every axis that is not open"
+        "the periodic box's corners must be finite, and the second above the first along each \
+         axis that is not open"
     )]
     Corners,
     /// No axis is periodic.
-    #[error("the periodic box is open along every axis")]
+    #[error("the periodic box is open along every axis; give both ends of at least one axis")]
     Open,
     /// Where a mesh ends at the faces of no box.
-    #[error("where a mesh ends at periodic faces has no meaning without a periodic box")]
+    #[error("how the mesh ends at periodic faces can only be set with a periodic box")]
     NoBox,
     /// Walls where there can be none.
-    #[error("{axis} is periodic: a domain can have walls along the open axes only")]
+    #[error("{axis} is periodic: a domain can have walls only along open axes")]
     Walled {
         /// x, y or z.
         axis: char,
     },
     /// Filters would see a particle's image on both sides.
     #[error(
-        "the periodic box is {} wide along {axis}, less than two reaches of the filters, which are {} each; use a smaller cell \
-         size or less smoothing, or leave {axis} open",
+        "the periodic box is {} wide along {axis}, less than twice the reach of the filters, \
+         {}; use a smaller cell size or less smoothing, or leave {axis} open",
         shown(*width), shown(*reach)
     )]
     Narrow {
@@ -87,7 +88,8 @@ pub enum PeriodicError {
     },
     /// Beyond the grid.
     #[error(
-        "the periodic box and what filters see beyond it reach more than {CELL_LIMIT} cells from the origin; use a larger cell size"
+        "the periodic box with the reach of the filters extends more than {CELL_LIMIT} cells \
+         from the origin; use a larger cell size"
     )]
     TooFar,
 }

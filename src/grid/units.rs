@@ -7,46 +7,45 @@ use thiserror::Error;
 /// The value that stands for an indicator of exactly 1 in every integer field.
 pub const FULL: u16 = u16::MAX;
 
-/// A number outside of the range that its meaning allows. Each says the name by which it is asked
-/// for.
+/// A number outside its valid range, with the name of its setting.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum UnitError {
-    /// An isovalue must cut the field.
-    #[error("iso must be more than 0 and less than 1, not {0}")]
+    /// An isovalue outside the values of the field.
+    #[error("iso must be more than 0 and less than 1, got {0}")]
     Isovalue(f64),
     /// The width of the Gaussian.
-    #[error("sigma must be more than 0 and at most {max} cells, not {0}", max = Sigma::MAX)]
+    #[error("sigma must be more than 0 and at most {max} cells, got {0}", max = Sigma::MAX)]
     Sigma(f64),
     /// The mean number of particles in a full cell.
-    #[error("mu0 must be more than 0 and at most {max}, not {0}", max = MeanCount::MAX)]
+    #[error("mu0 must be more than 0 and at most {max}, got {0}", max = MeanCount::MAX)]
     MeanCount(f64),
-    /// The width of what makes water calm.
-    #[error("smooth must be from {least} to {most} spacings, not {0}", least = Smooth::LEAST, most = Smooth::MOST)]
+    /// The smoothing width.
+    #[error("smooth must be from {least} to {most} spacings, got {0}", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
-    /// How far sheets are stretched until they tear.
-    #[error("sheets must be 0, or from {least} to {most} spacings, not {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
+    /// The distance up to which particles of sheets are joined.
+    #[error("sheets must be 0, or from {least} to {most} spacings, got {0}", least = SheetStretch::LEAST, most = SheetStretch::MOST)]
     SheetStretch(f64),
-    /// How far before a solid the fluid ends.
-    #[error("solid-offset must be from {least} to {most} spacings, not {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
+    /// The distance between the fluid and solids.
+    #[error("solid-offset must be from {least} to {most} spacings, got {0}", least = SolidOffset::LEAST, most = SolidOffset::MOST)]
     SolidOffset(f64),
-    /// How far a simplified surface may lie from the one that it replaces.
-    #[error("simplify must be more than 0 and at most {max} cells, not {0}", max = Tolerance::MAX)]
+    /// The tolerance of simplification.
+    #[error("simplify must be more than 0 and at most {max} cells, got {0}", max = Tolerance::MAX)]
     Tolerance(f64),
     /// The volume of the smallest component that is kept.
-    #[error("smallest-component must be positive and finite, not {0}")]
+    #[error("smallest-component must be positive and finite, got {0}")]
     Volume(f64),
     /// A coordinate that must be finite.
-    #[error("{name} must be three finite numbers, not {value}")]
+    #[error("{name} must be three finite numbers, got {value}")]
     NotFinite {
-        /// The name by which it is asked for.
+        /// The name of the setting.
         name: &'static str,
         /// The one that is not.
         value: f64,
     },
     /// A length that must be positive.
-    #[error("{name} must be positive and finite, not {value}")]
+    #[error("{name} must be positive and finite, got {value}")]
     Length {
-        /// The name by which it is asked for.
+        /// The name of the setting.
         name: &'static str,
         /// The value that was given.
         value: f64,
@@ -54,7 +53,7 @@ pub enum UnitError {
 }
 
 impl UnitError {
-    /// The name by which the number is asked for, with which the message begins.
+    /// The name of the setting, with which the message begins.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Isovalue(_) => "iso",
@@ -83,8 +82,8 @@ pub fn shown(number: f64) -> String {
     significant(number, 6)
 }
 
-/// A number in so many significant digits without zeros at the end: in decimals where these are
-/// few, else by its power of ten. What stands before the point is whole.
+/// A number with `digits` significant digits and no trailing zeros: as a decimal if that is short,
+/// else with a power of ten. The integer part is never rounded.
 pub fn significant(number: f64, digits: usize) -> String {
     let rounded = format!("{number:.*e}", digits.saturating_sub(1));
     let Some((mantissa, power)) = rounded.split_once('e') else { return rounded };
@@ -156,7 +155,7 @@ impl Sigma {
     /// Wider filters erase everything that a particle fluid holds.
     pub const MAX: f64 = 10.0;
 
-    /// The standard deviation of so many cells.
+    /// A standard deviation in cells.
     ///
     /// # Errors
     /// [`UnitError::Sigma`] unless 0 < `cells` <= [`Self::MAX`].
@@ -168,9 +167,9 @@ impl Sigma {
         }
     }
 
-    /// Makes a standard deviation of so many cells, but one at the least. Where the width is a
-    /// matter of the particles' spacing, what is left of the lattice that they stand on, and of how
-    /// it lies on the grid, is smoothed away in however small cells.
+    /// A standard deviation in cells, but at least one cell. A width that follows from the
+    /// particles' spacing removes the traces of their lattice, and of its place on the grid, in
+    /// cells of any size.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
@@ -202,7 +201,7 @@ impl Smooth {
     /// The default, a width that suits most fluids.
     pub const DEFAULT: Self = Self(1.6);
 
-    /// The width of so many spacings.
+    /// A width in spacings.
     ///
     /// # Errors
     /// [`UnitError::Smooth`] unless [`Self::LEAST`] <= `spacings` <= [`Self::MOST`].
@@ -293,7 +292,7 @@ impl Tolerance {
     /// Chunks are simplified one by one, and must be much wider.
     pub const MAX: f64 = 4.0;
 
-    /// The tolerance of so many cells.
+    /// A tolerance in cells.
     ///
     /// # Errors
     /// [`UnitError::Tolerance`] unless 0 < `cells` <= [`Self::MAX`].
@@ -320,7 +319,7 @@ impl MeanCount {
     /// Counts are held in 16 bits.
     pub const MAX: f64 = u16::MAX as f64;
 
-    /// The mean of so many particles a cell.
+    /// A mean number of particles per cell.
     ///
     /// # Errors
     /// [`UnitError::MeanCount`] unless 0 < `mean` <= [`Self::MAX`].

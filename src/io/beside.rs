@@ -61,7 +61,11 @@ impl Folder {
             let name = entry?.file_name();
             let is_ours = name.to_str().is_some_and(|name| is_piece(name, &stem, extension));
             if !is_ours {
-                let what = format!("the folder {} beside it holds other files", folder.display());
+                let what = format!(
+                    "the folder {} beside it contains other files; choose another \
+                               name",
+                    folder.display()
+                );
                 return Err(io::Error::new(ErrorKind::InvalidInput, what));
             }
             empty = false;
@@ -99,9 +103,10 @@ impl Folder {
         all.finalize()
     }
 
-    /// Gives the folder its name. One that has it goes if it is `replaceable`, after the file at
-    /// `named`, which names what is in that. Whoever does so at the same time waits for the end of
-    /// [`turn`], or where there are no locks goes on, and the last one's folder stays.
+    /// Renames the folder to its final name. An existing folder is removed if it is `replaceable`,
+    /// after the file at `named`, which lists its files. Another process that does this at the same
+    /// time waits for the end of [`turn`]; without file locks it continues, and the last folder
+    /// stays.
     ///
     /// # Errors
     /// [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be
@@ -170,8 +175,13 @@ impl Drop for Folder {
 /// The folder beside a file, and its name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-    let no_text =
-        || io::Error::new(ErrorKind::InvalidInput, "its name is no text that other files can hold");
+    let no_text = || {
+        io::Error::new(
+            ErrorKind::InvalidInput,
+            "its name is not valid Unicode, so other files cannot refer to \
+                               it; rename it",
+        )
+    };
     let stem = stem.ok_or_else(no_text)?;
     Ok((place.with_file_name(&stem), stem))
 }

@@ -30,7 +30,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let version = cursor.u32("the version")?;
     if version != 5 {
         return Err(ReadFault::Unsupported(format!(
-            "version {version} of .bgeo; only version 5 is known"
+            "version {version} of .bgeo; only version 5 is supported"
         )));
     }
     let points = cursor.count("points")?;
@@ -93,7 +93,8 @@ impl Definition {
             4 => None,
             2 => {
                 let what = format!(
-                    "the attribute {name} holds plain strings; delete it, or make it an indexed one"
+                    "the attribute {name} contains plain strings; delete it, or convert it to \
+                     indexed strings"
                 );
                 return Err(ReadFault::Unsupported(what));
             }

@@ -42,8 +42,10 @@ pub fn open_particles(
         return read_particles(bytes).map_err(fail);
     }
     let name = PieceName::of(path).ok_or_else(|| {
-        let what =
-            format!("one of {count} pieces of a part; their names are like Part_p00_0000.bi4");
+        let what = format!(
+            "is one of {count} pieces of a part; their names must be like \
+                     Part_p00_0000.bi4"
+        );
         fail(ReadFault::Unsupported(what))
     })?;
     let opened = wanted.pieces.of(count as usize) as u64;
@@ -135,8 +137,10 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let piece = Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
-        let what =
-            format!("one of {pieces} pieces of a part; all are read together, from their files");
+        let what = format!(
+            "is one of {pieces} pieces of a part, which are read together; name the \
+                     file on disk"
+        );
         return Err(ReadFault::Unsupported(what));
     }
     Ok(ParticleFile { spacing, time, ..ParticleFile::new(piece.store(bytes), "DualSPHysics .bi4") })
@@ -177,13 +181,16 @@ impl Piece {
         let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
             let array = arrays.iter().find(|array| names.contains(&array.name.as_str()));
             let array = array.ok_or_else(|| {
-                malformed(HEAD, format!("no array {} or {} in the part", names[0], names[1]))
+                malformed(HEAD, format!("the part has no array {} or {}", names[0], names[1]))
             })?;
             let (scalar, width) = array.shape;
             if scalars.contains(&scalar) && width == components {
                 Ok(array)
             } else {
-                Err(malformed(array.offset, format!("the array {} is of another type", array.name)))
+                Err(malformed(
+                    array.offset,
+                    format!("the array {} has an unexpected type", array.name),
+                ))
             }
         };
         let ids = find(["Idp", "Idpd"], [Scalar::U32, Scalar::U64], 1)?;
@@ -264,7 +271,8 @@ impl Case {
             || {
                 malformed(
                     HEAD,
-                    "no counts of fixed, moving and floating particles (CaseNfixed and others)",
+                    "the counts of fixed, moving and floating particles are missing (CaseNfixed \
+                     and others)",
                 )
             },
         )
@@ -329,7 +337,7 @@ impl Kind {
             10 => Scalar::U64,
             11 | 22 => Scalar::F32,
             12 | 23 => Scalar::F64,
-            _ => return Err(malformed(at, format!("the unknown type {code}"))),
+            _ => return Err(malformed(at, format!("unknown type {code}"))),
         };
         let components = if code >= 20 { 3 } else { 1 };
         Ok(Self {
@@ -356,9 +364,8 @@ impl Tree {
             Some(b"JPartDataBi4") => {}
             Some(other) => {
                 let what = String::from_utf8_lossy(other);
-                let what = format!(
-                    "a {what} file holds no particles; those are in Part_0000.bi4 and so on"
-                );
+                let what =
+                    format!("a {what} file contains no particles; use Part_0000.bi4 and so on");
                 return Err(ReadFault::Unsupported(what));
             }
             None => {
@@ -370,7 +377,7 @@ impl Tree {
             1 => (Endian::Big, false),
             10 => (Endian::Little, true),
             11 => (Endian::Big, true),
-            other => return Err(malformed(60, format!("the unknown byte order {other}"))),
+            other => return Err(malformed(60, format!("unknown byte order {other}"))),
         };
         let mut cursor = Cursor::new(bytes, HEAD, endian);
         let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };

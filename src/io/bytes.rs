@@ -25,7 +25,7 @@ const CHUNK: u64 = 1 << 18;
 /// this.
 const GREATEST_RATIO: u64 = 128;
 
-/// With a byte that is read the system may map so many before it, which were given back already.
+/// When a byte is read, the system may map this many bytes before it again.
 #[cfg(unix)]
 const FAULT_AROUND: usize = 64 << 10;
 
@@ -633,7 +633,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     }
 }
 
-/// Reads so many bytes of a file into memory.
+/// Reads `count` bytes of a file into memory.
 fn file_bytes(file: &File, count: u64) -> Result<Kept, ReadFault> {
     let mut bytes = vec![0; count as usize];
     read_exact_at(file, 0, &mut bytes)?;
@@ -672,16 +672,20 @@ fn unpack(
     let plain = compression.unpack(MeteredBytes::new(packed, count, unpacking))?;
     let damaged = |e: io::Error| match e.kind() {
         io::ErrorKind::OutOfMemory => ReadFault::Unsupported(format!(
-            "unpacking takes a dictionary of more than {} MiB; unpack the file before, or compress \
-             it with a smaller one",
+            "decompression needs a dictionary of more than {} MiB; decompress the file first, \
+             or compress it with a smaller one",
             DICTIONARY >> 20
         )),
         _ => ReadFault::Compression(e.to_string()),
     };
     let limit = unpacked_limit(count);
     collect(plain, unpacking, damaged, |total| {
-        let what =
-            || format!("it unpacks to more than {GREATEST_RATIO} times its size; unpack it before");
+        let what = || {
+            format!(
+                "decompresses to more than {GREATEST_RATIO} times its size; decompress \
+                        it first"
+            )
+        };
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }
     })
 }

@@ -60,8 +60,10 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     };
     let frames: Vec<ListedFrame> = named.into_iter().map(frame).collect();
     let fault = match frames.iter().flat_map(|frame| &frame.files).find(|file| is_list(file)) {
-        Some(other) => format!("{} is a list, too; name files of particles", other.display()),
-        None if frames.is_empty() => "it lists no files".to_owned(),
+        Some(other) => {
+            format!("{} is a list as well; a list must name particle files", other.display())
+        }
+        None if frames.is_empty() => "lists no files".to_owned(),
         None => return Ok(frames),
     };
     Err(ReadError::new(path, malformed(0, fault)))
@@ -96,7 +98,8 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
         number.or((count == 1).then_some(0)).and_then(|number| usize::try_from(number).ok());
     let Some(number) = number.filter(|number| *number < count) else {
         let what = format!(
-            "it lists {count} frames, from {0}#0 to {0}#{1}; name one of them, or outputs for all",
+            "lists {count} frames, {0}#0 to {0}#{1}; name one of them, or an output folder or \
+             pattern for all",
             list.display(),
             count - 1
         );

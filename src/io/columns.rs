@@ -107,7 +107,7 @@ pub struct ColumnStore<B = Source> {
 /// The rows of the columns that are particles.
 #[derive(Debug)]
 pub enum Rows {
-    /// The first so many.
+    /// The first rows, up to this number.
     All(usize),
     /// Some rows among others: a .bi4 mixes fluid with boundary, and conditions select.
     Selected(Sieve),

@@ -69,7 +69,7 @@ pub enum ReadFault {
         what: String,
     },
     /// The file was written to while it was read.
-    #[error("it has changed while it was read")]
+    #[error("changed while it was read")]
     Changed,
     /// A mesh where particles are asked for, whose vertices nobody means by that.
     #[error("holds a mesh ({faces} faces), not particles")]
@@ -85,8 +85,8 @@ pub enum ReadFault {
     },
     /// A colour in another scale than in a file that is joined with this one.
     #[error(
-        "colour {attribute} holds {scale}, and in {} {of_other}; store it alike in both, or leave \
-         the attribute out",
+        "colour {attribute} has {scale}, but in {} {of_other}; store it in the same way in \
+         both, or leave the attribute out",
         other.display()
     )]
     ColourScale {
@@ -106,7 +106,7 @@ pub enum ReadFault {
     #[error("{0}")]
     Unsupported(String),
     /// The extension names no format that we read.
-    #[error("unknown extension; known are {known}")]
+    #[error("unknown extension; supported: {known}")]
     UnknownExtension {
         /// List of the known extensions.
         known: &'static str,
@@ -132,7 +132,7 @@ impl fmt::Display for ColourScale {
             Self::Shares => "floating-point numbers from 0 to 1",
             Self::Bytes => "bytes from 0 to 255",
             Self::LargeShares => "floating-point numbers from 0 to 255",
-            Self::Whole => "whole numbers of no known scale",
+            Self::Whole => "integers of unknown scale",
         })
     }
 }
@@ -163,7 +163,8 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
 /// Refuses to take several steps for one frame.
 pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
-        "steps {first} to {last}: several frames; append #{first} to the name for one of them"
+        "contains several frames, steps {first} to {last}; append #{first} to the name to \
+         choose one"
     );
     ReadFault::Unsupported(what)
 }
@@ -204,7 +205,7 @@ pub enum WriteFault {
     #[error("exists already")]
     ExistsInSimulation,
     /// The extension names no format that we write.
-    #[error("unknown extension; known are {known}")]
+    #[error("unknown extension; supported: {known}")]
     UnknownExtension {
         /// List of the known extensions.
         known: &'static str,

@@ -90,7 +90,7 @@ impl Arrangement {
         match (step, self.frames) {
             (None, None | Some(1)) => Ok(0),
             (None, Some(0)) => {
-                Err(ReadFault::Unsupported("its arrays are of no frames".to_owned()))
+                Err(ReadFault::Unsupported("its arrays contain no frames".to_owned()))
             }
             (None, Some(frames)) => Err(several_steps(0, frames - 1)),
             (Some(step), Some(frames)) if step < frames => Ok(step),

@@ -51,7 +51,7 @@ pub(super) struct VertexCells {
 }
 
 impl VertexCells {
-    /// Vertices of which none is flagged yet. The file must have been found to hold so many.
+    /// Vertices without flags. The caller has checked that the file contains `count`.
     pub fn new(count: usize) -> Self {
         Self { count, flagged: Bits::new(count) }
     }
@@ -86,7 +86,7 @@ impl Flags<'_> {
         if self.count == cells {
             return Ok(());
         }
-        Err(format!("array {} is not of one number for each of {cells} cells", self.name))
+        Err(format!("array {} must have one number for each of {cells} cells", self.name))
     }
 }
 
@@ -101,7 +101,7 @@ pub(super) struct VertexPoints<'a> {
 }
 
 impl<'a> VertexPoints<'a> {
-    /// Among so many points, of which the file must have been found to hold as many.
+    /// Flags among `points`. The caller has checked that the file contains as many.
     pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
         let [copies, own] = [0; 2].map(|_| Bits::new(points));
         Self { vertices, points, copies, own, count: 0, strayed: None }
@@ -127,10 +127,10 @@ impl<'a> VertexPoints<'a> {
     pub fn left(self) -> Result<Vec<Range<usize>>, String> {
         let (points, cells) = (self.points, self.vertices.count);
         if let Some((cell, point)) = self.strayed {
-            return Err(format!("cell {cell} of {cells} names point {point} of {points}"));
+            return Err(format!("cell {cell} of {cells} refers to point {point} of {points}"));
         }
         if self.count != cells {
-            return Err(format!("{cells} cells name {} points", self.count));
+            return Err(format!("{cells} cells refer to {} points", self.count));
         }
         let mut left = Vec::new();
         for point in (0..points).filter(|&point| !self.copies.get(point) || self.own.get(point)) {

@@ -111,7 +111,7 @@ pub fn open_joined(
             file.unit_metres.map_or("no unit".to_owned(), |unit| format!("a unit of {unit} m"))
         };
         let what = format!(
-            "{}, and {} has {}: lengths in one unit can be joined",
+            "has {}, but {} has {}; only inputs with the same unit can be joined",
             unit(&files[other]),
             paths[0].display(),
             unit(first)
@@ -257,7 +257,7 @@ const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()))
 /// Refuses HDF5, in a build that does not read it.
 #[cfg(not(feature = "hdf5"))]
 pub(super) fn no_hdf5() -> ReadFault {
-    ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned())
+    ReadFault::Unsupported("HDF5 needs meniscus built with the feature hdf5".to_owned())
 }
 
 fn reader(format: InputFormat) -> Reader {

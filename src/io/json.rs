@@ -28,7 +28,10 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     let read = positions.deserialize(&mut json).and_then(|()| json.end());
     scratch?;
     read.map_err(|fault| {
-        let what = format!("{fault}; expected a list of positions, as [[0, 0, 0], [1, 0, 0]]");
+        let what = format!(
+            "{fault}; expected a list of positions, such as [[0, 0, 0], [1, 0, \
+                            0]]"
+        );
         ReadFault::Line { line: fault.line().max(1) as u64, what }
     })?;
     let rows = rows.finish()?;

@@ -85,8 +85,9 @@ impl Step {
             }
             let Some(item) = line.strip_prefix(ITEM).map(str::trim) else {
                 let found = excerpt(line.as_bytes());
-                return Err(lines
-                    .fault(format!("expected a line that begins with {ITEM} and found {found}")));
+                return Err(
+                    lines.fault(format!("expected a line that begins with {ITEM}, found {found}"))
+                );
             };
             let (name, rest) = item.split_once(' ').unwrap_or((item, ""));
             match (name, item) {
@@ -158,7 +159,7 @@ impl Step {
         }
         let cell = match (are_fractions, self.cell) {
             (true, None) => {
-                let what = format!("step {number} has scaled coordinates and no box");
+                let what = format!("step {number} has scaled coordinates, but no box");
                 return Err(ReadFault::Line { line: self.lines_above, what });
             }
             (are_fractions, cell) => cell.filter(|_| are_fractions),
@@ -180,7 +181,8 @@ impl Step {
 /// The value on the next line.
 fn value<T: std::str::FromStr>(lines: &mut TextLines) -> Result<T, ReadFault> {
     let line = lines.line()?.unwrap_or_default();
-    line.parse().map_err(|_| lines.fault(format!("{} is no such number", excerpt(line.as_bytes()))))
+    line.parse()
+        .map_err(|_| lines.fault(format!("{} is not a valid number", excerpt(line.as_bytes()))))
 }
 
 /// The box that three lines describe under `BOX BOUNDS` and these words.
@@ -190,7 +192,8 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
         let line = lines.line()?.unwrap_or_default();
         let numbers = line.split_ascii_whitespace().map(|word| word.parse::<f64>().ok());
         let row = numbers.collect::<Option<Vec<_>>>();
-        let fault = || lines.fault(format!("{} are no bounds of a box", excerpt(line.as_bytes())));
+        let fault =
+            || lines.fault(format!("{} are not valid bounds of a box", excerpt(line.as_bytes())));
         rows.push(row.filter(|row| (2..=4).contains(&row.len())).ok_or_else(fault)?);
     }
     Ok(match (words, &rows[0][..], &rows[1][..], &rows[2][..]) {

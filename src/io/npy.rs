@@ -102,7 +102,7 @@ impl Header {
             1 => cursor.u16("the header's length")?.into(),
             2 | 3 => cursor.u32("the header's length")?.into(),
             _ => {
-                let what = format!("version {version} of .npy; versions 1 to 3 are known");
+                let what = format!("version {version} of .npy; versions 1 to 3 are supported");
                 return Err(ReadFault::Unsupported(what));
             }
         };
@@ -178,15 +178,17 @@ impl Header {
     /// Says that the elements are no positions, and what would be.
     fn no_numbers(&self) -> ReadFault {
         ReadFault::Unsupported(match self.is_pickled() {
-            true => "pickled objects of Python, which are not read; save an array of numbers, of \
+            true => "pickled Python objects are not supported; save an array of numbers with \
                      shape (N, 3)"
                 .to_owned(),
-            false if self.descr == STRUCTURE => "elements of a structure whose members are \
-                                                 structures or objects, which are not read; save \
-                                                 an array of numbers, of shape (N, 3)"
-                .to_owned(),
+            false if self.descr == STRUCTURE => {
+                "nested structures and objects are not supported; save an array \
+                               of numbers with shape (N, 3)"
+                    .to_owned()
+            }
             false => format!(
-                "elements {}; positions are read from float16, float32 and float64 (.astype(np.float32))",
+                "elements {}; positions must be float16, float32 or float64 \
+                 (.astype(np.float32))",
                 self.descr
             ),
         })
@@ -202,7 +204,7 @@ impl Header {
                     fields.map(|field| format!("{} {}", field.name, shown(&field.shape))).collect();
                 let fields = fields.join(", ");
                 return ReadFault::Unsupported(format!(
-                    "a structured array without x, y and z or pos; its fields are: {fields}"
+                    "a structured array without fields x, y and z, or pos; its fields: {fields}"
                 ));
             }
             [_, 2] => "add a column of zeros: np.pad(a, ((0, 0), (0, 1)))",
@@ -212,8 +214,8 @@ impl Header {
         };
         let shape = shown(&self.shape);
         ReadFault::Unsupported(format!(
-            "an array of shape {shape}; particles are (N, 3), (3, N) or in frames (T, N, 3): \
-             {remedy}"
+            "an array of shape {shape}; particles must be (N, 3), (3, N) or, for frames, (T, N, \
+             3): {remedy}"
         ))
     }
 
@@ -375,7 +377,7 @@ fn shape(shape: &str, at: usize) -> Result<Vec<u64>, ReadFault> {
     let (inside, _) = inside.ok_or_else(|| malformed(at, "'shape' is not a tuple"))?;
     let sizes = inside.split(',').map(|size| size.trim().trim_end_matches('L'));
     let number = |size: &str| {
-        size.parse().map_err(|_| malformed(at, format!("{size} is no size of an array")))
+        size.parse().map_err(|_| malformed(at, format!("{size} is not a valid array size")))
     };
     sizes.filter(|size| !size.is_empty()).map(number).collect()
 }

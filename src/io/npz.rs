@@ -148,13 +148,13 @@ fn no_position(arrays: &[Array], contents: &Contents) -> ReadFault {
     let pickled = arrays.iter().filter(|array| array.header.is_pickled());
     let pickled: Vec<_> = pickled.map(|array| array.name.clone()).collect();
     let mut what = format!(
-        "no array of positions; save it as pos, of shape (N, 3). Arrays of numbers: {numbers}"
+        "no array of positions; save it as pos, with shape (N, 3). Arrays of numbers: {numbers}"
     );
     if !pickled.is_empty() {
         let is_pysph = ["particles", "solver_data"].iter().all(|n| pickled.iter().any(|p| p == n));
-        what += &format!(". Pickled objects of Python, which are not read: {}", list(pickled));
+        what += &format!(". Pickled Python objects, which are not supported: {}", list(pickled));
         if is_pysph {
-            what += ". It is of PySPH, which writes HDF5 where h5py is installed; \
+            what += ". This is a PySPH file. PySPH writes HDF5 if h5py is installed; \
                      pysph.solver.output.dump with a name that ends in .hdf5 converts it";
         }
     }
@@ -225,7 +225,7 @@ fn unpack(
     let total = needed().fold(0u64, |sum, (_, array)| sum.saturating_add(array.bytes));
     if !in_place && total > unpacked_limit(bytes.view().len() as u64) {
         return Err(ReadFault::Compression(format!(
-            "it unpacks to {total} bytes, more than is reasonable"
+            "decompresses to {total} bytes, too many for its size"
         )));
     }
     let mut archive = archive(bytes)?;

@@ -104,7 +104,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
             word if word.is_empty() || word[0] == b'#' || IGNORED.contains(&word) => {}
             word => {
                 let shown = String::from_utf8_lossy(&word[..word.len().min(40)]);
-                return Err(scan.fault(at, format!("{shown:?} starts no line of an .obj file")));
+                return Err(scan.fault(at, format!("{shown:?} does not begin a valid .obj line")));
             }
         }
         if !scan.skip_line() {
@@ -145,7 +145,7 @@ impl Reading {
             let corner = self.corner(word).map_err(|what| scan.fault(at, what))?;
             let corner = u32::try_from(corner).map_err(|_| {
                 ReadFault::Unsupported(format!(
-                    "vertex {corner} is used; a mesh has less than 2^32"
+                    "a face refers to vertex {corner}; a mesh has less than 2^32"
                 ))
             })?;
             self.corners.push(corner);
@@ -188,7 +188,7 @@ fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
     let shown = || String::from_utf8_lossy(&number[..number.len().min(40)]).into_owned();
     let parsed: Option<i64> =
         std::str::from_utf8(number).ok().and_then(|number| number.parse().ok());
-    let parsed = parsed.ok_or_else(|| format!("{:?} is no number of a {what}", shown()))?;
+    let parsed = parsed.ok_or_else(|| format!("{:?} is not the number of a {what}", shown()))?;
     let distance = usize::try_from(parsed.unsigned_abs()).unwrap_or(usize::MAX);
     let index = if parsed < 0 { count.checked_sub(distance) } else { distance.checked_sub(1) };
     index

@@ -198,11 +198,10 @@ impl MeshFormat {
         vertices <= most_vertices && triangles <= most_triangles
     }
 
-    /// Makes sure that the format can number so many vertices and triangles.
+    /// Checks that the format can store this number of vertices and triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if not, which says what it can, and which formats can number
-    /// these.
+    /// [`io::ErrorKind::InvalidInput`] if not, with the limit, and the formats that can.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());
@@ -215,8 +214,8 @@ impl MeshFormat {
         let able = Self::ALL.into_iter().filter(|format| format.can_number(vertices, triangles));
         let able: Vec<_> = able.map(|format| format.to_string()).collect();
         let what = format!(
-            "{vertices} vertices and {triangles} triangles are too many for {self}, which numbers at most {}; \
-             write {}",
+            "{vertices} vertices and {triangles} triangles are too many for {self}, which \
+             stores at most {}; write {}",
             limits.join(" and "),
             able.join(" or "),
         );
@@ -267,9 +266,8 @@ impl MeshFormat {
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc => {
-                let what = format!(
-                    "{self} meshes are written and not read; convert the particles to .ply as well"
-                );
+                let what =
+                    format!("cannot read {self} meshes; convert the particles to .ply as well");
                 Err(ReadFault::Unsupported(what))
             }
         }
@@ -342,7 +340,7 @@ fn read_hdf(_: Bytes) -> Result<Mesh, ReadFault> {
 fn several_files() -> io::Error {
     io::Error::new(
         io::ErrorKind::InvalidInput,
-        "a .pvtp names other files, which lie in a folder beside it",
+        "a .pvtp needs a folder of pieces beside it; write another format",
     )
 }
 

@@ -97,7 +97,7 @@ mod tests {
 
     use super::*;
 
-    /// Writes a file whose time is so many seconds.
+    /// Writes a file with a modification time in seconds.
     fn write(path: PathBuf, bytes: &[u8], seconds: u64) -> PathBuf {
         fs::write(&path, bytes).unwrap();
         File::options()

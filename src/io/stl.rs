@@ -70,8 +70,8 @@ pub fn write_mesh(
     })
 }
 
-/// How many vertices have the place of another in f32: whoever joins equal corners finds that the
-/// surface touches itself there.
+/// Number of vertices with the f32 position of another. The surface touches itself there in
+/// programs that join equal corners.
 ///
 /// # Errors
 /// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
@@ -206,7 +206,9 @@ fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     let mut triangle = Vec::with_capacity(3);
     for position in corners {
         let next = u32::try_from(mesh.positions.len()).map_err(|_| {
-            ReadFault::Unsupported("2^32 different corners are more than a mesh has".to_owned())
+            ReadFault::Unsupported(
+                "2^32 different corners are more than a mesh can have".to_owned(),
+            )
         })?;
         let vertex = *known.entry(position.map(f64::to_bits)).or_insert(next);
         if vertex == next {

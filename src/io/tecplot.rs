@@ -116,7 +116,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let repeated = repeated_position(&names).map(str::to_owned);
     let Some(columns) = Named::of(names) else {
         let what = match repeated {
-            Some(name) => format!("several VARIABLES are called {name:?}"),
+            Some(name) => format!("several VARIABLES are named {name:?}"),
             None => format!("no VARIABLES x, y and z among {shown:?}"),
         };
         return Err(ReadFault::Line { line: lines_above.max(1), what });
@@ -145,7 +145,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     let points = match zone.points {
         [None, None, None] if count.is_multiple_of(width) => count / width,
         [None, None, None] => {
-            return wrong(format!("{count} values, not as many for each of {width} variables"));
+            return wrong(format!("{count} values cannot be divided among {width} variables"));
         }
         points => {
             let product = points.iter().flatten().try_fold(1_usize, |all, n| all.checked_mul(*n));
@@ -155,7 +155,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
                     let sizes: Vec<_> = points.iter().flatten().map(usize::to_string).collect();
                     let points = sizes.join(" x ");
                     return wrong(format!(
-                        "{count} values, where {points} points of {width} variables are announced"
+                        "{count} values, but {points} points of {width} variables are announced"
                     ));
                 }
             }
@@ -222,7 +222,7 @@ impl Zone {
                 return if rest.is_empty() {
                     Ok(())
                 } else {
-                    Err(format!("{} is not what a zone says", excerpt(rest.as_bytes())))
+                    Err(format!("{} is not a valid zone property", excerpt(rest.as_bytes())))
                 };
             };
             let after = after.trim_start();
@@ -241,14 +241,16 @@ impl Zone {
         match (key, &*upper) {
             ("I" | "J" | "K", _) => {
                 let axis = usize::from(key.as_bytes()[0] - b'I');
-                let points = value.parse().map_err(|_| format!("{key}={value} is no number"))?;
+                let points = value.parse().map_err(|_| format!("{key}={value} is not a number"))?;
                 self.points[axis] = Some(points);
             }
             ("F" | "DATAPACKING", "POINT") => self.packing = Some(Packing::Point),
             ("F" | "DATAPACKING", "BLOCK") => self.packing = Some(Packing::Block),
             ("ZONETYPE", "ORDERED") => {}
             ("F" | "DATAPACKING" | "ZONETYPE" | "N" | "NODES" | "E" | "ELEMENTS", _) => {
-                return Err(format!("a zone with {key}={value}: only zones of points are read"));
+                return Err(format!(
+                    "a zone with {key}={value}: only zones of points are supported"
+                ));
             }
             ("VARLOCATION" | "VARSHARELIST" | "PASSIVEVARLIST", _) => {
                 return Err(format!(
@@ -329,7 +331,7 @@ fn decode(
         let (piece, lines) = piece.map_err(|(line, word)| {
             let what = match &*word.to_ascii_uppercase() {
                 repeated if repeated.contains(&b'*') && f64::of(repeated).is_none() => {
-                    format!("{}: repeated values are not read", excerpt(&word))
+                    format!("{}: repeated values are not supported", excerpt(&word))
                 }
                 _ => format!("{} is not a number", excerpt(&word)),
             };

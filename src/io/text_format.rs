@@ -54,7 +54,7 @@ impl TextFormat {
     fn of(bytes: View, hint: TextHint) -> Result<Self, ReadFault> {
         let head = bytes.read(0..bytes.len().min(SNIFFED))?;
         if is_text(&head) && head.contains(&b'\r') && !head.contains(&b'\n') {
-            let what = "its lines end in CR alone, as on old Macs; convert their ends to LF";
+            let what = "lines end in CR only, as on old Macs; convert them to LF";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
         if hint.may_be_raw() && !is_text(&head) {
@@ -149,7 +149,7 @@ impl Frames {
         self.check(view)?;
         match (step, &*self.all) {
             (Some(step), _) => Err(no_step(step)),
-            (None, []) => Err(ReadFault::Unsupported("it holds no frame".to_owned())),
+            (None, []) => Err(ReadFault::Unsupported("contains no frame".to_owned())),
             (None, [(_, only)]) => Ok(*only),
             (None, _) => {
                 let numbers = self.numbers();
@@ -223,9 +223,9 @@ pub fn read_particles(
             let place = frames.find(view, step)?;
             xyz::read(bytes, place, wanted, unpacking)
         }
-        (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => {
-            Err(ReadFault::Unsupported(format!("it holds one frame, and no step {step}")))
-        }
+        (TextFormat::Tecplot | TextFormat::Raw | TextFormat::Table, Some(step)) => Err(
+            ReadFault::Unsupported(format!("contains a single frame, so there is no step {step}")),
+        ),
         (TextFormat::Tecplot, None) => tecplot::read(bytes, unpacking),
         (TextFormat::Raw, None) => xyz::read_raw(bytes),
         (TextFormat::Table, None) => {

@@ -1,8 +1,8 @@
-//! The axis that points up, in files whose format has no place for it: a comment or a title says so.
+//! The axis that points up, in files whose format cannot store it: in a comment or a title.
 //!
-//! Only z is said: without a word, y points up, as most programs expect. `.ply`, `.obj`, `.vtk`,
-//! `.vtp`, `.pvtp` and `.stl` have comments or titles; the listing beside the frames of a simulation
-//! says it of all formats.
+//! Only z is recorded; without a record y points up, as most programs expect. `.ply`, `.obj`,
+//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles; the listing of a simulation records
+//! it for all formats.
 
 use std::fs::File;
 use std::io::Read;

@@ -100,7 +100,7 @@ pub(super) struct Triangles {
 }
 
 impl Triangles {
-    /// Starts without triangles, for a mesh with so many vertices.
+    /// An empty list of triangles for a mesh with `vertices`.
     pub fn new(vertices: usize) -> Result<Self, ReadFault> {
         if u32::try_from(vertices).is_err() {
             return Err(ReadFault::Unsupported(format!(
@@ -135,7 +135,7 @@ impl Triangles {
         match corners.iter().find(|&&i| i < 0 || i as u64 >= self.vertices as u64) {
             Some(i) => Err(malformed(
                 at,
-                format!("face {face} names vertex {i}, the file has {}", self.vertices),
+                format!("face {face} refers to vertex {i}, but the file has {}", self.vertices),
             )),
             None => Ok(()),
         }

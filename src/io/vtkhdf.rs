@@ -285,7 +285,7 @@ impl Messages {
     }
 }
 
-/// Size of so many bytes with those that fill them up to a multiple of eight.
+/// `bytes` rounded up to a multiple of eight.
 fn padded(bytes: u64) -> u64 {
     bytes.next_multiple_of(8)
 }

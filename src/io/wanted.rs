@@ -51,7 +51,7 @@ impl WantedPieces<'_> {
         }
     }
 
-    /// The number of pieces that are wanted of so many.
+    /// The number of wanted pieces, out of `all`.
     pub fn of(&self, all: usize) -> usize {
         match self {
             Self::All => all,
@@ -83,8 +83,8 @@ impl WantedAttributes<'_> {
         is_kind(name) || conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
-    /// Tells for each of an input's attributes whether it is to be read. All are, where one that is
-    /// wanted is not there: whoever wants it will say what is.
+    /// Whether each of an input's attributes is to be read. All are if a wanted one is missing, so
+    /// that the error can list them.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let Self::Only { .. } = self else { return vec![true; infos.len()] };
         let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_kind(name);
@@ -143,8 +143,8 @@ impl ParticleFile {
                 if self.texts.iter().any(|text| text.eq_ignore_ascii_case(&name)) =>
             {
                 ReadFault::Unsupported(format!(
-                    "particles are selected by {name:?}, an array of text, which is not read from \
-                     this format; store a number for each text"
+                    "cannot select particles by {name:?}: text arrays are not supported in this \
+                     format; store numbers instead"
                 ))
             }
             SelectionFault::NoAttribute { name, mut known } => {

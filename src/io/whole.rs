@@ -307,9 +307,8 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
 /// # Errors
 /// The system's refusal, of which the kind and the words are kept.
 pub fn make_folder(folder: &Path) -> io::Result<()> {
-    fs::create_dir_all(folder).map_err(|fault| {
-        io::Error::new(fault.kind(), format!("the folder cannot be made: {fault}"))
-    })
+    fs::create_dir_all(folder)
+        .map_err(|fault| io::Error::new(fault.kind(), format!("cannot create the folder: {fault}")))
 }
 
 /// In the same folder, so that it can be moved there in one step; with the permissions of any new
@@ -322,13 +321,13 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
         // The system would name the temporary file, of which nobody has heard.
         let refused = |fault: io::Error| match fault.kind() {
             kind @ io::ErrorKind::NotFound if !folder.exists() => {
-                io::Error::new(kind, format!("there is no folder {}", folder.display()))
+                io::Error::new(kind, format!("the folder {} does not exist", folder.display()))
             }
             kind => {
                 let why = fault.raw_os_error().map_or(fault, io::Error::from_raw_os_error);
                 io::Error::new(
                     kind,
-                    format!("no file can be made in the folder {}: {why}", folder.display()),
+                    format!("cannot create a file in the folder {}: {why}", folder.display()),
                 )
             }
         };

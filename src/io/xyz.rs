@@ -29,11 +29,14 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let bytes = source.count();
     let rest = bytes % TRIPLE;
     if rest > 0 {
-        let what = format!("{rest} bytes are left over; raw f32 positions take {TRIPLE} each");
+        let what = format!(
+            "{rest} extra bytes at the end; raw f32 positions have {TRIPLE} \
+                            bytes each"
+        );
         return Err(malformed(bytes - rest, what));
     }
     if bytes.is_multiple_of(2 * TRIPLE) && source.with(0..bytes.min(SAMPLED), are_f64) {
-        let what = "its numbers are plausible as f64 and not as f32, of which a raw .xyz consists";
+        let what = "its numbers look like f64, but a raw .xyz contains f32; convert them";
         return Err(ReadFault::Unsupported(what.to_owned()));
     }
     let rows = Rows::All(bytes / TRIPLE);
@@ -175,7 +178,7 @@ impl Frame {
                     let names = names_in(&comment);
                     let named = names.len() == columns.names.len();
                     if let Some(name) = repeated_position(&names).filter(|_| named) {
-                        let what = format!("several columns are called {name:?}");
+                        let what = format!("several columns are named {name:?}");
                         return Err(ReadFault::Line { line: lines_above, what });
                     }
                     (syntax, named.then(|| Named::of(names)).flatten().unwrap_or(columns))

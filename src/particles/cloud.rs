@@ -1,8 +1,8 @@
-//! Particles in memory with attributes, borrowed from wherever a simulator keeps them.
+//! Particles in memory with attributes, borrowed from a simulator.
 
 use super::{AttributeInfo, Particles};
 
-/// Positions and attributes of particles, borrowed.
+/// Borrowed positions and attributes of particles.
 ///
 /// ```
 /// use meniscus::{Cloud, Reconstruction};
@@ -61,7 +61,7 @@ impl<'a, P: Particles + ?Sized> Cloud<'a, P> {
     /// Adds an attribute with a value for each particle.
     ///
     /// # Panics
-    /// If there are not as many values as particles, or values of no numbers.
+    /// If the number of values differs from that of particles, or values have no components.
     #[must_use]
     pub fn with<V: AttributeValue>(mut self, name: impl Into<String>, values: &'a [V]) -> Self {
         let (name, particles) = (name.into(), self.positions.len());

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Conditions that particles have to satisfy, all of them.
+/// Conditions that particles must satisfy, all of them.
 ///
 /// Written as `NAME=VALUE`, with `=`, `!=`, `<`, `<=`, `>` or `>=`, and joined by `and`. Several
 /// values of `=` are alternatives: `mk=0,2`. A component of a vector is `velocity.y` or
@@ -17,11 +17,11 @@ pub struct Where(Vec<Condition>);
 /// A condition on one attribute.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Condition {
-    /// The name of the attribute, with a component or without.
+    /// The name of the attribute, with or without a component.
     pub name: String,
     /// The comparison of its value.
     pub comparison: Comparison,
-    /// The values that it is compared with: one, or alternatives.
+    /// The values to compare with: one, or alternatives.
     pub values: Vec<String>,
 }
 
@@ -49,20 +49,20 @@ const WRITTEN: [(&str, Comparison); 7] = [
 ];
 
 impl Condition {
-    /// Whether it is on the type of particles, of an input that holds several.
+    /// Whether the condition selects a type of particles.
     pub(crate) fn is_of_type(&self) -> bool {
         self.name == "type"
     }
 }
 
 impl Comparison {
-    /// Whether it asks which value is larger.
+    /// Whether the comparison depends on order.
     #[must_use]
     pub fn is_of_order(self) -> bool {
         !matches!(self, Self::Equal | Self::NotEqual)
     }
 
-    /// Whether it holds between a stored number and one of some values.
+    /// Whether the comparison holds between a stored number and one of the values.
     ///
     /// A number that is stored in f32 equals the decimal that it was rounded from. NaN differs from
     /// everything.
@@ -89,7 +89,7 @@ impl Where {
         &self.0
     }
 
-    /// The type of particles that is meant, of an input that holds several.
+    /// The selected type of particles, if any.
     pub(crate) fn particle_type(several: &[Self]) -> Option<&str> {
         let is_it = |condition: &&Condition| {
             condition.is_of_type() && condition.comparison == Comparison::Equal
@@ -101,7 +101,7 @@ impl Where {
         }
     }
 
-    /// All conditions of several.
+    /// The conjunction of several.
     #[must_use]
     pub fn joined(several: &[Self]) -> Option<Self> {
         let all: Vec<_> = several.iter().flat_map(|some| some.0.iter().cloned()).collect();
@@ -157,8 +157,9 @@ impl FromStr for Condition {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected =
-            || format!("expected a condition as Type=1, mk=0,2 or age<2.5, got {:?}", text.trim());
+        let expected = || {
+            format!("expected a condition such as Type=1, mk=0,2 or age<2.5, got {:?}", text.trim())
+        };
         let length = |text: &str| {
             WRITTEN.iter().find(|(written, _)| text.starts_with(written)).map(|(w, _)| w.len())
         };
@@ -205,7 +206,7 @@ impl From<Where> for String {
     }
 }
 
-/// A name or a value as it has to be written.
+/// A name or a value, quoted if necessary.
 fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "_.-+[]:/".contains(c);
     let quote = if text.contains('"') { '\'' } else { '"' };

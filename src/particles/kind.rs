@@ -34,7 +34,7 @@ pub enum AttributeKind {
 pub enum KindFault {
     /// A whole number that a mesh cannot carry.
     #[error(
-        "attribute {name} has the value {value}; the mesh carries it as whole numbers from {} to \
+        "attribute {name} has the value {value}, but the mesh stores it as integers from {} to \
          {}. Store the attribute as floating-point numbers, or leave it out",
         limits[0],
         limits[1]
@@ -49,9 +49,9 @@ pub enum KindFault {
     },
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
-        "colour {name} has the value {greatest} and looks like bytes from 0 to 255; the frame that \
-         all frames are measured on has colours from 0 to 1. Store colours alike in all frames, \
-         start the sequence at a frame with bright colours, or leave the attribute out"
+        "colour {name} has the value {greatest} and looks like bytes from 0 to 255, but the \
+         calibration frame has colours from 0 to 1. Store colours in the same way in all \
+         frames, start the sequence at a frame with bright colours, or leave the attribute out"
     )]
     Scale {
         /// The name of the attribute.
@@ -223,7 +223,7 @@ pub fn settled_for_all(
     settled.collect()
 }
 
-/// Attributes with the kinds that are known of them, where no value tells.
+/// Attributes with their known kinds, where no value determines them.
 #[must_use]
 pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<AttributeInfo> {
     for info in &mut infos {

@@ -14,9 +14,9 @@ use rayon::prelude::*;
 
 use crate::particles::Particles;
 
-/// A lattice has as many particles in a cell, along an axis, as divide its edge: so many are tried.
+/// Maximum number of lattice particles per cell along an axis that is tried.
 const DIVISIONS: u32 = 4;
-/// Places in a lattice's step that are told apart.
+/// Number of distinguished places in a lattice's step.
 const PLACES: usize = 256;
 /// The place of theta = 0.445: 0.277 from the middle along each axis.
 const SOUND: f64 = 57.0;

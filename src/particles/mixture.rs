@@ -1,4 +1,4 @@
-//! Fluid and boundary among the same particles, told apart by an attribute.
+//! Fluid and boundary among the same particles, distinguished by an attribute.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::occurring::{Source, Value, values_of};
 use super::{Particles, chunks};
 
-/// Names of attributes that tell what a particle is made of, in lower case and without `_`.
+/// Names of attributes for the material of a particle, in lower case and without `_`.
 const KINDS: [&str; 26] = [
     "type",
     "ptype",
@@ -48,7 +48,7 @@ const IN_CELL: f64 = 8.0;
 /// Share of a boundary that may be within the fluid.
 const WITHIN: f64 = 0.02;
 
-/// Whether an attribute's name says that it tells what a particle is made of.
+/// Whether an attribute's name means the material of a particle.
 pub fn is_kind(name: &str) -> bool {
     let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
     KINDS.contains(&plain.to_ascii_lowercase().as_str())
@@ -57,7 +57,7 @@ pub fn is_kind(name: &str) -> bool {
 /// Particles that lie around others as a boundary lies around a fluid.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Mixture {
-    /// The attribute that tells them apart.
+    /// The attribute that distinguishes them.
     pub attribute: String,
     /// The attribute's value on the boundary, and the number of particles there.
     pub boundary: (Value, usize),

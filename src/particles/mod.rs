@@ -1,4 +1,5 @@
-//! The interface to particles: read by range, from several threads, as often as the pipeline likes.
+//! The interface to particles: the pipeline reads ranges of them, from several threads and
+//! repeatedly.
 
 mod cloud;
 pub mod condition;
@@ -26,7 +27,7 @@ pub use metered::Metered;
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct AttributeInfo {
-    /// The name of the attribute, as the file spells it.
+    /// The name of the attribute in the file.
     pub name: String,
     /// Numbers per particle.
     pub components: usize,
@@ -35,17 +36,17 @@ pub struct AttributeInfo {
     pub kind: AttributeKind,
 }
 
-/// A text that every particle carries, one of a few.
+/// A text attribute with few different values.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Label {
-    /// The name of the label, as the file spells it.
+    /// The name of the label in the file.
     pub name: String,
     /// The texts that occur.
     pub texts: Vec<String>,
 }
 
 impl AttributeInfo {
-    /// An attribute of floating-point numbers: a colour if it is called so, else plain numbers.
+    /// An attribute of floating-point numbers: a colour if its name says so, else plain numbers.
     #[must_use]
     pub fn new(name: impl Into<String>, components: usize) -> Self {
         let name = name.into();
@@ -53,34 +54,34 @@ impl AttributeInfo {
         Self { name, components, kind }
     }
 
-    /// Whether it is the velocity of a mesh's vertices, which is always called so.
+    /// Whether this is the velocity of a mesh's vertices, which always has this name.
     #[must_use]
     pub fn is_velocity(&self) -> bool {
         self.name == "velocity" && self.components == 3
     }
 }
 
-/// Particles that could not be read again as they were.
+/// Particles that could not be read again without a change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum Unread {
-    /// The file of the particles was written to meanwhile.
-    #[error("it has changed while it was read")]
+    /// The file of the particles was changed meanwhile.
+    #[error("changed while it was read")]
     Changed,
-    /// The system's refusal to read their file.
+    /// The system's error when reading their file.
     #[error("{0}")]
     Io(io::ErrorKind),
 }
 
 /// Particles, held in memory or in a file.
 ///
-/// The order is the file's, and an index names a particle in error messages. Values are handed out
-/// as stored: they may be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
+/// Particles are in the order of the file, and error messages use their index. Values are returned
+/// as stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]`
 /// are particles without attributes; a [`Cloud`] adds some.
 pub trait Particles: Sync {
     /// Number of particles.
     fn len(&self) -> usize;
 
-    /// Whether there is none.
+    /// Whether there are no particles.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -91,21 +92,21 @@ pub trait Particles: Sync {
     /// If `first + out.len()` exceeds [`len`](Self::len).
     fn positions(&self, first: usize, out: &mut [[f64; 3]]);
 
-    /// Makes sure, after they were read, that all that was read is what they are.
+    /// Checks, after reading, that the particles did not change meanwhile.
     ///
     /// # Errors
-    /// [`Unread`], for particles of a file: what was read of it is worth nothing.
+    /// [`Unread`], for particles of a file that changed: discard what was read.
     fn check(&self) -> Result<(), Unread> {
         Ok(())
     }
 
-    /// Bytes of memory that the particles occupy as long as they are there.
+    /// Bytes of memory that the particles occupy.
     fn resident_bytes(&self) -> u64 {
         0
     }
 
-    /// Says that the particles of a range will not be read soon: a mapped scratch file can give its
-    /// pages back.
+    /// Hints that a range will not be read soon, so that a mapped scratch file can release its
+    /// pages.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }
@@ -141,7 +142,7 @@ pub trait Particles: Sync {
     }
 
     /// Fills `out` with one component of an attribute, both by their numbers, of the particles from
-    /// `first` on: as stored, where that is more exact than [`attribute`](Self::attribute).
+    /// `first` on, as stored if that is more exact than [`attribute`](Self::attribute).
     ///
     /// # Panics
     /// If the range exceeds the particles or there is no such attribute.
@@ -154,8 +155,8 @@ pub trait Particles: Sync {
         }
     }
 
-    /// Fills `out` as [`attribute`](Self::attribute) does, with whole numbers that f32 need not
-    /// hold. Greater ones than an i64 holds become the greatest.
+    /// Like [`attribute`](Self::attribute), for integers that f32 cannot represent. Values beyond
+    /// i64 become the greatest i64.
     ///
     /// # Panics
     /// As [`attribute`](Self::attribute).
@@ -213,8 +214,8 @@ where
     }
 }
 
-/// Positions among other numbers, such as the fields of a caller's own structures: x, y and z side
-/// by side, particle after particle at equal distances.
+/// Positions among other numbers, such as in an array of structures: x, y and z are adjacent, and
+/// particles have equal distances.
 #[derive(Debug, Clone, Copy)]
 pub struct StridedPositions<'a, T> {
     numbers: &'a [T],
@@ -222,8 +223,8 @@ pub struct StridedPositions<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
-    /// Takes x, y and z from every `stride` numbers of f32 or f64, from number `first` on: both
-    /// count numbers, not bytes. `None` where the stride is less than 3.
+    /// Positions with x, y and z in every `stride` numbers, beginning with number `first`. Both
+    /// count numbers, not bytes. `None` if the stride is less than 3.
     ///
     /// ```
     /// use meniscus::{Particles, StridedPositions};
@@ -270,9 +271,9 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
 }
 
-/// The number of the attribute of this name. `velocity` is whatever the particles call so, and a
-/// name of a colour, or of a share such as `red`, finds the colour that they have. Any other name
-/// also finds the only attribute that differs from it in case alone.
+/// The number of the attribute with this name. `velocity` finds the velocity under any usual name,
+/// and a name of a colour, or of a component such as `red`, finds the colour. Any other name also
+/// finds the only attribute that differs from it only in case.
 #[must_use]
 pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usize> {
     let named = attributes.iter().position(|info| info.name == name);
@@ -286,8 +287,8 @@ pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usiz
     named.or_else(velocity).or_else(alike).or_else(colour)
 }
 
-/// The attributes on the mesh: velocity under the name that other programs read, others under their
-/// own.
+/// The attributes on the mesh: the velocity under the name that other programs read, others under
+/// their own.
 pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);
@@ -302,14 +303,14 @@ pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<Att
     carried.iter().map(name).collect()
 }
 
-/// Where particles are.
+/// Bounding box of particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     /// Least coordinates.
     pub lo: DVec3,
     /// Greatest coordinates.
     pub hi: DVec3,
-    /// Particles whose coordinates are all finite; the others do not count.
+    /// Number of particles with finite coordinates; the others are ignored.
     pub finite: usize,
 }
 
@@ -371,7 +372,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
     })
 }
 
-/// The box around all finite positions; `None` where there is no such.
+/// The bounding box of all finite positions; `None` if there is none.
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
     let of_chunk = |range: Range<usize>| {
         let mut positions = vec![[0.0; 3]; range.len()];
@@ -385,8 +386,8 @@ pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
 /// Particles that are looked at together.
 pub(crate) const CHUNK: usize = 1 << 12;
 
-/// Looks at all particles on all threads, some thousands at once, which `look` takes by their range;
-/// a mapped file gives its pages back after it.
+/// Calls `look` with ranges of some thousands of particles, on all threads. A mapped file releases
+/// its pages afterwards.
 pub fn chunks<T: Send>(
     particles: &(impl Particles + ?Sized),
     look: impl Fn(Range<usize>) -> T + Send + Sync,
@@ -400,7 +401,7 @@ pub fn chunks<T: Send>(
     })
 }
 
-/// All finite positions, some thousands at once.
+/// All finite positions, in batches of some thousands.
 pub fn finite_chunks(
     particles: &(impl Particles + ?Sized),
 ) -> impl IndexedParallelIterator<Item = Vec<[f64; 3]>> {

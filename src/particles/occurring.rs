@@ -53,7 +53,7 @@ pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<Occurring> {
     found.collect()
 }
 
-/// The number of every particle that tells it apart from others.
+/// The value of every particle by which it is distinguished.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Source {
     /// An attribute of one number.

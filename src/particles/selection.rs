@@ -18,7 +18,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
     #[error(
-        "cannot select particles by {name:?}: there is no such attribute; the attributes are: {}",
+        "cannot select particles by {name:?}: there is no such attribute; available: {}",
         listed(known)
     )]
     NoAttribute {
@@ -50,7 +50,8 @@ pub enum SelectionFault {
     },
     /// A text of which larger and smaller are asked.
     #[error(
-        "cannot select particles by {name:?}: its values are texts, which only = and != compare"
+        "cannot select particles by {name:?}: its values are texts, which can only be compared \
+         by = and !="
     )]
     Order {
         /// The name in the condition.

@@ -31,7 +31,7 @@ impl Sieve {
         Self { words, before, count }
     }
 
-    /// Words in which no bit is set, for so many rows.
+    /// Words without set bits, for `rows` rows.
     pub fn none(rows: usize) -> Vec<u64> {
         vec![0; rows.div_ceil(WORD)]
     }

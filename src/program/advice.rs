@@ -1,5 +1,5 @@
-//! Errors and warnings with the options that help: the library says what is wrong, and knows of no
-//! option.
+//! Advice for errors and warnings: the options that help. The library says what is wrong, but does
+//! not know the options.
 
 use bytesize::ByteSize;
 use meniscus::error::{
@@ -12,17 +12,17 @@ use meniscus::{
 
 use super::options::Options;
 
-/// Says an error, and what to do about it.
+/// Prints an error with advice.
 pub fn say_error(error: &Error) {
     super::notes::say(&format!("meniscus: {}", told(error)));
 }
 
-/// An error in words, and what to do about it.
+/// The text of an error with advice.
 pub fn told(error: &Error) -> String {
     in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))
 }
 
-/// An error about options, in their names.
+/// The text of an error that names options.
 fn in_options(error: &Error) -> Option<String> {
     Some(match error {
         Error::Unfit(_) | Error::Unit(_) => error.told(&|setting| format!("--{setting}")),
@@ -30,10 +30,10 @@ fn in_options(error: &Error) -> Option<String> {
             format!("--memory must be at least {}", ByteSize(*least))
         }
         Error::LittleMemory { least, simplifying: Some(1) } => {
-            format!("--simplify needs --memory of {}", ByteSize(*least))
+            format!("--simplify needs a --memory of at least {}", ByteSize(*least))
         }
         Error::LittleMemory { least, simplifying: Some(threads) } => format!(
-            "--simplify with {threads} threads needs --memory of {}; fewer --threads need less",
+            "--simplify with {threads} threads needs a --memory of at least {}; fewer --threads need less",
             ByteSize(*least)
         ),
         Error::Simulation(SimulationError::Rate { .. } | SimulationError::Wait(_)) => {
@@ -43,7 +43,7 @@ fn in_options(error: &Error) -> Option<String> {
             format!("{inputs}: --watch cannot follow the steps inside one file")
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
-            format!("there are no frames from --start {first} to --end {last}")
+            format!("--start {first} is after --end {last}")
         }
         Error::Simulation(SimulationError::NoneWanted(inputs)) => {
             format!("{inputs}: no frame matches --frames")
@@ -52,7 +52,7 @@ fn in_options(error: &Error) -> Option<String> {
     })
 }
 
-/// Whether a file could hold particles, if only its format were known.
+/// Whether a file of unknown extension is read as particles.
 fn is_of_unknown_particles(fault: &ReadFault) -> bool {
     matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
 }
@@ -60,25 +60,25 @@ fn is_of_unknown_particles(fault: &ReadFault) -> bool {
 fn advice(error: &Error) -> String {
     match error {
         Error::NoSpacing { why: Untold::SinglePrecision { .. }, .. } => {
-            "; store them in double precision, or nearer to the origin, or give --spacing"
+            "; store the coordinates in double precision or move them to the origin, or use --spacing"
         }
-        Error::NoSpacing { .. } => "; give --spacing, --radius or --cell-size",
+        Error::NoSpacing { .. } => "; use --spacing, --radius or --cell-size",
         Error::Write(error) => match error.fault {
             WriteFault::Exists => "; --overwrite replaces it",
             WriteFault::ExistsInSimulation => {
-                "; --resume goes on with the frames, --overwrite replaces them"
+                "; --resume keeps finished frames, --overwrite replaces them"
             }
             _ => "",
         },
         Error::Read(error) if is_of_unknown_particles(&error.fault) => {
-            "; --format names the format of particles"
+            "; use --format for particle files with another extension"
         }
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => {
-            "; --resume makes it again"
+            "; convert it again when it is complete (with --resume in a simulation)"
         }
-        Error::Simulation(SimulationError::State { .. }) => "; --overwrite begins anew",
+        Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         Error::Simulation(SimulationError::Settings { .. }) => {
-            "; --overwrite makes all frames anew"
+            "; use the old settings, or --overwrite to make all frames again"
         }
         Error::Frame {
             fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
@@ -86,13 +86,13 @@ fn advice(error: &Error) -> String {
         } => {
             return format!(": --origin {}", corner.map(|x| x.to_string()).join(","));
         }
-        Error::Parts(PartsError::NoPlan(_)) => "; --plan makes it",
+        Error::Parts(PartsError::NoPlan(_)) => "; run with --plan first",
         Error::Parts(
             PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. },
-        ) => "; --plan with --resume or --overwrite makes another",
-        Error::Parts(PartsError::Missing { .. }) => "; --part makes them",
+        ) => "; use --plan with --resume or --overwrite to replace the plan",
+        Error::Parts(PartsError::Missing { .. }) => "; make them with --part",
         Error::Parts(PartsError::Damaged { .. } | PartsError::Foreign(_)) => {
-            "; --part makes it again"
+            "; make it again with --part"
         }
         Error::Frame { fault, .. } => advice_on_frame(fault),
         _ => "",
@@ -102,38 +102,36 @@ fn advice(error: &Error) -> String {
 
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
-        FrameError::Unread(Unread::Changed) => "; convert it once it is written",
-        FrameError::Bin(BinError::NotFinite { .. }) => "; --skip-invalid leaves out such particles",
+        FrameError::Unread(Unread::Changed) => "; convert it when it is complete",
+        FrameError::Bin(BinError::NotFinite { .. }) => {
+            "; use --skip-invalid to leave out such particles"
+        }
         FrameError::Bin(BinError::TooFar { .. }) => {
             "; use a larger cell size, move --origin, or leave out such particles with --skip-invalid"
         }
-        FrameError::OverBudget(_) => "; or allow more with --memory",
+        FrameError::OverBudget(_) => " or a larger --memory",
         FrameError::TooFine(TooFine::Finest { .. }) => {
-            " (--cell 0.1 or more); is their --spacing right?"
+            " (--cell 0.1 or more); is the --spacing correct?"
         }
         FrameError::TooFine(TooFine::Symmetry { .. }) => {
             " (--cell of more than 0.5), or another --indicator"
         }
         FrameError::NoSurface { .. } => {
-            "; --indicator cloud keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller \
-             --sigma; is the --spacing right?"
+            "; use --indicator cloud, which keeps drops and sheets, or smaller cells, a lower --iso or a smaller \
+             --sigma; is the --spacing correct?"
         }
-        FrameError::NothingLeft(_) => {
-            "; a smaller --smallest-component or --smallest-drop leaves more"
-        }
-        FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing right?",
+        FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
+        FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing correct?",
         FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
         FrameError::WideAttributes { .. } => {
-            "; name those that are needed with --attributes, or allow more with --memory"
+            "; select fewer with --attributes, or use a larger --memory"
         }
-        FrameError::NoRoom { .. } => {
-            "; name another folder with --scratch, or allow more with --memory"
-        }
+        FrameError::NoRoom { .. } => "; use another folder with --scratch, or a larger --memory",
         _ => "",
     }
 }
 
-/// A doubt about a spacing in words, and what to do about it.
+/// The text of a doubt about a spacing, with advice.
 pub fn doubted(doubt: &Doubt) -> String {
     match doubt {
         Doubt::Contradicted { found, source: SpacingSource::Packed, .. } => {
@@ -150,20 +148,20 @@ pub fn doubted(doubt: &Doubt) -> String {
             format!("{doubt}; use --spacing {}", significant(*found, 3))
         }
         Doubt::SinglePrecision { .. } => {
-            format!("{doubt}; store them in double precision, or nearer to the origin")
+            format!("{doubt}; store them in double precision, or move them to the origin")
         }
         Doubt::Mixed(Mixture { attribute, fluid: (value, _), .. }) => {
             let values = vec![value.to_string()];
             let fluid =
                 Condition { name: attribute.clone(), comparison: Comparison::Equal, values };
-            format!("{doubt}; --where {} selects the fluid", shell_word(&fluid.to_string()))
+            format!("{doubt}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
-        Doubt::TwoResolutions { .. } => format!("{doubt}; --spacing says another"),
-        _ => format!("{doubt}; give --spacing if you know it"),
+        Doubt::TwoResolutions { .. } => format!("{doubt}; use --spacing to choose another"),
+        _ => format!("{doubt}; use --spacing if you know it"),
     }
 }
 
-/// A word as a shell takes it, in quotes where it needs them.
+/// A word for a shell, quoted if necessary.
 fn shell_word(text: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "_-.,=/:+".contains(c);
     if !text.is_empty() && text.chars().all(is_plain) {
@@ -172,22 +170,22 @@ fn shell_word(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
-/// The advice on particles that are in no surface.
+/// Advice for particles that are missing from the surface.
 fn on_lost(smoothed: bool) -> &'static str {
-    if smoothed { "--indicator cloud keeps drops" } else { "smaller cells keep more" }
+    if smoothed { "use --indicator cloud, which keeps drops" } else { "use smaller cells" }
 }
 
-/// A warning in words, and what to do about it, by what else was asked for.
+/// The text of a warning, with advice that suits the other options.
 pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
     match warning {
         Warning::Spacing(doubt) => doubted(doubt),
         Warning::Coincident { found, .. } if found.alone => {
-            format!("{warning}; --domain can leave them out")
+            format!("{warning}; use --domain to leave them out")
         }
-        Warning::Crowded { .. } => format!("{warning}: is their --spacing right?"),
+        Warning::Crowded { .. } => format!("{warning}: is the --spacing correct?"),
         Warning::OnCorners { origin, .. } => {
             let corner = origin.map(|x| x.to_string()).join(",");
-            format!("{warning}; --origin {corner} moves the grid off them")
+            format!("{warning}; use --origin {corner} to move the grid")
         }
         Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
         Warning::ThinSolid { .. } => {
@@ -198,13 +196,13 @@ pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
             format!("{warning}{}", on_shortfall(options, *clouds, *measured_on))
         }
         Warning::Empty { why: Emptiness::TooSmall(all), .. } => {
-            format!("all components are below {}: an empty mesh", limits(*all))
+            format!("the mesh is empty: all components are below {}", limits(*all))
         }
         _ => warning.to_string(),
     }
 }
 
-/// The advice on a surface that holds less than its particles.
+/// Advice for a surface that encloses too little.
 fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<i64>) -> String {
     let mut advice = String::new();
     if let Some(frame) = measured_on {
@@ -212,14 +210,14 @@ fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<i64
         advice += &format!("; {what} was measured on frame {frame}");
     }
     if options.is_some_and(|options| options.settings.isovalue().is_some()) {
-        advice += "; a lower --iso, or --iso auto, shows more";
+        advice += "; use a lower --iso, or --iso auto";
     } else if options.is_some_and(|options| options.settings.kernels().is_none()) && !clouds {
-        advice += "; --indicator cloud keeps drops and sheets that smoothing loses";
+        advice += "; use --indicator cloud, which keeps drops and sheets";
     }
-    advice + "; is their --spacing right?"
+    advice + "; is the --spacing correct?"
 }
 
-/// The options that left out all components of a surface.
+/// The options that left out all components.
 fn limits(too_small: TooSmall) -> &'static str {
     match (too_small.components, too_small.drops) {
         (_, 0) => "--smallest-component",
@@ -230,6 +228,11 @@ fn limits(too_small: TooSmall) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use std::io;
+    use std::path::PathBuf;
+
+    use meniscus::error::{ReadError, WriteError};
+
     use super::*;
 
     #[test]
@@ -242,5 +245,95 @@ mod tests {
         ] {
             assert_eq!(shell_word(text), word);
         }
+    }
+
+    fn path(text: &str) -> PathBuf {
+        text.into()
+    }
+
+    /// Errors for which there is advice, or which are told in the names of options.
+    fn errors() -> Vec<Error> {
+        let frame = |fault| Error::Frame { path: Some(path("f_1.vtk")), fault };
+        let spacing = |why| Error::NoSpacing { path: None, particles: 7, why, suggested: None };
+        let memory = |simplifying| Error::LittleMemory { least: 16 << 20, simplifying };
+        let write = |fault: WriteFault| WriteError::new("m.ply".as_ref(), fault).into();
+        let plan = || path("m.ply.meniscus-parts/plan.json");
+        let remedy = Remedy::Origin([0.5; 3]);
+        let steps = TooFine::Steps { cell_size: 0.1, plateau: 9.0, step_cells: 0.2, remedy };
+        let nothing_left = TooSmall { components: 1, drops: 0 };
+        vec![
+            memory(None),
+            memory(Some(1)),
+            memory(Some(4)),
+            SimulationError::Wait(-1.0).into(),
+            SimulationError::Steps("sim.h5part".into()).into(),
+            SimulationError::Range { first: 5, last: 3 }.into(),
+            SimulationError::NoneWanted("f_{}.vtk".into()).into(),
+            SimulationError::State { path: path("state.json"), what: "expected value".into() }
+                .into(),
+            SimulationError::Settings { path: path("state.json"), differing: "cell".into() }.into(),
+            spacing(Untold::TooFew),
+            spacing(Untold::SinglePrecision { step: 0.03 }),
+            write(WriteFault::Exists),
+            write(WriteFault::ExistsInSimulation),
+            ReadError::new("f.abc", ReadFault::UnknownExtension { known: ".bgeo, .csv" }).into(),
+            ReadError::new("f_1.vtk", ReadFault::Changed).into(),
+            frame(FrameError::TooFine(steps)),
+            frame(FrameError::TooFine(TooFine::Finest { cell_size: 0.001, spacing: 0.05 })),
+            frame(FrameError::TooFine(TooFine::Symmetry { cell_size: 0.02, spacing: 0.05 })),
+            frame(FrameError::Unread(Unread::Changed)),
+            frame(FrameError::Bin(BinError::NotFinite { index: 7, position: [f64::NAN; 3] })),
+            frame(FrameError::NoDistanceSurface),
+            frame(FrameError::NoKernelSurface),
+            frame(FrameError::NothingLeft(nothing_left)),
+            frame(FrameError::NoRoom { folder: path("/tmp"), needed: 1 << 30, free: 1 << 20 }),
+            frame(FrameError::WideAttributes { components: 300, needed: 1 << 30, budget: 1 << 20 }),
+            PartsError::NoPlan(plan()).into(),
+            PartsError::Settings { path: plan(), differing: "smooth".into() }.into(),
+            PartsError::Missing { folder: path("parts"), missing: vec![0, 2], of: 3 }.into(),
+            PartsError::Foreign(path("parts/part_3")).into(),
+            PartsError::Io { path: plan(), fault: io::ErrorKind::StorageFull.into() }.into(),
+        ]
+    }
+
+    fn warnings() -> Vec<Warning> {
+        let spacing = |source, mistake| {
+            Warning::Spacing(Doubt::Contradicted {
+                said: 0.025,
+                source,
+                found: 0.05,
+                mistake,
+                spray: false,
+            })
+        };
+        let empty = |why, measured_on| Warning::Empty { why, clouds: false, measured_on };
+        vec![
+            spacing(SpacingSource::Given, Some(Mistake::Radius)),
+            spacing(SpacingSource::Given, None),
+            spacing(SpacingSource::Packed, None),
+            Warning::Spacing(Doubt::Random { taken: 0.05 }),
+            Warning::Spacing(Doubt::SinglePrecision { step: 0.03, spacing: 0.05 }),
+            Warning::Spacing(Doubt::TwoResolutions { spacings: [0.05, 0.1], taken: 0.05 }),
+            Warning::Crowded { times: 8.5, spacing: 0.1 },
+            Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
+            Warning::Lost { lost: 12, of: 1000, smoothed: true },
+            Warning::Lost { lost: 12, of: 1000, smoothed: false },
+            empty(Emptiness::Field, Some(1)),
+            empty(Emptiness::TooSmall(TooSmall { components: 1, drops: 2 }), None),
+        ]
+    }
+
+    /// A change of a message or its advice shows in the list. Set `MENISCUS_UPDATE=1` to write it.
+    #[test]
+    fn advice_is_as_the_list_has_it() {
+        let warnings = warnings();
+        let lines = errors().iter().map(told).collect::<Vec<_>>().into_iter();
+        let lines = lines.chain(warnings.iter().map(|warning| warned(warning, None)));
+        let listed: String = lines.map(|line| format!("{line}\n")).collect();
+        let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/program/advice.txt");
+        if std::env::var_os("MENISCUS_UPDATE").is_some() {
+            std::fs::write(&file, &listed).unwrap();
+        }
+        assert_eq!(listed, std::fs::read_to_string(&file).unwrap());
     }
 }

@@ -1,4 +1,4 @@
-//! The commands that there are, each with its options.
+//! The commands with their options.
 
 use std::ffi::OsString;
 
@@ -17,28 +17,28 @@ pub struct Arguments {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Reconstruct the surface of a frame of particles, or of each frame of a simulation.
+    /// Make a mesh of a frame of particles, or of each frame of a simulation.
     Reconstruct(Box<options::Options>),
-    /// Sample a frame once, to be reconstructed later with other filters or isovalues.
+    /// Pack a frame, to mesh it later with different smoothing or isovalues.
     Pack(Box<pack::Options>),
-    /// Say what a particle file, a packed frame or a mesh holds.
+    /// Print what particle files, packed frames or meshes contain.
     Info(info::Options),
-    /// Check that meshes are closed, oriented 2-manifolds, and measure them.
+    /// Check that meshes are closed, oriented and manifold, and measure them.
     Check(inspect::CheckOptions),
     /// List the Vulkan devices of this machine.
     Devices(devices::Options),
-    /// Measure how far a mesh lies from a reference.
+    /// Measure the distances between a mesh and a reference mesh.
     Compare(inspect::CompareOptions),
-    /// Draw pictures of meshes.
+    /// Draw pictures and animations of meshes.
     Render(render::Options),
-    /// Print what a shell needs to complete options.
+    /// Print a completion script for a shell.
     Completions(shells::CompletionOptions),
-    /// Write the manual's pages, for man.
+    /// Write man pages into a folder.
     Manual(shells::ManualOptions),
 }
 
 impl Arguments {
-    /// Reads a command line. An error is also what `--help` and `--version` print.
+    /// Parses a command line. `--help` and `--version` are errors that hold the text to print.
     pub fn of_command_line(arguments: &[OsString]) -> Result<Self, clap::Error> {
         let mut command = Self::as_command();
         let matches = command.try_get_matches_from_mut(arguments);
@@ -49,8 +49,8 @@ impl Arguments {
         Self::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
     }
 
-    /// The commands and options, as help, completions and manual pages show them: `pack` takes
-    /// settings of a surface only to refuse them with a reason.
+    /// The commands and options, as help, completions and man pages show them. `pack` accepts
+    /// settings of a surface, but hidden, and only to reject them with a reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {
             Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())

@@ -1,4 +1,4 @@
-//! `meniscus devices`: what Vulkan devices there are.
+//! `meniscus devices`: the Vulkan devices of this machine.
 
 use clap::Args;
 use meniscus::Error;
@@ -20,7 +20,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     if options.json {
         super::notes::print_json(&devices.iter().map(record).collect::<Vec<_>>())?;
     } else if devices.is_empty() {
-        super::notes::print("no Vulkan device: the loader knows none")?;
+        super::notes::print("no Vulkan device found; install a Vulkan driver to use a GPU")?;
     }
     for device in devices.iter().filter(|_| !options.json) {
         let usable =

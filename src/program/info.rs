@@ -1,4 +1,4 @@
-//! `meniscus info`: what a file holds.
+//! `meniscus info`: the content of files.
 
 use std::path::{Path, PathBuf};
 
@@ -16,17 +16,17 @@ use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct Options {
-    /// Particle files, packed frames (.mnf) or meshes; folders of them, globs, or names with {} for
-    /// the number.
+    /// Particle files, packed frames (.mnf) or meshes; also folders, globs, or patterns with {} for
+    /// the frame number.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// The format of particle files, whatever their extension says [default: by the extension].
+    /// Format of particle files [default: by their extension].
     #[arg(long, value_enum, value_name = "NAME")]
     format: Option<InputFormat>,
-    /// Look only at particles that satisfy conditions on their attributes, such as Type=1.
+    /// Use only particles that satisfy conditions on their attributes, such as Type=1.
     #[arg(long, value_name = "CONDITION")]
     r#where: Option<Vec<Where>>,
-    /// Print JSON, for programs: a list with an entry for each file.
+    /// Print JSON: a list with one entry per file.
     #[arg(long)]
     json: bool,
 }
@@ -46,13 +46,13 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     if options.json {
         print_json(&infos)?;
     }
-    // The last is told by whoever calls.
+    // The caller prints the last one.
     let last = errors.pop();
     errors.iter().for_each(say_error);
     last.map_or(Ok(Verdict::Good), Err)
 }
 
-/// Whether a file of a folder is one that there is something to tell of.
+/// Whether `info` lists this file of a folder.
 fn is_told(file: &Path) -> bool {
     InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
 }
@@ -107,10 +107,13 @@ fn describe(info: &Info) -> String {
             left_out.iter().for_each(|part| line("left out", part.clone()));
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
             if let Some(edges) = box_size {
-                line("its own box", format!("edges {edges:?}; whether it is periodic is not said"));
+                line(
+                    "file's box",
+                    format!("edges {edges:?}; may be periodic, the file does not say"),
+                );
             }
             if let Some(metres) = unit_metres {
-                line("unit", format!("of length {metres:?} m, by the file"));
+                line("unit", format!("{metres:?} m, from the file"));
             }
             if *unselected > 0 {
                 line("left out", format!("{unselected} particles that fail the conditions"));

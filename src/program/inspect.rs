@@ -1,4 +1,4 @@
-//! `meniscus check` and `meniscus compare`: what is to be thought of a mesh.
+//! `meniscus check` and `meniscus compare`: defects and measures of a mesh.
 
 use std::path::PathBuf;
 
@@ -13,21 +13,21 @@ use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct CheckOptions {
-    /// Meshes, folders of them, globs, or names with {} for the number.
+    /// Meshes, folders, globs, or patterns with {} for the frame number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// Print JSON, for programs: a list with an entry for each mesh.
+    /// Print JSON: a list with one entry per mesh.
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Args)]
 pub struct CompareOptions {
-    /// The mesh that distances are signed by: positive lies outside of it.
+    /// Reference mesh; distances are positive outside it.
     reference: PathBuf,
-    /// The mesh that is compared with it.
+    /// Mesh to compare with the reference.
     mesh: PathBuf,
-    /// Print JSON, for programs.
+    /// Print JSON.
     #[arg(long)]
     json: bool,
 }
@@ -40,8 +40,8 @@ struct Checked {
     measures: Measures,
 }
 
-/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds without
-/// components that enclose nothing.
+/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds whose
+/// components all enclose a volume.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let mut all = Vec::new();
     for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {

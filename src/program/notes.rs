@@ -1,4 +1,4 @@
-//! Notes of a run for people, on standard error.
+//! Messages of a run on standard error, and results on standard output.
 
 use std::io::{self, Write};
 
@@ -6,27 +6,27 @@ use indicatif::MultiProgress;
 use meniscus::Error;
 use meniscus::error::shown;
 
-/// The notes that a run makes for people, on standard error.
+/// Messages of a run, on standard error.
 #[derive(Clone, Default)]
 pub struct Notes {
     quiet: bool,
     verbose: bool,
-    /// Bars that stand below the notes.
+    /// Bars below the messages.
     bars: Option<MultiProgress>,
 }
 
 impl Notes {
-    /// Notes that leave out what only some want to read.
+    /// Messages with the given level of detail.
     pub fn new(quiet: bool, verbose: bool) -> Self {
         Self { quiet, verbose, bars: None }
     }
 
-    /// Puts the notes above bars.
+    /// Prints the messages above bars.
     pub fn above(self, bars: MultiProgress) -> Self {
         Self { bars: Some(bars), ..self }
     }
 
-    /// Says what may be wrong.
+    /// Prints a warning.
     pub fn warn(&self, text: &str) {
         self.say(format!("warning: {text}"));
     }
@@ -47,7 +47,7 @@ impl Notes {
         }
     }
 
-    /// Says what even a quiet run has to say.
+    /// Prints a message even if quiet.
     pub fn error(&self, text: impl AsRef<str>) {
         self.print(text.as_ref());
     }
@@ -60,20 +60,20 @@ impl Notes {
     }
 }
 
-/// Writes a line at once and not piece by piece. Where nobody can read it, the work goes on.
+/// Writes a line in one call. Ignores failures, so that the work continues.
 pub fn say(text: &str) {
     let _ = io::stderr().lock().write_all(format!("{text}\n").as_bytes());
 }
 
 /// The verdict of a command that ran to its end.
 pub enum Verdict {
-    /// All is well.
+    /// Success.
     Good,
-    /// The work was done, and something is not as it should be.
+    /// The work was done, but found a defect or failed frames.
     Bad,
 }
 
-/// Writes results to standard output. A reader that went away is no error.
+/// Writes results to standard output. A closed pipe is not an error.
 pub fn print(text: &str) -> Result<(), Error> {
     use std::io::{ErrorKind, Write};
     match writeln!(io::stdout().lock(), "{text}") {
@@ -84,17 +84,17 @@ pub fn print(text: &str) -> Result<(), Error> {
     }
 }
 
-/// A point in words.
+/// A point as text.
 pub fn point(point: &[f64; 3]) -> String {
     format!("[{}]", point.map(shown).join(", "))
 }
 
-/// A box by its lowest and its highest corner, in words.
+/// A box as text, by its lowest and highest corner.
 pub fn corners([lowest, highest]: &[[f64; 3]; 2]) -> String {
     format!("{} to {}", point(lowest), point(highest))
 }
 
-/// Prints a result as JSON, for programs.
+/// Prints a result as JSON.
 pub fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
     print(&serde_json::to_string_pretty(value).expect("results have string keys and finite depth"))
 }

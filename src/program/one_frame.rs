@@ -1,5 +1,4 @@
-//! One frame's mesh: what is checked before the work, and what is said and written after it,
-//! however it is made.
+//! One frame's mesh: checks before the work, and messages and files after it.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +14,7 @@ use super::report::{report, report_device, report_stages, warn_all};
 use super::run::bytes_of;
 use super::stats::{Made, record};
 
-/// Refuses a file that is to be read or written and written again, which is a slip of the hand.
+/// Rejects a file that is both an input and an output, or two outputs.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(one, other) {
         return Err(Error::TwoPurposes { path: other.to_owned(), other: one.to_owned() });
@@ -23,7 +22,7 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-/// A request of which all is checked that can be before the work, and the file that it is for.
+/// A checked request with its output files.
 pub struct Ready {
     pub request: Reconstruction,
     pub output: Output,
@@ -31,7 +30,7 @@ pub struct Ready {
     pub notes: Notes,
 }
 
-/// Checks a request for one frame, and makes sure that its mesh can be written.
+/// Checks a request for one frame, and prepares its output files.
 pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
     let notes = options.run.notes();
     match options.parts.parts {
@@ -52,7 +51,7 @@ pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // In the folder of the output, which is there now.
+    // The folder of the output exists now.
     options.prepare_stats()?;
     let preview =
         options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
@@ -60,13 +59,13 @@ pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
         refuse_same_file(preview.path(), stats)?;
     }
 
-    // What the file cannot hold need not be carried.
+    // Attributes that the file cannot store need not be computed.
     let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
     Ok(Ready { request, output, preview, notes })
 }
 
-/// Draws the picture beside a mesh.
+/// Draws the preview beside a mesh.
 fn draw_preview(surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
     let image = surface.preview()?;
     let what = format!("{}: {} x {} pixels", file.path().display(), image.width(), image.height());
@@ -75,7 +74,7 @@ fn draw_preview(surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(
     Ok(())
 }
 
-/// Says what there is to know of a surface, and writes it, and its picture.
+/// Reports a surface, and writes it with its preview.
 pub fn write(
     options: &Options,
     input: &Path,

@@ -1,5 +1,4 @@
-//! The options of `reconstruct`: what they are, what they exclude, and what they mean to the
-//! library.
+//! The options of `reconstruct`, their conflicts, and their translation for the library.
 
 use std::path::PathBuf;
 
@@ -11,13 +10,13 @@ use super::parts::PartsOptions;
 use super::run::RunOptions;
 use super::simulation::SimulationOptions;
 
-const INPUT: &str = "The particles of a frame, or the frames of a simulation";
+const INPUT: &str = "Particle files: one frame, or the frames of a simulation";
 
-/// The inputs that there can be, in words.
+/// The possible inputs, for `--help`.
 fn inputs() -> String {
     format!(
-        "A frame: {}; or a .mnf that `pack` made. The frames of a simulation: files, a folder, a glob, a name with {{}} for \
-         the number, or a .h5part or .vtkhdf of several steps.",
+        "One frame: {}; or a packed frame (.mnf). A simulation: several files, a folder, a glob, a pattern with {{}} for the \
+         frame number, a list (.pvd, .series), or one file with several steps, such as .h5part or .vtkhdf.",
         InputFormat::KNOWN
     )
 }
@@ -28,24 +27,24 @@ pub struct Options {
     pub inputs: Vec<PathBuf>,
     /// Make one surface of the particles of all inputs, such as several fluids.
     ///
-    /// Of several simulations, frames with the same number make one surface. Each input is named
-    /// once, and an attribute that an input lacks is left out.
+    /// With several simulations, frames with the same number make one surface. Name each input
+    /// once. An attribute that one of the inputs lacks is left out.
     #[arg(long, help_heading = "Simulations", hide_short_help = true)]
     pub together: bool,
     #[command(flatten)]
     pub settings: Settings,
-    /// The mesh: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb or .bgeo.sc.
+    /// Mesh file: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb or .bgeo.sc.
     ///
-    /// Of a simulation: a name with {} or {:04} for the number, or a folder.
+    /// For a simulation: a pattern with {} or {:04} for the frame number, or a folder.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a picture beside the mesh, as .png; of a simulation a sheet of its frames.
+    /// Draw a .png beside the mesh; a contact sheet for a simulation.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
-    /// Say what would be done, and do nothing.
+    /// Print what would be done without doing it.
     #[arg(long, help_heading = "Output")]
     pub dry_run: bool,
-    /// Append a JSON record of counts, times and settings to this file, a line for each frame.
+    /// Append counts, times and settings to this file, as one line of JSON per frame.
     #[arg(long, value_name = "FILE", help_heading = "Output", hide_short_help = true)]
     pub stats: Option<PathBuf>,
     #[command(flatten)]
@@ -57,11 +56,13 @@ pub struct Options {
 }
 
 impl Options {
-    /// Returns the request for a surface, without the machine's part.
+    /// The request for a surface, without threads, memory and backend.
     pub fn request(&self) -> Result<Reconstruction, Error> {
         let request = Reconstruction::by(self.settings.clone());
         if self.run.vulkan_given() && !request.uses_backend() {
-            return Err(Error::Request("--backend vulkan has no meaning for this --method".into()));
+            return Err(Error::Request(
+                "--backend vulkan does not support this --method; use --backend cpu".into(),
+            ));
         }
         Ok(request)
     }

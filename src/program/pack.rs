@@ -1,5 +1,4 @@
-//! `meniscus pack`: particles to a DIF frame, to be reconstructed later with other filters or
-//! isovalues.
+//! `meniscus pack`: particles to a packed frame.
 
 use std::path::PathBuf;
 
@@ -16,9 +15,9 @@ use super::run::{RunOptions, bytes_of};
 
 #[derive(Args)]
 pub struct Options {
-    #[arg(value_name = "INPUT", help = "The particles", long_help = format!("The particles: {}.", InputFormat::KNOWN))]
+    #[arg(value_name = "INPUT", help = "Particle file", long_help = format!("Particle file: {}.", InputFormat::KNOWN))]
     input: PathBuf,
-    /// The frame: .mnf.
+    /// Packed frame: .mnf.
     #[arg(short, long)]
     output: PathBuf,
     #[command(flatten)]
@@ -34,7 +33,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let request = Reconstruction::by(settings.clone());
     request.check_packing()?;
     request.check(input)?;
-    // A frame carries no attributes.
+    // Packed frames have no attributes.
     let request = request.attributes([""; 0]).cancel(interrupt::handle());
     let request = run.machine(request, output, || bytes_of([input.as_path()]))?;
     request.check(input)?;

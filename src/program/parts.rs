@@ -1,5 +1,5 @@
-//! `meniscus reconstruct --parts`: one frame's mesh in parts, each made by a process of its own on
-//! any machine.
+//! `meniscus reconstruct --parts`: the mesh of one frame in parts, made by several processes on any
+//! machines.
 
 use std::path::Path;
 
@@ -14,17 +14,21 @@ use super::one_frame::{Ready, ready, write};
 use super::options::Options;
 use super::report::{report_cells, report_census, report_stages, warn_all};
 
-/// Runs the step that is asked for of so many parts.
+/// Runs the requested step of `count` parts.
 pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error> {
     let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
         _ if options.dry_run => {
-            Some("--dry-run has no meaning with --parts: --plan says what each part takes")
+            Some("--dry-run does not support --parts: --plan prints what each part takes")
         }
-        Step::Plan | Step::Part(_) if options.stats.is_some() => Some("--stats goes with --merge"),
-        Step::Plan | Step::Part(_) if options.preview => Some("--preview goes with --merge"),
+        Step::Plan | Step::Part(_) if options.stats.is_some() => {
+            Some("--stats needs --merge: the other steps of --parts make no mesh")
+        }
+        Step::Plan | Step::Part(_) if options.preview => {
+            Some("--preview needs --merge: the other steps of --parts make no mesh")
+        }
         Step::Merge if options.simulation.resume => {
-            Some("--resume goes with --plan: a mesh is merged as a whole")
+            Some("--resume needs --plan: --merge always writes the whole mesh")
         }
         _ => None,
     };
@@ -51,7 +55,7 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
                 report_cells(cells, made.indicator.map(Indicator::kind), moved_to, &notes);
             }
             write(options, input, &surface, &request, (output, preview), &notes)?;
-            notes.say(format!("{}: of no use any more, and can go", parts.folder().display()));
+            notes.say(format!("{}: can be deleted", parts.folder().display()));
             Ok(Verdict::Good)
         }
     }
@@ -80,7 +84,7 @@ fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Erro
     print(&listed(&planned))?;
     report_stages(&planned.timings, notes);
     if planned.parts.iter().any(|part| part.takes.is_none()) {
-        notes.say(format!("{}: was there already", planned.path.display()));
+        notes.say(format!("{}: the plan exists already", planned.path.display()));
     }
     Ok(Verdict::Good)
 }
@@ -89,15 +93,17 @@ fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Erro
 fn listed(planned: &Planned) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
-        let mut line =
-            format!("part {number}: {} particles, {} with those around", part.particles, part.kept);
+        let mut line = format!(
+            "part {number}: {} particles, {} with its surroundings",
+            part.particles, part.kept
+        );
         if let Some(PartTakes { memory, in_core, scratch, .. }) = part.takes {
             let [memory, budget, in_core, scratch] =
                 [memory, planned.budget, in_core, scratch].map(ByteSize);
-            line += &format!("; about {memory} of {budget} memory");
+            line += &format!("; memory: about {memory} of {budget}");
             if scratch.0 > 0 {
                 line += &format!(
-                    ", where all in memory would take {in_core}; at most about {scratch} of scratch"
+                    " ({in_core} without scratch files); scratch files: at most about {scratch}"
                 );
             }
         }
@@ -113,10 +119,9 @@ fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Ve
     let what =
         format!("{}: {blocks} blocks, {triangles} triangles, {}", path.display(), ByteSize(bytes));
     if was_there {
-        notes.say(format!("{what}, done already"));
+        notes.say(format!("{what}, made earlier"));
     } else {
-        notes
-            .say(format!("{what} of {read} particles that were read, in {:.2} s", timings.total()));
+        notes.say(format!("{what} from {read} particles in {:.2} s", timings.total()));
     }
     report_stages(&timings, notes);
     Ok(Verdict::Good)
@@ -124,14 +129,14 @@ fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Ve
 
 #[derive(Args)]
 pub struct PartsOptions {
-    /// Make one frame's mesh in N parts, on any machines: with --plan, then --part I for each, then
+    /// Make the mesh of one frame in N parts: run with --plan, then --part I for each part, then
     /// --merge.
     ///
-    /// All have to be asked for the same. Plan and parts are kept beside the output, in a folder
-    /// named as it with .meniscus-parts appended.
+    /// All runs need the same settings, and can be on different machines. The plan and the parts
+    /// are in a folder beside the output, with .meniscus-parts appended to its name.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
-    /// Make part I of them, from 0. Any order will do; what is killed can be begun again.
+    /// Make part I, counted from 0, in any order. A part that was killed can be made again.
     #[arg(
         long,
         value_name = "I",
@@ -141,7 +146,7 @@ pub struct PartsOptions {
         hide_short_help = true
     )]
     part: Option<u32>,
-    /// Check all parts, and write the mesh: byte for byte that of a single run.
+    /// Check all parts, and write the mesh, byte for byte that of a single run.
     #[arg(
         long,
         requires = "parts",
@@ -160,7 +165,7 @@ pub enum Step {
 }
 
 impl PartsOptions {
-    /// The one step that is asked for, by whether it is the plan.
+    /// The requested step; `plan` if --plan was given.
     pub fn step(&self, plan: bool) -> Result<Step, Error> {
         match (plan, self.part, self.merge) {
             (true, ..) => Ok(Step::Plan),

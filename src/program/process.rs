@@ -1,4 +1,4 @@
-//! Setting up the process: memory that is freed, files beyond a limit, and threads.
+//! Setting up the process: freed memory, the limit on file sizes, and threads.
 
 use std::panic::resume_unwind;
 use std::sync::mpsc::channel;
@@ -13,8 +13,8 @@ pub fn set_up() {
     outlive_large_files();
 }
 
-/// Does `work` on a thread whose stack is large enough, whatever the limit on that of the process
-/// (`ulimit -s`); on this one, where the system starts no other.
+/// Runs `work` on a thread with a large enough stack, whatever the limit of the process (`ulimit
+/// -s`). Falls back to this thread if the system starts no other.
 pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send + 'static) -> T {
     match thread::Builder::new().stack_size(STACK).spawn(work.clone()) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),
@@ -22,11 +22,11 @@ pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send +
     }
 }
 
-/// Starts the threads of commands that have none of their own. Where the system starts none, this
-/// one does their work.
+/// Starts the global threads, for commands without their own. Falls back to this thread if the
+/// system starts none.
 pub fn start_threads() {
     let all = rayon::ThreadPoolBuilder::new;
-    // The global ones can be tried once only: others are tried first, and have ended before.
+    // The global pool can be built only once, so another one is tried first, and ended.
     let (ended, ends) = channel();
     let end = move |_| {
         let _ = ended.send(());
@@ -44,9 +44,9 @@ pub fn start_threads() {
     let _ = builder.build_global();
 }
 
-/// Keeps up to 8 MiB a thread for whoever allocates next. A frame, and a block of one that exceeds
-/// its memory, frees what the next allocates again: given back to the system in between, it would
-/// return a page at a time, a fault each.
+/// Keeps up to 8 MiB of freed memory per thread. Frames, and blocks of a frame that exceeds its
+/// memory, free memory that the next one allocates again; returning it to the system in between
+/// would cost a page fault per page.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_freed() {
     for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)]
@@ -57,12 +57,12 @@ fn keep_freed() {
     }
 }
 
-/// Others keep what they keep.
+/// No-op on other allocators.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 fn keep_freed() {}
 
-/// Has a write beyond the limit on the size of files (`ulimit -f`) fail, which is an error like any
-/// other, instead of ending the process.
+/// Makes a write beyond the limit on file sizes (`ulimit -f`) an ordinary error, instead of a
+/// signal that ends the process.
 #[cfg(unix)]
 fn outlive_large_files() {
     // SAFETY: no handler is installed that could run, and no other thread is there yet.

@@ -1,4 +1,4 @@
-//! How far a simulation is: bars on a terminal, a line for each frame elsewhere.
+//! Progress of a simulation: bars on a terminal, or a line for each frame.
 
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
@@ -12,20 +12,20 @@ use super::notes::Notes;
 pub enum ProgressMode {
     /// Bars on a terminal, else a line for each frame.
     Auto,
-    /// Bars, wherever they go.
+    /// Bars, also if the output is not a terminal.
     Always,
-    /// No bars: a line for each frame.
+    /// A line for each frame.
     Never,
 }
 
-/// Bars, if there are any: one for all frames, and one for each lane.
+/// Progress bars, if enabled: one for all frames, and one for each lane.
 pub struct Progress {
     bars: Option<(ProgressBar, Vec<ProgressBar>)>,
 }
 
 impl Progress {
-    /// For so many bytes of input, and the notes that go with it. What is left is told from the
-    /// bytes done so far, for frames differ in size.
+    /// Starts bars for `bytes` of input, and returns the notes to use with them. The estimate of
+    /// the remaining time uses bytes, because frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),
@@ -44,7 +44,7 @@ impl Progress {
         let style =
             |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
         let frames = all.add(ProgressBar::new(bytes));
-        frames.set_style(style("[{bar:30}] {msg}, {elapsed} gone, about {eta} left"));
+        frames.set_style(style("[{bar:30}] {msg}, {elapsed} elapsed, about {eta} left"));
         frames.enable_steady_tick(Duration::from_millis(500));
         let lane = || {
             let bar = all.add(ProgressBar::new_spinner());
@@ -60,14 +60,14 @@ impl Progress {
         self.bars.is_some()
     }
 
-    /// Says what a lane is at.
+    /// Shows the current stage of a lane.
     pub fn stage(&self, lane: usize, what: impl FnOnce() -> String) {
         if let Some(bar) = self.bars.as_ref().and_then(|(_, lanes)| lanes.get(lane)) {
             bar.set_message(what());
         }
     }
 
-    /// Says how many frames are done, and that a further one took so many bytes of input.
+    /// Shows the number of finished frames, and advances the bar by the `bytes` of another one.
     pub fn advance(&self, done: usize, frames: usize, failed: usize, bytes: u64) {
         let Some((bar, _)) = &self.bars else { return };
         let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };
@@ -75,7 +75,7 @@ impl Progress {
         bar.inc(bytes);
     }
 
-    /// More frames have come.
+    /// Extends the bar by the `bytes` of new frames.
     pub fn lengthen(&self, bytes: u64) {
         if let Some((bar, _)) = &self.bars {
             bar.inc_length(bytes);
@@ -90,8 +90,8 @@ impl Progress {
     }
 }
 
-/// Standard error as if it were a terminal, for whoever passes it on to one. What nobody can read
-/// is thrown away.
+/// Standard error as if it were a terminal, for callers that forward it to one. Write errors are
+/// ignored.
 #[derive(Debug)]
 struct Pretended;
 

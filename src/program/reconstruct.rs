@@ -1,5 +1,4 @@
-//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see
-//! `simulation`.
+//! `meniscus reconstruct` for a single frame; `simulation` has the command for several.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +21,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     }
     match (Simulation::if_several(&options.inputs, &options.output)?, options.parts.parts) {
         (Some(_), Some(_)) => {
-            let what = "--parts is for one frame: jobs of a simulation take --frames of it each";
+            let what = "--parts is for one frame; divide a simulation by --frames";
             Err(Error::Request(what.into()))
         }
         (Some(simulation), None) => simulation::run(options, simulation),
@@ -34,7 +33,9 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 /// Joins the inputs, as one frame or frame by frame.
 fn run_together(options: &Options) -> Result<Verdict, Error> {
     if options.parts.parts.is_some() {
-        return Err(Error::Request("--parts reads one file, and --together several".into()));
+        return Err(Error::Request(
+            "--parts reads a single file and cannot be used with --together".into(),
+        ));
     }
     match Simulation::if_together(&options.inputs, &options.output)? {
         Some(simulation) => simulation::run(options, simulation),
@@ -62,7 +63,7 @@ fn run_frame(options: &Options, inputs: &[PathBuf]) -> Result<Verdict, Error> {
     Ok(Verdict::Good)
 }
 
-/// Says what would be done, and what it would take.
+/// The text of a dry run: what would be done, with estimates.
 fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<String, Error> {
     let output = options.output.display();
     let Some(needs) = opened.needs(format)? else {
@@ -76,17 +77,17 @@ fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<Str
     };
     let mut text = format!(
         "would reconstruct {} particles with cells of {} into {output}\n\
-         memory: about {memory:.2} of {budget}; all in memory would take {in_core:.2}\nscratch: {scratch}",
+         memory: about {memory:.2} of {budget} ({in_core:.2} without scratch files)\nscratch: {scratch}",
         census.binned,
         shown(cell_size),
     );
     if let Some([threads, triangles]) = needs.simplifying.map(|bytes| bytes.map(ByteSize)) {
         text += &format!(
-            "\nsimplifying takes up to {threads} more, and {triangles} of memory or scratch"
+            "\nsimplifying: up to {threads} more memory, and {triangles} of memory or scratch"
         );
     }
     if let Some(bytes) = needs.writing {
-        text += &format!("\n{format} is written from memory: up to {} more", ByteSize(bytes));
+        text += &format!("\nwriting {format}: up to {} more memory", ByteSize(bytes));
     }
     text += &format!("\ntriangles: about {triangles}\ndisk: about {}", ByteSize(needs.disk));
     if let Some(seconds) = needs.seconds {

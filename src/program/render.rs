@@ -17,55 +17,53 @@ use super::notes::Verdict;
 
 #[derive(Args)]
 pub struct Options {
-    /// The mesh; or those of a simulation: files, a folder, a glob, or a name with {} for the
-    /// number.
+    /// Meshes: files, a folder, a glob, or a pattern with {} for the frame number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// The picture: .png. Of several meshes a folder, or a name with {}, takes one of each, .apng
-    /// an animation, and .png a sheet of all.
+    /// Picture: .png. For several meshes: a folder or a pattern with {} for a picture of each,
+    /// .apng for an animation, .png for a contact sheet.
     #[arg(short, long)]
     output: PathBuf,
     /// Width and height in pixels
     /// [default: 1920x1080; 960x540 in an animation, 640x360 on a sheet].
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[usize; 2]>,
-    /// Where it is seen from [default: from the front and above, whole].
+    /// Camera position [default: sees everything from the front and above].
     ///
-    /// Two or three numbers: degrees around and above what is seen, and how much larger than whole.
-    /// Six: the eye, and what it looks at.
+    /// Two or three numbers: degrees around and above the meshes, and a zoom factor. Six numbers:
+    /// the eye, and the point that it looks at.
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
-    /// The axis that points up [default: the one that the mesh's file or its listing says, else y].
+    /// Axis that points up [default: from the mesh file or the simulation's listing, else y].
     #[arg(long, value_enum)]
     up: Option<UpAxis>,
-    /// Show the floor of the box, and the shadow on it.
+    /// Show the floor of the bounding box, with shadows.
     #[arg(long)]
     ground: bool,
     /// Show the edges of the triangles.
     #[arg(long)]
     wireframe: bool,
-    /// water, a colour as ff8800, an attribute as velocity or velocity:turbo, by its length; or
-    /// distance:red-blue, with --reference.
+    /// Colour: water; a colour such as ff8800; an attribute such as velocity, with a colour map as
+    /// in velocity:turbo; or distance:red-blue with --reference.
     #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
     colour: Asked,
-    /// A mesh: --colour distance is by the distance from it, negative inside, in the meshes' unit
-    /// of length.
+    /// Colour by the distance from this mesh, negative inside, in the meshes' unit of length.
     #[arg(long, value_name = "MESH")]
     reference: Option<PathBuf>,
-    /// Pictures of an animation a second.
+    /// Pictures per second of an animation.
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
     /// Threads to use [default: all cores].
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Memory for a mesh and its picture, as 512MiB; a larger .ply is drawn in a stream
-    /// [default: three quarters of what is available].
+    /// Memory for a mesh and its picture, such as 512MiB; a larger .ply is streamed
+    /// [default: three quarters of the available memory].
     #[arg(long, value_name = "SIZE")]
     memory: Option<ByteSize>,
-    /// Replace a picture that exists.
+    /// Replace existing pictures.
     #[arg(long)]
     overwrite: bool,
-    /// Say nothing but errors.
+    /// Print only errors.
     #[arg(short, long)]
     quiet: bool,
 }
@@ -113,7 +111,7 @@ fn size(text: &str) -> Result<[usize; 2], String> {
     let both = text
         .split_once(['x', 'X'])
         .and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
-    both.ok_or_else(|| "a width and a height, as 1920x1080".to_owned())
+    both.ok_or_else(|| "expected a width and a height, such as 1920x1080".to_owned())
 }
 
 fn view(numbers: &[f64]) -> Result<View, Error> {
@@ -122,13 +120,13 @@ fn view(numbers: &[f64]) -> Result<View, Error> {
         [azimuth, elevation, zoom] => Ok(View::From { azimuth, elevation, zoom }),
         [a, b, c, d, e, f] => Ok(View::At { eye: [a, b, c], target: [d, e, f] }),
         _ => {
-            let what = "--camera takes degrees around and above, and perhaps a zoom; or six numbers: the eye, and what it looks at";
+            let what = "--camera takes degrees around and above, and optionally a zoom; or six numbers: the eye, and the point that it looks at";
             Err(Error::Request(what.to_owned()))
         }
     }
 }
 
-/// Colours as the command line says them.
+/// A colour on the command line.
 #[derive(Clone)]
 enum Asked {
     Colour(Colour),
@@ -151,7 +149,7 @@ impl Options {
                 });
             }
             (_, Some(path)) => {
-                let what = format!("{}: a reference is for --colour {DISTANCE}", path.display());
+                let what = format!("{}: --reference needs --colour {DISTANCE}", path.display());
                 return Err(Error::Request(what));
             }
             (Asked::Colour(colour), None) => return Ok(colour.clone()),

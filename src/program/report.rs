@@ -15,7 +15,7 @@ use super::advice::{doubted, warned};
 use super::notes::Notes;
 use super::options::Options;
 
-/// Says what was opened, and what was chosen for it.
+/// Prints what was opened, and the chosen cells.
 pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     notes.say(format!(
@@ -26,7 +26,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
     ));
     if opened.ghosts() > 0 {
         notes.say(format!(
-            "{} ghosts left out, copies of particles in other pieces",
+            "{} ghost particles left out (copies of particles in other pieces)",
             opened.ghosts()
         ));
     }
@@ -40,12 +40,12 @@ pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
     }
     match opened.walls() {
         Some((found, true)) => notes.say(found.to_string()),
-        Some((_, false)) => notes.say("the particles end at planes: try --domain auto"),
+        Some((_, false)) => notes.say("the particles end at planes like walls: try --domain auto"),
         None => {}
     }
 }
 
-/// Says which cells were chosen, for which indicator, and where the grid was moved to.
+/// Prints the cells, the indicator, and the origin of a grid that was moved.
 pub fn report_cells(
     cells: &Cells,
     indicator: Option<IndicatorKind>,
@@ -58,11 +58,13 @@ pub fn report_cells(
     cells.doubts.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
     if let Some(corner) = moved_to {
         let corner = corner.map(shown).join(",");
-        notes.say(format!("all particles stand on a lattice: the grid's origin is {corner}"));
+        notes.say(format!(
+            "all particles are on a lattice: the grid was moved to the origin {corner}"
+        ));
     }
 }
 
-/// Says all that there is to know of a surface.
+/// Prints everything about a surface.
 pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
     warn_all(&report.warnings, Some(options), notes);
     report
@@ -83,12 +85,13 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
     if let Some(tolerance) = options.settings.simplify {
         let whole = report.whole_triangles;
         let share = 100.0 * mesh.triangle_count() as f64 / whole as f64;
-        notes
-            .say(format!("simplified within {tolerance} cells: {share:.1} % of {whole} triangles"));
+        notes.say(format!(
+            "simplified within {tolerance} cells: {share:.1} % of {whole} triangles left"
+        ));
     }
 }
 
-/// Says where the surface is drawn, and how finely the field tells it.
+/// Prints the level of the surface, and the resolution of the field.
 fn report_calibration(report: &Report, measured: &Calibrated, options: &Options, notes: &Notes) {
     let &Calibrated { calibration, plateau, step_cells } = measured;
     let facts = &report.facts;
@@ -105,9 +108,9 @@ fn report_calibration(report: &Report, measured: &Calibrated, options: &Options,
             Plateau::Shallow { .. } => {
                 let spacing = match facts.spacing {
                     Some(_) => "spacing",
-                    None => "spacing of one cell, for none is known,",
+                    None => "spacing of one cell (the spacing is unknown)",
                 };
-                format!("density: one particle per cubed {spacing} assumed, as no fluid is deep enough to measure it")
+                format!("density: one particle per cubed {spacing} assumed, because no fluid is deep enough to measure")
             }
         });
         return;
@@ -120,19 +123,18 @@ fn report_calibration(report: &Report, measured: &Calibrated, options: &Options,
             notes.say(format!("isovalue {iso}, {share} of the interior plateau {fluid}"));
         }
         Plateau::Shallow { .. } => notes.say(format!(
-            "isovalue {iso}, {share} of the plateau {fluid} that {} tells: next to no fluid so dense is deeper than the \
-             filters reach",
-            if facts.spacing.is_some() { "the spacing" } else { "a spacing of one cell, for none is known," }
+            "isovalue {iso}, {share} of the plateau {fluid} computed from {}: almost no fluid is deep enough to measure",
+            if facts.spacing.is_some() { "the spacing" } else { "a spacing of one cell (the spacing is unknown)" }
         )),
     }
 }
 
-/// Says how many particles are left out, and why.
+/// Prints how many particles are left out, and why.
 pub fn report_census(census: &Census, notes: &Notes) {
     for (count, what) in [
         (census.not_finite, "skipped: a coordinate is not finite"),
-        (census.too_far, "skipped: beyond the addressable grid"),
-        (census.outside, "not counted: outside of the domain or the periodic box"),
+        (census.too_far, "skipped: beyond the grid"),
+        (census.outside, "left out: outside the domain or the periodic box"),
     ] {
         if count > 0 {
             notes.say(format!("{count} particles {what}"));
@@ -140,18 +142,18 @@ pub fn report_census(census: &Census, notes: &Notes) {
     }
 }
 
-/// The sentence about drops of few particles.
+/// The text about drops that were left out.
 pub fn too_small(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 
-/// Says what a device was asked to do for so many frames, and how long it took for each stage.
+/// Prints the work of a device per frame, and the time of each stage.
 pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
     let Some(device) = device else { return };
     let Counters { submissions, allocations, sent, received } = device.take_counters();
     let each = |count: u64| count as f64 / frames.max(1) as f64;
     notes.detail(format!(
-        "{}, a frame: {:.1} submissions, {:.1} buffers made, {} sent, {} received",
+        "{}, per frame: {:.1} submissions, {:.1} new buffers, {} sent, {} received",
         device.name(),
         each(submissions),
         each(allocations),
@@ -163,15 +165,15 @@ pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
     }
 }
 
-/// Says what every stage took.
+/// Prints the time of every stage.
 pub fn report_stages(timings: &Timings, notes: &Notes) {
     for (stage, seconds) in timings.seconds() {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
 }
 
-/// Prints the warnings about a surface with advice that suits the options. Doubts about the spacing
-/// were printed when it was chosen.
+/// Prints the warnings about a surface, with advice. Doubts about the spacing were printed when it
+/// was chosen.
 pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(Doubt::Contradicted { source, .. }) => *source != SpacingSource::Packed,

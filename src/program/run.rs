@@ -1,4 +1,4 @@
-//! Options on what a run takes and says: threads, memory, scratch.
+//! Options for resources and messages: threads, memory, scratch, backend.
 
 use std::path::{Path, PathBuf};
 
@@ -9,53 +9,53 @@ use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use super::notes::Notes;
 
-/// More than any machine has cores, and few enough to start.
+/// Maximum number of threads: more than the cores of any machine, and few enough to start.
 const MOST_THREADS: usize = 1024;
 
 #[derive(Args)]
 pub struct RunOptions {
-    /// Where the stages run.
+    /// Backend for the computation.
     #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
     backend: BackendName,
-    /// The Vulkan device, by its number, its UUID or a part of its name: see `meniscus devices`
+    /// Vulkan device, by number, UUID or part of its name (see `meniscus devices`)
     /// [default: the best].
     #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
     device: Option<String>,
     /// Threads to use [default: all cores].
     #[arg(long, value_name = "N", help_heading = "Machine", hide_short_help = true)]
     threads: Option<usize>,
-    /// Memory to use, as 512MiB or 8GiB.
+    /// Memory to use, such as 512MiB or 8GiB.
     ///
-    /// By default three quarters of what is available.
+    /// The default is three quarters of the available memory.
     #[arg(long, value_name = "SIZE", help_heading = "Machine")]
     memory: Option<ByteSize>,
-    /// Folder for scratch files, where a frame exceeds its memory [default: the output's folder].
+    /// Folder for scratch files of frames that exceed the memory [default: the output's folder].
     #[arg(long, value_name = "DIR", help_heading = "Machine", hide_short_help = true)]
     scratch: Option<PathBuf>,
-    /// Replace an output that exists.
+    /// Replace existing outputs.
     #[arg(long, help_heading = "Output")]
     pub overwrite: bool,
-    /// Say nothing but errors.
+    /// Print only errors.
     #[arg(short, long, conflicts_with = "verbose", help_heading = "Messages")]
     quiet: bool,
-    /// Say more.
+    /// Print details.
     #[arg(short, long, help_heading = "Messages")]
     verbose: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum BackendName {
-    /// A discrete GPU where there is one, else the CPU.
+    /// A discrete GPU if there is one and the input is large enough, else the CPU.
     Auto,
-    /// All cores of this machine.
+    /// The CPU.
     Cpu,
     /// A Vulkan device.
     Vulkan,
 }
 
 impl RunOptions {
-    /// Sets what the machine gives: threads, memory, scratch files, and a backend that suits inputs
-    /// of as many bytes as is told where it matters, if that is known.
+    /// Sets threads, memory, scratch folder and backend. `input_bytes` is the size of the inputs,
+    /// if known, and called only if the choice of a backend needs it.
     pub fn machine(
         &self,
         request: Reconstruction,
@@ -65,12 +65,14 @@ impl RunOptions {
         let mut request = request;
         if let Some(threads) = self.threads {
             if !(1..=MOST_THREADS).contains(&threads) {
-                return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
+                return Err(Error::Request(format!(
+                    "--threads must be from 1 to {MOST_THREADS}, got {threads}"
+                )));
             }
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        // A folder that is not there yet will be made in the first that is.
+        // Missing folders will be created in the first existing one.
         let beside =
             output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
         let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
@@ -84,7 +86,7 @@ impl RunOptions {
         })
     }
 
-    /// Whether a device was asked for.
+    /// Whether a Vulkan device was requested.
     pub fn vulkan_given(&self) -> bool {
         matches!(self.backend, BackendName::Vulkan)
     }
@@ -97,18 +99,18 @@ impl RunOptions {
         let cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => {
-                Err(Error::Request("--device needs --backend vulkan".into()))
+                Err(Error::Request("--device needs --backend vulkan, not --backend cpu".into()))
             }
             (BackendName::Cpu, None) => Ok(None),
             (BackendName::Auto, None) => {
                 let (backend, on_cpu) = devices::fastest(budget, input_bytes, cache.as_deref());
                 if let Some(why) = on_cpu {
                     let advice = match why {
-                        OnCpu::LittleMemory(_) => "; --memory says how much",
-                        OnCpu::NotConformant(_) => "; --backend vulkan takes it",
+                        OnCpu::LittleMemory(_) => "; use a larger --memory",
+                        OnCpu::NotConformant(_) => "; --backend vulkan uses it anyway",
                         _ => "",
                     };
-                    self.notes().detail(format!("on the CPU: {why}{advice}"));
+                    self.notes().detail(format!("using the CPU: {why}{advice}"));
                 }
                 Ok(Some(backend))
             }
@@ -124,12 +126,12 @@ impl RunOptions {
     }
 }
 
-/// Bytes of particles in some files, if all of them are there and tell.
+/// Bytes of particles in some files, if all exist and their sizes indicate it.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }
 
-/// Whether an output is a device, beside which nothing else is to be written.
+/// Whether an output is a device file, whose folder takes no other files.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
 }

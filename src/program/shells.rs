@@ -1,4 +1,4 @@
-//! `meniscus completions` and `meniscus manual`: what shells and man know of the program.
+//! `meniscus completions` and `meniscus manual`: completion scripts and man pages.
 
 use std::path::PathBuf;
 
@@ -12,17 +12,17 @@ use super::notes::print;
 
 #[derive(Args)]
 pub struct CompletionOptions {
-    /// The shell.
+    /// Shell.
     shell: Shell,
 }
 
 #[derive(Args)]
 pub struct ManualOptions {
-    /// The folder for the pages, which has to be there.
+    /// Existing folder for the pages.
     folder: PathBuf,
 }
 
-/// Prints what a shell has to read to complete the program's options.
+/// Prints the completion script for a shell.
 pub fn completions(options: &CompletionOptions, mut program: Command) -> Result<Verdict, Error> {
     let mut text = Vec::new();
     clap_complete::generate(options.shell, &mut program, "meniscus", &mut text);
@@ -30,7 +30,7 @@ pub fn completions(options: &CompletionOptions, mut program: Command) -> Result<
     Ok(Verdict::Good)
 }
 
-/// Writes a page of the manual for each command.
+/// Writes a man page for each command.
 pub fn manual(options: &ManualOptions, program: Command) -> Result<Verdict, Error> {
     clap_mangen::generate_to(program, &options.folder)
         .map_err(|fault| WriteError::new(&options.folder, fault))?;

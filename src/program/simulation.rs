@@ -1,4 +1,4 @@
-//! `meniscus reconstruct` for the frames of a simulation: what is said of its events.
+//! `meniscus reconstruct` for the frames of a simulation: options, and messages for its events.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,7 +17,7 @@ use super::progress::{Progress, ProgressMode};
 use super::report::{report_census, report_device, too_small, warn_all};
 use super::stats::{of_failed, of_frame};
 
-/// Runs the command, for each simulation that is there.
+/// Runs the command for each simulation in the inputs.
 pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> {
     let mut simulation = options.simulation.of(simulation);
     if options.run.overwrite {
@@ -63,7 +63,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
         return Ok(teller.verdict());
     }
     let converted = simulation.run(hear);
-    // What stopped all others is what went wrong.
+    // This failure cancelled the conversion, so it is the cause.
     if let Some(error) = teller.broken.take() {
         return Err(error);
     }
@@ -76,15 +76,15 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     Ok(teller.verdict())
 }
 
-/// Says what happens.
+/// Prints messages for events.
 struct Teller<'a> {
     options: &'a Options,
     notes: Notes,
-    /// Bars of the simulation that is under way, with the notes that go above them.
+    /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(Progress, Notes)>,
-    /// Parts of frames that are not read, and the number of frames of each.
+    /// Parts of frames that were not read, with the number of frames that have each.
     left_out: BTreeMap<String, usize>,
-    /// The failure of a file beside the meshes.
+    /// The failure to write the statistics.
     broken: Option<Error>,
     bad: bool,
     cancel: Cancel,
@@ -145,7 +145,7 @@ impl Teller<'_> {
         }
     }
 
-    /// Keeps statistics; where they cannot be written, no further frame is begun.
+    /// Appends statistics; if that fails, cancels the conversion.
     fn append(&mut self, record: impl FnOnce() -> serde_json::Value) {
         if let Err(error) = self.options.append_stats(record) {
             self.broken.get_or_insert(error);
@@ -193,7 +193,7 @@ impl Teller<'_> {
         }
         report_device(self.device.as_ref(), summary.made + summary.failed.len(), notes);
         if let Some(missing) = &summary.chosen {
-            notes.say(format!("{}: there are no frames {missing}", summary.inputs));
+            notes.say(format!("{}: no files for frames {missing}", summary.inputs));
         }
         notes.say(summary.to_string());
         let left_out = &summary.left_out;
@@ -214,7 +214,7 @@ impl Teller<'_> {
     }
 }
 
-/// The frames that are not there, a line each, in order.
+/// A line for each failed or missing frame, in order.
 fn lacking(summary: &Summary) -> String {
     let failed = summary.failed.iter();
     let failed = failed
@@ -251,55 +251,57 @@ pub struct SimulationOptions {
     /// Every Nth frame.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert these frames of the simulation only, both ends included, as one of several jobs.
+    /// Convert only these frames, both ends included, as one of several jobs.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
-    /// Go on with a conversion that was begun.
+    /// Resume an interrupted conversion.
     ///
-    /// Skip what is done and whole; make the rest. Other settings are refused, unless --overwrite
-    /// allows to make all frames anew.
+    /// Keeps finished frames and makes the others. Changed settings are an error; --overwrite makes
+    /// all frames again.
     #[arg(long, help_heading = "Simulations")]
     pub resume: bool,
-    /// Follow a simulation that runs.
+    /// Follow a running simulation.
     ///
-    /// Until --end, or until nothing has come for so many seconds.
+    /// Stops after the frame of --end, or if no new frame has appeared for SECONDS.
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Simulations")]
     pub watch: Option<f64>,
-    /// Frames a second, for times where the files have none.
+    /// Frames per second, if the files have no times.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
     pub fps: Option<f64>,
-    /// Measure what all frames have in common, write the state file, print the frames' numbers, one
-    /// a line, and stop; with --parts plan these.
+    /// Calibrate, write the state file, and print the frame numbers, one per line, without
+    /// converting; with --parts, plan the parts.
     #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Simulations", hide_short_help = true)]
     pub plan: bool,
-    /// Bars on a terminal, or a line for each frame.
+    /// Progress: bars, or a line for each frame.
     #[arg(long, value_enum, default_value_t = ProgressMode::Auto, help_heading = "Messages", hide_short_help = true)]
     pub progress: ProgressMode,
 }
 
 fn range(text: &str) -> Result<(i64, i64), String> {
     let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
-    numbers.filter(|(a, b)| a <= b).ok_or_else(|| "two numbers in order, as 100..199".to_owned())
+    numbers
+        .filter(|(a, b)| a <= b)
+        .ok_or_else(|| "expected two increasing numbers, such as 100..199".to_owned())
 }
 
-/// Refuses an option that was given, and has no meaning but for simulations.
+/// Rejects an option that was given, but only applies to simulations.
 fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
-        Some((name, _)) => {
-            Err(Error::Request(format!("{name} needs a simulation: an output with {{}}")))
-        }
+        Some((name, _)) => Err(Error::Request(format!(
+            "{name} needs a simulation: several inputs, and an output with {{}}"
+        ))),
     }
 }
 
 impl SimulationOptions {
-    /// Refuses what has no meaning for a single frame.
+    /// Rejects options that do not apply to a single frame.
     pub fn refuse_for_one_frame(&self) -> Result<(), Error> {
         refuse_of_sequences(&[("--resume", self.resume), ("--plan", self.plan)])?;
         self.refuse_for_parts()
     }
 
-    /// Refuses what has no meaning for a single frame in parts.
+    /// Rejects options that do not apply to a single frame in parts.
     pub fn refuse_for_parts(&self) -> Result<(), Error> {
         refuse_of_sequences(&[
             ("--start", self.start.is_some()),

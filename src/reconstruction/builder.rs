@@ -1,4 +1,4 @@
-//! The request for a surface, step by step.
+//! The request for a surface, built option by option.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,15 +17,16 @@ use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
 
-/// A request for the surface of particles: what is not said is measured, or the default.
+/// A request for the surface of particles. Settings that are not given are measured, or have their
+/// defaults.
 ///
-/// Numbers are checked when it runs. Every run has threads of its own, and sets nothing for the
-/// rest of the program.
+/// Numbers are checked when the request runs. Each run has its own threads, and changes nothing
+/// outside.
 ///
 /// ```
 /// use meniscus::Reconstruction;
 ///
-/// // A ball of particles, one a unit.
+/// // A ball of particles, one per unit of volume.
 /// let steps = || (-6..=6).map(f64::from);
 /// let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
 /// let ball: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 36.0).collect();
@@ -55,7 +56,7 @@ impl Default for Reconstruction {
 }
 
 impl Reconstruction {
-    /// Asks for the default surface.
+    /// A request with default settings.
     pub fn new() -> Self {
         Self {
             settings: Settings::default(),
@@ -69,7 +70,7 @@ impl Reconstruction {
         }
     }
 
-    /// Takes all settings at once.
+    /// A request with these settings.
     ///
     /// ```
     /// use meniscus::{Reconstruction, Settings};
@@ -81,13 +82,13 @@ impl Reconstruction {
         Self::new().with_settings(settings)
     }
 
-    /// Puts settings in place of all that were asked for.
+    /// Replaces all settings.
     pub fn with_settings(mut self, settings: Settings) -> Self {
         self.settings = settings;
         self
     }
 
-    /// Sets the distance between neighbouring particles, which is otherwise taken from the file or
+    /// Sets the distance between neighbouring particles. The default comes from the file, or is
     /// estimated.
     pub fn spacing(mut self, length: f64) -> Self {
         (self.settings.spacing, self.settings.radius) = (Some(length), None);
@@ -100,27 +101,28 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the edge of a cell in spacings: 0.5 by default, two thirds for the paper's indicators.
+    /// Sets the edge of a cell in spacings: 0.5 by default, 2/3 for the indicators counting and
+    /// symmetry.
     pub fn cell(mut self, spacings: f64) -> Self {
         (self.settings.cell_size, self.settings.cell) = (None, Some(spacings));
         self
     }
 
-    /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not
-    /// counted. A side at -inf or inf is open.
+    /// Sets the walls of a tank by its lowest and highest corner. Particles outside are left out. A
+    /// side at -inf or inf is open.
     pub fn domain(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
         self.settings.domain = Some(Tank::Walls(Walls::from_corners([lowest, highest])));
         self
     }
 
-    /// Sets closed meshes that the fluid ends at, such as obstacles, by their files.
+    /// Sets the files of solids: closed meshes at which the fluid ends, such as obstacles.
     pub fn solids(mut self, files: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.settings.solid = Some(files.into_iter().map(Into::into).collect());
         self
     }
 
-    /// Finds the walls of the tank: those of the scene beside the file, or the planes at which the
-    /// particles end. No particle is outside of them, and a side that is not certain stays open.
+    /// Finds the walls of the tank, from a scene file beside the input, or as the planes at which
+    /// the particles end. No particle is outside these walls, and an uncertain side stays open.
     ///
     /// ```
     /// use meniscus::Reconstruction;
@@ -145,16 +147,16 @@ impl Reconstruction {
         self
     }
 
-    /// Sets a periodic box by its faces along x, y and z, `None` for an axis that is open: beyond a
-    /// face the fluid goes on as it does behind the opposite one.
+    /// Sets a periodic box by its faces along x, y and z; `None` is an open axis. Beyond a face,
+    /// the fluid continues as behind the opposite face.
     ///
-    /// Particles on an upper face are on the lower one; others outside are an error, or left out
-    /// where such are [skipped](Self::skip_invalid). Walls can stand along open axes.
+    /// Particles on an upper face count as on the lower one. Other particles outside are an error,
+    /// or left out with [`skip_invalid`](Self::skip_invalid). Open axes can have walls.
     ///
     /// ```
     /// use meniscus::Reconstruction;
     ///
-    /// // Water of endless length and width, 7 deep.
+    /// // Water of infinite length and width, 7 deep.
     /// let steps = |n: i32| (0..n).map(|i| f64::from(i) + 0.5);
     /// let slab = steps(30).flat_map(|x| steps(7).flat_map(move |y| steps(30).map(move |z| [x, y, z])));
     /// let slab: Vec<[f64; 3]> = slab.collect();
@@ -170,7 +172,7 @@ impl Reconstruction {
         self
     }
 
-    /// Makes the field by one of the kernel methods that the paper compares against.
+    /// Uses one of the kernel methods that the paper compares with.
     pub fn method(mut self, method: KernelMethod) -> Self {
         self.settings.method = Some(match method {
             KernelMethod::Mueller { .. } => MethodName::Mueller,
@@ -183,23 +185,24 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the isovalue, between 0 and 1, for the paper's indicators and for kernels; it is
-    /// otherwise measured, or a half.
+    /// Sets the isovalue, between 0 and 1, for counting, symmetry and the kernel methods. By
+    /// default it is measured, and 0.5 for kernel methods.
     pub fn iso(mut self, value: f64) -> Self {
         self.settings.iso = Some(Iso::Value(value));
         self
     }
 
-    /// Carries these attributes of the particles to the vertices; without this their velocity, if
-    /// they have it.
+    /// Interpolates these attributes of the particles to the vertices. By default, the velocity if
+    /// the particles have it.
     pub fn attributes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.settings.attributes = Some(names.into_iter().map(Into::into).collect());
         self
     }
 
-    /// Uses only the particles that satisfy conditions on their attributes. Where an input holds
-    /// several types of particles, `type` names one: `PartType1` of a snapshot, an array of PySPH, a
-    /// species of openPMD; without it that is gas, `fluid`, or the only one.
+    /// Uses only particles that satisfy conditions on their attributes.
+    ///
+    /// If an input has several types of particles, `type` selects one: `PartType1` of a snapshot,
+    /// an array of PySPH, a species of openPMD. By default that is gas, `fluid`, or the only type.
     ///
     /// ```
     /// use meniscus::{Cloud, Reconstruction, Where};
@@ -217,33 +220,32 @@ impl Reconstruction {
         self
     }
 
-    /// Draws by the calibration of another frame, so that both are alike.
+    /// Uses the calibration of another frame, so that both surfaces are consistent.
     pub fn calibrated(mut self, by: Calibration) -> Self {
         self.calibration = Some(by);
         self
     }
 
-    /// Sets the memory that may be used: three quarters of what is available otherwise.
+    /// Limits the memory. The default is three quarters of the available memory.
     pub fn memory(mut self, budget: MemoryBudget) -> Self {
         self.memory = Some(budget);
         self
     }
 
-    /// Sets the folder for what exceeds the memory: that of the system's temporary files otherwise,
-    /// where the program takes the output's.
+    /// Sets the folder for scratch files. The default is the system's temporary folder; the program
+    /// uses the output's folder.
     pub fn scratch(mut self, folder: impl Into<PathBuf>) -> Self {
         self.scratch = Some(folder.into());
         self
     }
 
-    /// Sets the number of threads: one for each core otherwise.
+    /// Sets the number of threads. The default is one per core.
     pub fn threads(mut self, count: usize) -> Self {
         (self.threads, self.pool) = (Some(count), None);
         self
     }
 
-    /// Runs on threads of the caller's, beside whatever else they do, in place of threads of its
-    /// own.
+    /// Runs on the caller's thread pool instead of its own threads.
     ///
     /// ```
     /// use std::sync::Arc;
@@ -261,39 +263,38 @@ impl Reconstruction {
         self
     }
 
-    /// Runs on a backend, such as a Vulkan device. Kernel methods run on the processor.
+    /// Runs on a backend, such as a Vulkan device. Kernel methods always run on the CPU.
     pub fn backend(mut self, backend: Backend) -> Self {
         self.backend = backend;
         self
     }
 
-    /// Whether a backend has a part in it: kernel methods have none.
+    /// Whether the request uses a backend; kernel methods do not.
     #[must_use]
     pub fn uses_backend(&self) -> bool {
         self.settings.kernels().is_none()
     }
 
-    /// Takes a handle by which the work can be ended early, from any thread.
+    /// Sets a handle that can cancel the work from any thread.
     pub fn cancel(mut self, cancel: Cancel) -> Self {
         self.control.cancel = cancel;
         self
     }
 
-    /// Tells a function of progress, from whatever thread makes it. The frames of a
-    /// [`Simulation`](crate::Simulation) tell of theirs by [`Event::Stage`](crate::Event::Stage)
-    /// instead.
+    /// Calls a function with progress, from any thread. A [`Simulation`](crate::Simulation) reports
+    /// the progress of its frames by [`Event::Stage`](crate::Event::Stage) instead.
     pub fn progress(mut self, tell: impl Fn(Progress) + Send + Sync + 'static) -> Self {
         self.control.progress = Some(Arc::new(tell));
         self
     }
 
-    /// The settings that show in the bytes of a mesh.
+    /// The settings that affect the mesh.
     #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The device that it runs on, unless that is the processor.
+    /// The device that the request runs on; `None` for the CPU.
     #[must_use]
     pub fn device(&self) -> Option<&Device> {
         self.backend.device()
@@ -317,42 +318,41 @@ macro_rules! setters {
 setters! {
     /// Sets a corner of the grid's cells.
     origin: [f64; 3],
-    /// Sets where the mesh ends at the faces of a periodic box: on them, if it is not said.
+    /// Sets how the mesh ends at the faces of a periodic box. The default is on the faces.
     periodic_mesh: PeriodicMesh,
-    /// Makes the field by an indicator: clouds by default, the others are the paper's.
+    /// Sets the indicator: cloud by default; counting and symmetry are the paper's.
     indicator: IndicatorKind,
-    /// Sets `mu0`, the mean number of particles in a full cell, for counting.
+    /// Sets `mu0`, the mean number of particles in cells that contain any, for counting.
     mu0: f64,
-    /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer
-    /// water.
+    /// Sets the smoothing width in spacings, for clouds: 1.6 by default, more for calmer water.
     smooth: f64,
-    /// Joins neighbours in a sheet or a thread up to so many spacings apart, 2.15 by default; 0 joins
-    /// none. For clouds.
+    /// Joins particles of thin sheets and threads up to this distance in spacings, 2.15 by default,
+    /// for clouds. 0 turns this off.
     sheets: f64,
-    /// Sets by how many spacings the fluid ends before solids; less than 0, it reaches into them.
+    /// Sets the distance between the fluid and solids in spacings; if it is negative, the fluid
+    /// reaches into them.
     solid_offset: f64,
-    /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the
-    /// paper's indicators.
+    /// Sets the standard deviation of the Gaussian in cells, for counting and symmetry. The default
+    /// is one spacing, but at least one cell.
     sigma: f64,
-    /// Recovers details that smoothing loses, for the paper's indicators.
+    /// Recovers details that smoothing removes, for counting and symmetry.
     detail: bool,
-    /// Makes vertex normals from the field's gradient.
+    /// Adds vertex normals, from the field's gradient.
     normals: bool,
-    /// Uses fewer triangles, as long as no part of the surface moves farther than so many cells.
+    /// Uses fewer triangles; the surface moves no farther than this distance in cells.
     simplify: f64,
-    /// Leaves out components, drops or bubbles, of less volume than so many cells.
+    /// Leaves out drops and bubbles with less than this volume in cells.
     smallest_component: f64,
-    /// Leaves out drops of fewer particles, as told by their volume.
+    /// Leaves out drops with fewer particles, estimated from their volume.
     smallest_drop: u32,
-    /// Leaves out particles that are not finite or too far away, and counts them, where they would
-    /// be an error.
+    /// Leaves out and counts particles that are not finite or too far away, instead of an error.
     skip_invalid: bool,
     /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression).
     compress: bool,
-    /// Sets the axis that points up in mesh files, which are turned where the particles have the
-    /// other one up.
+    /// Sets the axis that points up in mesh files; rotates the mesh if another axis points up in
+    /// the particles.
     up: UpAxis,
-    /// Sets the axis that points up in the particles: z for `.bi4` and y for all else, if it is not
-    /// said.
+    /// Sets the axis that points up in the particles. The default is z for `.bi4` and y for other
+    /// formats.
     particles_up: UpAxis,
 }

@@ -1,4 +1,4 @@
-//! How wide cells are, by a spacing that is given, in the file, in a scene beside it, or estimated:
+//! Cell size, from a spacing that is given, in the file, in a scene file beside it, or estimated,
 //! in this order.
 
 use std::fmt;
@@ -16,20 +16,22 @@ use crate::particles::{Particles, finite_chunks};
 
 use super::spacing::{Doubt, SpacingSource};
 
-/// Edge of a cell, as it is asked for.
+/// Requested edge of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CellSize {
     /// A length in the unit of the positions.
     Length(f64),
-    /// Times the particles' spacing.
+    /// A multiple of the particles' spacing.
     Spacings(f64),
 }
 
 impl CellSize {
-    /// The default: half a spacing. In cells of two thirds single drops are angular and hold more
-    /// or less by where they lie; these take hardly longer, for the surface is made in the same
-    /// wide cells. Renders of single drops want half as much. The paper's indicators take two
-    /// thirds, for symmetry does not bear half a spacing.
+    /// The default: half a spacing.
+    ///
+    /// In cells of two thirds, single drops are angular, and their volume depends on their
+    /// position; half a spacing takes hardly longer, because the surface is made in the same wide
+    /// cells. Renders of single drops need a quarter. The indicators counting and symmetry use two
+    /// thirds, because symmetry fails in half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -38,42 +40,42 @@ impl CellSize {
     }
 }
 
-/// Where particles come from, as far as it says something of their spacing.
+/// The origin of particles, as far as it affects their spacing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Source<'a> {
-    /// The file, beside which there may be a scene.
+    /// The file, beside which there may be a scene file.
     pub path: Option<&'a Path>,
-    /// The spacing that the file says.
+    /// The spacing in the file.
     pub spacing: Option<f64>,
 }
 
-/// Edge of the cells of a frame, and the spacing that it was taken from.
+/// Cell size of a frame, and the spacing from which it follows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Cells {
     /// Edge of a cell.
     pub size: f64,
-    /// Distance between neighbouring particles, where it is known, and where it is known from.
+    /// Distance between neighbouring particles, if known, with its source.
     pub spacing: Option<(f64, SpacingSource)>,
-    /// A corner of the cells, where it was chosen because the particles are far from the origin.
+    /// The grid's origin, if it was moved because the particles are far from 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<[f64; 3]>,
-    /// The slab that particles in a plane stand for: they are of a simulation in two dimensions.
+    /// The slab around particles of a two-dimensional simulation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
-    /// The walls that the scene and the ends of the particles show, where they were looked for.
+    /// Walls found by the scene file and the particles, if requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
-    /// Why the spacing may be wrong.
+    /// Reasons why the spacing may be wrong.
     pub doubts: Vec<Doubt>,
 }
 
-/// Walls of a tank that were found.
+/// Walls of a tank that meniscus found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FoundWalls {
     /// The walls.
     pub walls: Walls,
-    /// The scene that says where walls are; without one they are planes at which particles end.
+    /// The scene file with the walls; without one, walls are planes at which particles end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
 }
@@ -110,7 +112,7 @@ impl Slab {
 }
 
 impl Slab {
-    /// Whether particles lie in the slab's plane, like those it was found for.
+    /// Whether particles lie in the slab's plane, like those for which it was found.
     #[must_use]
     pub fn holds(&self, particles: &(impl Particles + ?Sized)) -> bool {
         let Self { axis, faces: [lo, hi] } = *self;
@@ -130,19 +132,20 @@ impl fmt::Display for Slab {
         let at = shown((self.faces[0] + self.faces[1]) / 2.0);
         write!(
             f,
-            "all particles lie in the plane {axis} = {at}: a slab from {lo} to {hi}, one spacing thick, is meshed"
+            "all particles lie in the plane {axis} = {at}: meshing a slab from {lo} to {hi}, \
+             one spacing thick"
         )
     }
 }
 
 impl Cells {
-    /// The walls that were found, where they were looked for.
+    /// The walls that were found, if requested.
     #[must_use]
     pub fn found(&self) -> Option<&Walls> {
         self.walls.as_ref().map(|found| &found.walls)
     }
 
-    /// The spacing, where it is known.
+    /// The spacing, if known.
     #[must_use]
     pub fn spacing(&self) -> Option<f64> {
         self.spacing.as_ref().map(|(spacing, _)| *spacing)
@@ -156,7 +159,7 @@ impl fmt::Display for Cells {
             Some((spacing, source)) => {
                 write!(f, "spacing {} ({source}), cell size {size}", shown(*spacing))
             }
-            None => write!(f, "spacing not known, taken to be the cell size; cell size {size}"),
+            None => write!(f, "spacing unknown, assumed to be the cell size; cell size {size}"),
         }?;
         match self.origin {
             Some(origin) => write!(f, ", origin {}", origin.map(shown).join(",")),

@@ -78,7 +78,7 @@ impl Reconstruction {
         let threads =
             self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         if !(1..=MOST_THREADS).contains(&threads) {
-            return Err(Error::Threads(format!("their number must be 1 to {MOST_THREADS}")));
+            return Err(Error::Threads(format!("their number must be from 1 to {MOST_THREADS}")));
         }
         // Chunks are simplified whole, and every thread has its own.
         let simplifying = reduction.tolerance.map(|_| threads);
@@ -96,7 +96,7 @@ impl Reconstruction {
         };
         if let Some(folder) = self.scratch.as_ref().filter(|folder| !folder.is_dir()) {
             return Err(Error::Request(format!(
-                "{}: there is no such folder for scratch files",
+                "{}: the folder for scratch files does not exist",
                 folder.display()
             )));
         }

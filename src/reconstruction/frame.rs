@@ -1,4 +1,4 @@
-//! A frame that was sampled once, to be packed, or to be drawn as often as one likes.
+//! A sampled frame, which can be packed, and meshed repeatedly with different settings.
 
 use std::mem::take;
 use std::path::PathBuf;
@@ -22,8 +22,7 @@ use super::warning::{Warning, of_frame, with_doubts};
 use super::{Cells, ChosenSampling, Packed, Source};
 use crate::settings::{Settings, Where};
 
-/// A frame that was sampled: its discrete indicator function, and whatever its surface has to know
-/// of the particles.
+/// A sampled frame: its discrete indicator function, and the particle data that surfaces need.
 #[derive(Debug)]
 pub struct Frame {
     pub(super) path: Option<PathBuf>,
@@ -33,7 +32,7 @@ pub struct Frame {
     pub(super) timings: Timings,
 }
 
-/// The samples, and what was chosen for them.
+/// The samples with their cells.
 #[derive(Debug)]
 pub(super) struct Sampled {
     pub(super) engine: Engine,
@@ -80,7 +79,7 @@ impl Checked {
         Ok(Some(Selected::new(particles, sieve)))
     }
 
-    /// Samples particles as it was chosen.
+    /// Samples particles.
     pub(super) fn sampled(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -111,35 +110,35 @@ impl Checked {
 }
 
 impl Frame {
-    /// Doubts about the frame, its spacing and its attributes.
+    /// Warnings about the frame, its spacing and its attributes.
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
         let cells = self.sampled.cells.as_ref();
         self.ready.threads.install(|| with_doubts(cells, of_frame(&self.sampled.engine)))
     }
 
-    /// The axis that points up in the particles, as it was asked for or by the kind of file.
+    /// The axis that points up in the particles, as requested or by the file format.
     #[must_use]
     pub fn particles_up(&self) -> UpAxis {
         self.ready.checked.settings.particles_up.unwrap_or(self.up)
     }
 
-    /// Draws the surface that was asked for when the particles were sampled.
+    /// Makes the surface that was requested when the particles were sampled.
     ///
     /// # Errors
-    /// [`Error::Frame`] where there is none, or scratch files fail, and [`Error::Cancelled`].
+    /// [`Error::Frame`] if there is none, or scratch files fail, and [`Error::Cancelled`].
     pub fn surface(&self) -> Result<Surface, Error> {
         self.draw(&self.ready.checked, self.timings.clone())
     }
 
-    /// Draws a surface by other settings: whatever does not need the particles again, from the
-    /// width of smoothing to simplifying.
+    /// Makes a surface with other settings, from smoothing to simplifying. Settings that need the
+    /// particles cannot change.
     ///
-    /// Memory, threads and backend stay those of the frame.
+    /// Memory, threads and backend remain those of the frame.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], also for settings that say how particles are sampled,
-    /// unless these were sampled so, and those of [`surface`](Self::surface).
+    /// [`Error::Unit`], [`Error::Unfit`], also for changed settings of the sampling, and those of
+    /// [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();
@@ -172,10 +171,11 @@ impl Frame {
         Ok(Surface::new(drawn, checked, threads, self.up))
     }
 
-    /// Writes the frame's samples to a file, to be drawn later.
+    /// Writes the frame's samples to a file, from which surfaces can be made later.
     ///
     /// # Errors
-    /// [`Error::Unfit`] for kernels, which have none, [`Error::Write`] and [`Error::Cancelled`].
+    /// [`Error::Unfit`] for kernel methods, which have no samples, [`Error::Write`] and
+    /// [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
         let Started { checked, threads } = &self.ready;
         let Some(sampled) = self.sampled.engine.dif() else {

@@ -1,5 +1,4 @@
-//! Contents of a particle file, a packed frame or a mesh, for people and programs that look before
-//! they convert.
+//! Contents of a particle file, a packed frame or a mesh.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -48,46 +47,46 @@ pub enum Info {
 pub struct ParticlesInfo {
     /// The file.
     pub file: PathBuf,
-    /// The kind of file, in the words that people use for it.
+    /// Name of the file format.
     pub format: &'static str,
     /// The number of particles.
     pub particles: usize,
-    /// The number of those whose coordinates are not finite.
+    /// The number of particles with coordinates that are not finite.
     pub not_finite: usize,
-    /// The lowest and the highest corner of the box around all others.
+    /// The lowest and highest corner of the bounding box of the others.
     pub bounds: Option<[[f64; 3]; 2]>,
-    /// The attributes beside positions.
+    /// The attributes besides positions.
     pub attributes: Vec<AttributeInfo>,
-    /// The attributes of few values, and how often each value occurs.
+    /// Attributes with few different values, and how often each value occurs.
     pub values: Vec<Occurring>,
     /// The number of particles that fail the conditions.
     pub unselected: usize,
-    /// The number of particles that are left out, as copies of those of other pieces.
+    /// The number of ghost particles, copies from other pieces, which are left out.
     pub ghosts: usize,
-    /// Parts of the input that are not read, in words.
+    /// Descriptions of parts of the input that are not read.
     pub left_out: Vec<String>,
-    /// Edges of the simulation's box by the file, which does not say whether it is periodic.
+    /// Edges of the simulation's box in the file; the box need not be periodic.
     pub box_size: Option<[f64; 3]>,
-    /// The unit of length in metres, by the file.
+    /// The file's unit of length in metres.
     pub unit_metres: Option<f64>,
-    /// Types of particles that the file holds, the one that was read first; none where it holds
-    /// but one without a name.
+    /// Types of particles in the file; the first is the one that was read. Empty if the only type
+    /// has no name.
     pub particle_types: Vec<String>,
     /// Distance between neighbouring particles.
     pub spacing: Option<f64>,
-    /// Where the spacing comes from.
+    /// Source of the spacing.
     pub spacing_source: Option<String>,
-    /// Why the spacing may be wrong.
+    /// Reasons why the spacing may be wrong.
     pub spacing_doubts: Vec<String>,
-    /// Why there is no spacing.
+    /// Reason why the spacing is unknown.
     pub spacing_unknown: Option<String>,
-    /// The spacing that nearest neighbours suggest, where there is none.
+    /// The spacing that nearest neighbours suggest, if the spacing is unknown.
     pub nearest_neighbours: Option<f64>,
-    /// The slab that is meshed, where all particles lie in a plane.
+    /// The slab that is meshed if all particles lie in a plane.
     pub slab: Option<Slab>,
-    /// The walls that the scene and the ends of the particles show.
+    /// Walls found by the scene file and the particles.
     pub walls: Option<Box<FoundWalls>>,
-    /// Bytes that reconstructing in memory takes by default.
+    /// Bytes of memory for a reconstruction with default settings.
     pub memory_bytes: Option<u64>,
 }
 
@@ -97,25 +96,25 @@ pub struct ParticlesInfo {
 pub struct FrameInfo {
     /// The file.
     pub file: PathBuf,
-    /// The number of particles that it was made of.
+    /// The number of particles in the frame.
     pub particles: usize,
-    /// Cells that are not 0 by what their own bin's particles leave in them.
+    /// Cells that are not 0 by the particles of their own bin.
     pub cells: u64,
-    /// Bricks that are stored.
+    /// Stored bricks.
     pub bricks: u64,
-    /// The lowest and the highest corner of the box around these cells.
+    /// The lowest and highest corner of the bounding box of these cells.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// Edge of a cell.
     pub cell_size: f64,
     /// A corner of the grid's cells.
     pub origin: [f64; 3],
-    /// The walls of the tank, if the fluid is in one.
+    /// The walls of the tank, if there is one.
     pub domain: Option<[[f64; 3]; 2]>,
-    /// The faces of the periodic box along each axis that is not open, if the fluid is in one.
+    /// The faces of the periodic box along each axis that is not open, if there is one.
     pub periodic: Option<[Option<[f64; 2]>; 3]>,
     /// The indicator's name.
     pub indicator: &'static str,
-    /// Mean number of particles in a full cell, where the indicator counts.
+    /// Mean number of particles in a full cell, for the indicator counting.
     pub mu0: Option<f64>,
 }
 
@@ -129,7 +128,7 @@ pub struct MeshInfo {
     pub vertices: usize,
     /// The number of triangles.
     pub triangles: usize,
-    /// The lowest and the highest corner of the box around the vertices.
+    /// The lowest and highest corner of the bounding box of the vertices.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The number of connected components.
     pub components: usize,
@@ -139,14 +138,12 @@ pub struct MeshInfo {
     pub attributes: Vec<AttributeInfo>,
 }
 
-/// The extensions of all files that are looked into, in the words of a message.
+/// The extensions of all supported files, for a message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
-    format!(
-        "of particles {KNOWN}; of packed frames .mnf; of meshes .ply, .obj, .vtk, .vtp and .stl"
-    )
+    format!("particles: {KNOWN}; packed frames: .mnf; meshes: .ply, .obj, .vtk, .vtp and .stl")
 });
 
-/// Looks into a particle file, a packed frame or a mesh.
+/// Reads the content summary of a particle file, a packed frame or a mesh.
 ///
 /// # Errors
 /// [`Error::Read`].
@@ -154,11 +151,10 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
     info_by(path, &Settings::default())
 }
 
-/// Looks into a file like [`info`], read in the format and for the type of particles that settings
-/// name.
+/// Like [`info`], with the format and the conditions of `settings`.
 ///
 /// # Errors
-/// [`Error::Read`], also where there is no such type.
+/// [`Error::Read`], also if the file has no such type of particles.
 pub fn info_by(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
     let (file, step) = file_and_step(path);
@@ -270,7 +266,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     })
 }
 
-/// The bytes that reconstructing by default takes.
+/// Bytes of memory for a reconstruction with default settings.
 fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
     let request = request.in_slab(cells.slab);

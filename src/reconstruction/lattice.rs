@@ -8,8 +8,8 @@ use crate::grid::{Domain, Grid};
 use crate::particles::Particles;
 use crate::particles::lattice::sound_origin;
 
-/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder,
-/// where its particles stand on one and the indicator tells where that lies: see [`sound_origin`].
+/// Moves the grid of a frame whose particles are on a lattice, for indicators that depend on its
+/// place, so that the lattice is sampled like disordered fluid: see [`sound_origin`].
 pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
     origin_for_lattice(particles, &sampling)
         .and_then(|origin| moved(&sampling, origin))

@@ -1,16 +1,15 @@
-//! Particles to a surface in one call, with everything chosen that is not said: the facade, and the
-//! policy behind it.
+//! The facade: particles to a surface in one call, and the policy that chooses defaults.
 //!
-//! A frame comes about in four ways, by the same steps:
+//! A frame is made in four ways, by the same steps:
 //!
 //! | | planned | sampled | drawn | written |
 //! |---|---|---|---|---|
 //! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `Checked::engine` | `draw` | `output` |
 //! | in parts: `parts` | once for all parts, `parts/plan.rs`, kept in `plan.json` | the bins that decide its blocks, `parts/make.rs` | its blocks alone, not stitched; `parts/merge.rs` stitches all | a file of blocks, then `output` |
-//! | of a simulation: `simulation` | frozen on one frame, `simulation/freeze.rs` | beside others or alone, `simulation/one_frame.rs` | `draw_or_empty` | filled by its lane, named by another thread |
-//! | live: `simulation/live.rs` | frozen on the first frame that tells, in memory | all particles, `Checked::engine` | `draw_or_empty` | by its caller |
+//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `draw_or_empty` | filled by its lane, named by another thread |
+//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `Checked::engine` | `draw_or_empty` | by its caller |
 //!
-//! Limits are in `limits.md`, a page of the docs.
+//! The guide `limits.md` lists limits.
 
 pub mod as_numbers;
 mod attributes;
@@ -21,6 +20,9 @@ mod draw;
 mod frame;
 mod info;
 mod lattice;
+#[cfg(test)]
+#[cfg(feature = "pictures")]
+mod messages;
 mod needs;
 mod on_device;
 mod opened;

@@ -1,5 +1,5 @@
-//! A forecast of one frame before it is sampled: memory and disk by its counted particles, and time
-//! by a sample of its blocks.
+//! A forecast for one frame: memory and disk from its counted particles, and time from a sample of
+//! its blocks.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -19,64 +19,63 @@ use crate::system::timings::Timings;
 use super::checked::{Checked, Started};
 use super::opened::{Input, Opened};
 
-/// Particles that a sample is made of, at the least. A frame of up to twice as many is made whole.
+/// Minimum number of particles in the sample. A frame with up to twice as many is made completely.
 const SAMPLE: usize = 200_000;
 
-/// Needs of a frame that was counted and not sampled.
+/// Resources that a frame needs, estimated before sampling.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Needs {
-    /// Counts of particles, by what would become of them.
+    /// Counts of particles that would be used and skipped.
     pub census: Census,
     /// Edge of a cell.
     pub cell_size: f64,
-    /// Bytes of memory that may be used.
+    /// Memory limit in bytes.
     pub budget: u64,
-    /// Bytes of memory that the frame takes within that, at the peak.
+    /// Peak memory of the frame within the limit, in bytes.
     pub memory: u64,
-    /// Bytes of memory that it would take if there were enough.
+    /// Peak memory without scratch files, in bytes.
     pub in_core: u64,
-    /// The most bytes that go to scratch files.
+    /// Upper bound of the bytes in scratch files.
     pub scratch: u64,
-    /// The folder of scratch files.
+    /// Folder of the scratch files.
     pub scratch_folder: PathBuf,
-    /// Bytes that simplifying takes beside that: in memory, and in memory or scratch files.
+    /// Additional bytes for simplifying: in memory, and in memory or scratch files.
     pub simplifying: Option<[u64; 2]>,
-    /// Bytes that a writer takes that holds the mesh as a whole.
+    /// Additional bytes of a writer that needs the whole mesh in memory.
     pub writing: Option<u64>,
-    /// Triangles of the mesh before simplifying, about: as many as there are of a small frame,
-    /// expected by the counted particles of a large one.
+    /// Approximate number of triangles before simplifying: exact for a small frame, estimated from
+    /// the counted particles for a large one.
     pub triangles: u64,
-    /// Bytes that the mesh takes on disk, about.
+    /// Approximate size of the mesh on disk in bytes.
     pub disk: u64,
-    /// How long reconstructing takes in seconds, about, without writing the mesh; `None` where a
-    /// sample tells nothing: of large frames by kernels, or where a surface cannot be drawn through
-    /// the sample alone.
+    /// Approximate time of the reconstruction in seconds, without writing the mesh. `None` if a
+    /// sample cannot be measured: for large frames with kernel methods, or if the sample has no
+    /// surface.
     pub seconds: Option<f64>,
 }
 
-/// Bytes of a mesh on disk, about: 24 a vertex with its velocity, and 13 a triangle, as `.ply` has
-/// it. Further attributes come on top, and simplifying takes away.
+/// Approximate size of a mesh on disk: 24 bytes per vertex with its velocity, and 13 per triangle,
+/// as in `.ply`, without further attributes and before simplifying.
 pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
     24 * vertices + 13 * triangles
 }
 
-/// The outcome of making some of a frame's blocks, or all.
+/// The result of making some or all blocks of a frame.
 struct Tried {
     /// Particles that were binned.
     particles: usize,
     triangles: u64,
-    /// Seconds that sampling the particles took, and meshing their surface.
+    /// Seconds for sampling the particles and meshing their surface.
     seconds: [f64; 2],
 }
 
 impl Opened {
-    /// Counts the particles, and says what their surface would take; `None` of a packed frame. A
-    /// part of the frame is made to see how long the whole takes.
+    /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. A
+    /// part of the frame is made to measure the time.
     ///
     /// # Errors
-    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and
-    /// [`Error::Cancelled`].
+    /// [`Error::Frame`] for invalid particles, or too little memory, and [`Error::Cancelled`].
     pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
         let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
         let Started { checked, threads } = &self.ready;
@@ -149,7 +148,7 @@ fn forecast(
     Ok((expected, (part.triangles > 0).then_some(seconds)))
 }
 
-/// A surface that cannot be drawn is no fault of a forecast.
+/// A missing surface does not fail a forecast.
 fn accepted(tried: Result<Tried, FrameError>) -> Result<Option<Tried>, FrameError> {
     match tried {
         Err(FrameError::Cancelled) => Err(FrameError::Cancelled),

@@ -55,7 +55,7 @@ impl Reconstruction {
                 positive_length("cell-size", ratio * spacing)?
             }
             (CellSize::Spacings(_), None) => {
-                let what = "spacing must be given for particles that are on a device";
+                let what = "spacing must be given for particles on a device";
                 return Err(Error::Request(what.into()));
             }
         };

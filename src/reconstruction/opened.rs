@@ -1,4 +1,4 @@
-//! An input that was opened: what it holds, and its samples.
+//! An opened input, and sampling it.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -17,13 +17,13 @@ use super::checked::{Checked, Started};
 use super::frame::{Frame, Sampled};
 use super::{Cells, ChosenSampling, FoundWalls, SamplingRequest, Search, Source};
 
-/// An input that was opened, and is not sampled yet.
+/// An opened input that is not sampled yet.
 #[derive(Debug)]
 pub struct Opened {
     path: PathBuf,
     pub(super) ready: Started,
     pub(super) input: Input,
-    /// Walls that were not asked for.
+    /// Walls that were found without a request.
     hint: Option<FoundWalls>,
     pub(super) timings: Timings,
 }
@@ -35,7 +35,7 @@ pub(super) enum Input {
 }
 
 impl Started {
-    /// Opens one file, or several whose particles are of one frame.
+    /// Opens one file, or several as one frame.
     pub(super) fn open(self, paths: &[&Path]) -> Result<Opened, Error> {
         let path = *paths.first().ok_or_else(|| Error::Request("no file to open".into()))?;
         let checked = &self.checked;
@@ -79,7 +79,7 @@ impl Started {
 }
 
 impl Checked {
-    /// The request, that also looks for walls to tell of, where it does not say where the fluid ends.
+    /// The request with a search for walls, if it has neither a domain nor a periodic box.
     fn hinted(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
         if request.search != Search::Never || request.walls.is_some() || request.periodic.is_some()
@@ -90,7 +90,7 @@ impl Checked {
         Cow::Owned(Self { sampling, ..self.clone() })
     }
 
-    /// Ends the work where the caller has asked for it.
+    /// Returns an error if the work was cancelled.
     pub(crate) fn go_on(&self) -> Result<(), Error> {
         Ok(self.resources.control.cancel.go_on()?)
     }
@@ -191,8 +191,7 @@ impl Opened {
         }
     }
 
-    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to
-    /// suit.
+    /// The origin to which the grid was moved because all particles are on a lattice.
     #[must_use]
     pub fn moved_to(&self) -> Option<[f64; 3]> {
         match &self.input {

@@ -1,4 +1,4 @@
-//! Files that are going to be written: refused before the work, if at all.
+//! Output files that are checked and prepared before the work.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use crate::settings::Settings;
 
-/// Files and folders of an output in progress: removed where it does not get its name.
+/// Temporary files and folders of an output, removed if it fails.
 #[derive(Debug)]
 pub(crate) struct Held {
     unfinished: Unfinished,
@@ -26,7 +26,7 @@ pub(crate) struct Held {
     _folders: MadeFolders,
 }
 
-/// A mesh file that is going to be written: whole or not at all.
+/// A mesh file that is prepared before the work, and written completely or not at all.
 #[derive(Debug)]
 pub struct Output {
     file: MeshOutput,
@@ -34,7 +34,7 @@ pub struct Output {
     path: PathBuf,
 }
 
-/// A packed frame that is going to be written: whole or not at all.
+/// A packed frame that is prepared before the work, and written completely or not at all.
 #[derive(Debug)]
 pub struct PackedOutput {
     file: WholeFile,
@@ -42,7 +42,7 @@ pub struct PackedOutput {
     path: PathBuf,
 }
 
-/// A packed frame that was written.
+/// A report on a packed frame that was written.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Packed {
@@ -50,15 +50,15 @@ pub struct Packed {
     pub bytes: u64,
     /// Cells that are not 0.
     pub cells: u64,
-    /// Bricks that are stored.
+    /// Stored bricks.
     pub bricks: u64,
-    /// Counts of particles, by what became of them.
+    /// Counts of used and skipped particles.
     pub census: Census,
-    /// How long each stage took.
+    /// Time of each stage.
     pub timings: Timings,
 }
 
-/// Refuses a file that is to be read or written and written again, which is a slip of the hand.
+/// Rejects a file that is both an input and an output, or two outputs.
 pub(crate) fn refuse_same_file(path: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(path, other) {
         Err(Error::TwoPurposes { path: path.to_owned(), other: other.to_owned() })
@@ -67,7 +67,7 @@ pub(crate) fn refuse_same_file(path: &Path, other: &Path) -> Result<(), Error> {
     }
 }
 
-/// The width of coordinates in a file, by what f32 does to a surface's.
+/// The width of coordinates in a file: f64 if f32 would move vertices too far.
 pub(crate) fn coordinate_width(
     precision: SinglePrecision,
     format: MeshFormat,
@@ -80,14 +80,17 @@ pub(crate) fn coordinate_width(
         }
         SinglePrecision::TooCoarse => Ok(CoordinateWidth::F32),
         SinglePrecision::Exceeded => {
-            let what = format!("{format} holds coordinates as f32, which these exceed; use .ply");
+            let what = format!(
+                "{format} stores coordinates as f32, and these are out of its \
+                               range; use .ply"
+            );
             Err(WriteError::new(path, WriteFault::Unsupported(what)))
         }
     }
 }
 
 impl Output {
-    /// Makes sure that a file can be written, and can hold what is asked for.
+    /// Checks that a file can be written, and can store the requested attributes.
     pub(crate) fn prepare(
         settings: &Settings,
         path: &Path,
@@ -119,13 +122,13 @@ impl Output {
         &self.path
     }
 
-    /// Lays the same file out as it was asked for.
+    /// Applies the layout of `request` to the same file.
     pub(crate) fn with_layout(mut self, layout: crate::io::glb::Layout) -> Self {
         self.file = self.file.with_layout(layout);
         self
     }
 
-    /// Writes a mesh, without giving the file its name.
+    /// Writes a mesh into the temporary file.
     pub(crate) fn fill(
         self,
         mesh: &dyn MeshSource,
@@ -139,7 +142,7 @@ impl Output {
         Ok((file, self.held))
     }
 
-    /// Writes a mesh, and gives the file its name.
+    /// Writes a mesh, and renames the temporary file.
     pub(crate) fn write(
         self,
         mesh: &dyn MeshSource,
@@ -184,7 +187,7 @@ impl PackedOutput {
     }
 }
 
-/// Gives a file its name, unless the caller has asked for an early end.
+/// Renames a temporary file to its final name, unless the work was cancelled.
 fn keep(file: FilledFile, held: &Held) -> Result<u64, Error> {
     if held.unfinished.is_cancelled() {
         return Err(Error::Cancelled);

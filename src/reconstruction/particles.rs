@@ -1,4 +1,4 @@
-//! Particles of a file for whoever works on them himself before he has a surface made.
+//! Particles of a file, for callers that process them before making a surface.
 
 use std::path::Path;
 

@@ -15,45 +15,44 @@ use super::warning::{Warning, of_frame};
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Report {
-    /// The cells that were chosen, unless the frame was packed, or is one of a simulation.
+    /// The chosen cells; `None` for packed frames and frames of a simulation.
     pub cells: Option<Cells>,
-    /// Whether the grid was moved to suit particles on a lattice.
+    /// Whether the grid was moved because the particles are on a lattice.
     pub moved: bool,
-    /// The grid, its walls, the spacing, and counts of particles by what became of them.
+    /// The grid, its walls, the spacing, and counts of used and skipped particles.
     pub facts: FrameFacts,
-    /// The indicator that made the field; `None` for kernels.
+    /// The indicator; `None` for kernel methods.
     pub indicator: Option<Indicator>,
-    /// The width in spacings that makes the water calm, for clouds.
+    /// The smoothing width in spacings, for clouds.
     pub smooth: Option<f64>,
-    /// The width of the Gaussian in cells, for the paper's indicators.
+    /// The standard deviation of the Gaussian in cells, for counting and symmetry.
     pub sigma: Option<f64>,
-    /// The calibration that the surface was drawn by; `None` for kernels.
+    /// The calibration of the surface; `None` for kernel methods.
     pub calibration: Option<Calibration>,
-    /// The isovalue of kernels, where the method leaves a choice.
+    /// The isovalue of a kernel method that has one.
     pub kernel_iso: Option<f64>,
-    /// The measurements on the frame, unless the calibration was given or a kernel method needs
-    /// none.
+    /// The measurements on the frame; `None` if the calibration was given, or for kernel methods.
     pub measured: Option<Calibrated>,
-    /// Particles that are in no surface, at the least.
+    /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
-    /// Components that were left out, where any were to be.
+    /// Components that were left out, if a limit was set.
     pub too_small: Option<TooSmall>,
-    /// Triangles before simplifying and leaving out.
+    /// Triangles before simplification and the removal of components.
     pub whole_triangles: u64,
-    /// Doubts about the surface, or about the request for it.
+    /// Warnings about the surface or the request.
     pub warnings: Vec<Warning>,
-    /// The processor, or the device by its name.
+    /// The CPU, or the name of the device.
     pub backend: String,
-    /// The work that a device did.
+    /// Counts of the work on a device.
     pub on_device: Work,
-    /// Threads that it was made by.
+    /// Number of threads.
     pub threads: usize,
-    /// How long each stage took.
+    /// Time of each stage.
     pub timings: Timings,
 }
 
 impl Report {
-    /// A report on a frame that is not drawn yet.
+    /// A report on a frame without a surface yet.
     pub(crate) fn of(engine: &Engine, surfacing: &Surfacing) -> Self {
         let indicator = engine.dif().map(|sampled| sampled.indicator);
         let kernel_iso = match engine.method() {
@@ -67,7 +66,7 @@ impl Report {
         }
     }
 
-    /// A report on a frame of which nothing but this is known yet.
+    /// A report with only these facts.
     pub(crate) fn of_facts(
         facts: FrameFacts,
         indicator: Option<Indicator>,
@@ -103,7 +102,7 @@ impl Report {
         self.indicator == Some(Indicator::Cloud)
     }
 
-    /// The isovalue of the surface, where it is drawn by one.
+    /// The isovalue of the surface; `None` for clouds.
     #[must_use]
     pub fn isovalue(&self) -> Option<f64> {
         self.calibration.and_then(|known| known.iso()).map(|iso| iso.value()).or(self.kernel_iso)

@@ -57,7 +57,7 @@ pub enum Search {
     /// No.
     #[default]
     Never,
-    /// To tell the caller of them.
+    /// To report them to the caller.
     Hint,
     /// To put the fluid in them.
     Walls,
@@ -263,8 +263,8 @@ impl SamplingRequest {
         Ok((cells, done))
     }
 
-    /// Chooses the cells for particles, and uses the caller's `read` where there are so many of
-    /// them that a reading of its own would take long. `read` gets the cell size, as far as it is
+    /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
+    /// particles would take long. `read` gets the cell size, as far as it is
     /// known, and a function that it calls with the positions of all particles. It returns `None`
     /// if it failed. The last value that it returned is returned with the cells.
     fn cells_by<T>(
@@ -542,7 +542,7 @@ impl SamplingRequest {
     ///
     /// # Errors
     /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to
-    /// tell how far a periodic box's images have to reach.
+    /// compute the reach of a periodic box's images.
     pub fn sampling_on(
         &self,
         grid: Grid,
@@ -564,7 +564,7 @@ impl SamplingRequest {
             resources,
         };
         if let Some((faces, surfacing)) = &self.periodic {
-            // How far filters reach can only be told of cells that they can be made for.
+            // The reach of filters is only known for valid cells.
             sampling.refuse_unfit(surfacing)?;
             let reach = surfacing.reach(method, spacing, &grid);
             sampling.periodic = Some(Periodic::new(&grid, *faces, reach)?);

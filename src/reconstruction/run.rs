@@ -1,4 +1,4 @@
-//! Running a request: from particles, or from a file, to a surface in one call, or step by step.
+//! Running a request: from particles or a file to a surface, in one call or step by step.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::builder::Reconstruction;
 use super::{Frame, Opened, Output, PackedOutput, Surface};
 
 impl Reconstruction {
-    /// Refuses, before the work, what can be refused without reading an input.
+    /// Checks everything that can be checked without an input.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
@@ -25,7 +25,7 @@ impl Reconstruction {
         }
     }
 
-    /// Refuses settings of a surface, which a frame that is only packed does not have.
+    /// Rejects settings of a surface, which do not apply to packing a frame.
     ///
     /// # Errors
     /// [`Error::Unfit`].
@@ -44,7 +44,7 @@ impl Reconstruction {
         self.sample(particles)?.surface()
     }
 
-    /// Reconstructs the surface of the particles in a file, or of a frame that was packed.
+    /// Reconstructs the surface of the particles in a file, or of a packed frame.
     ///
     /// # Errors
     /// [`Error::Read`], and those of [`run`](Self::run).
@@ -52,7 +52,7 @@ impl Reconstruction {
         self.open(path)?.sample()?.surface()
     }
 
-    /// Samples particles in memory once, for surfaces that may be drawn otherwise again and again.
+    /// Samples particles in memory once, for several surfaces with different settings.
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
@@ -60,7 +60,7 @@ impl Reconstruction {
         self.checked()?.on_threads()?.sample(particles)
     }
 
-    /// Opens a file of particles, or a frame that was packed.
+    /// Opens a particle file or a packed frame.
     ///
     /// # Errors
     /// [`Error::Read`], and those of [`run`](Self::run) that need no particles.
@@ -68,8 +68,7 @@ impl Reconstruction {
         self.open_together(&[path.as_ref()])
     }
 
-    /// Opens files whose particles are of one frame, such as several fluids, with the attributes that
-    /// all of them have.
+    /// Opens several files as one frame, such as several fluids, with the attributes that all have.
     ///
     /// # Errors
     /// [`Error::Read`], and those of [`run`](Self::run) that need no particles; [`Error::Request`]
@@ -79,17 +78,17 @@ impl Reconstruction {
         self.checked()?.on_threads()?.open(&paths)
     }
 
-    /// Makes sure, before the work, that a mesh file can be written, and can hold what is asked
-    /// for.
+    /// Checks before the work that a mesh file can be written, and can store the requested
+    /// attributes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
+    /// [`Error::Write`], and [`Error::Unfit`] for settings that the format cannot store.
     pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
         sweep_beside(path.as_ref());
         Output::prepare(&self.settings, path.as_ref(), replace, &self.control.cancel)
     }
 
-    /// Makes sure, before the work, that a packed frame can be written.
+    /// Checks before the work that a packed frame can be written.
     ///
     /// # Errors
     /// [`Error::Write`].

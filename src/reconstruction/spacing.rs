@@ -1,4 +1,4 @@
-//! Where a frame's spacing comes from, and doubts about it.
+//! Source of a frame's spacing, and doubts about it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,25 +10,25 @@ use crate::grid::units::{shown, significant};
 use crate::particles::Particles;
 use crate::particles::mixture::Mixture;
 
-/// Writes a path down as it is shown: not every one is text.
+/// Serializes a path as it is displayed, because not every path is Unicode.
 fn as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
     to.collect_str(&path.display())
 }
 
-/// Where a spacing comes from.
+/// Source of a spacing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SpacingSource {
     /// The caller.
     Given,
     /// The particles' file.
     File,
-    /// A scene beside it.
+    /// A scene file beside it.
     Scene(#[serde(serialize_with = "as_text")] PathBuf),
-    /// The particles themselves.
+    /// An estimate from the particles.
     Estimated,
     /// The state file of a simulation.
     State,
-    /// A frame that was packed.
+    /// A packed frame.
     Packed,
 }
 
@@ -40,62 +40,61 @@ impl fmt::Display for SpacingSource {
             Self::Scene(path) => write!(f, "from {}", path.display()),
             Self::Estimated => f.write_str("estimated from the particles"),
             Self::State => f.write_str("from the state file"),
-            Self::Packed => f.write_str("of the packed frame"),
+            Self::Packed => f.write_str("from the packed frame"),
         }
     }
 }
 
-/// Why a spacing may not be that of the particles.
+/// A reason why a spacing may be wrong.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Doubt {
-    /// The particles are of two resolutions.
+    /// The particles have two spacings.
     TwoResolutions {
-        /// The spacing of most, and that of the others.
+        /// The spacing of most particles, and that of the others.
         spacings: [f64; 2],
-        /// The spacing that all are taken to have.
+        /// The spacing that is used for all.
         taken: f64,
     },
-    /// The spacing that somebody gave is not that of the particles.
+    /// The given spacing contradicts the particles.
     Contradicted {
         /// The spacing that was given.
         said: f64,
-        /// Where it comes from.
+        /// The source of the given spacing.
         source: SpacingSource,
-        /// The spacing by the particles themselves.
+        /// The estimated spacing of the particles.
         found: f64,
         /// The likely mistake.
         mistake: Option<Mistake>,
-        /// Whether they may be spray or threads, whose particles are farther apart than the
-        /// spacing.
+        /// Whether the particles may be spray or threads, which are farther apart than the spacing.
         spray: bool,
     },
-    /// The fluid is too thin for a sure estimate.
+    /// The fluid is too thin for a reliable estimate.
     Thin {
-        /// The spacing that is taken, which is that of the nearest neighbours.
+        /// The spacing that is used, from the nearest neighbours.
         taken: f64,
-        /// The spacing by density, where there is one.
+        /// The spacing from the density, if it can be measured.
         counted: Option<f64>,
         /// The median distance to the nearest neighbour.
         nearest: f64,
     },
-    /// The particles are scattered at random, as spray is and no fluid.
+    /// The particles are at random positions, like spray and unlike fluid.
     Random {
-        /// The spacing that is taken: their mean distance.
+        /// The spacing that is used: their mean distance.
         taken: f64,
     },
-    /// Some of the particles lie around the others as a boundary does around a fluid.
+    /// Some particles surround the others, as a boundary surrounds a fluid.
     Mixed(Mixture),
-    /// The coordinates, stored in single precision, are too coarse for the spacing.
+    /// The single-precision coordinates are too coarse for the spacing.
     SinglePrecision {
         /// The step of the coordinates.
         step: f64,
-        /// The spacing that is taken.
+        /// The spacing that is used.
         spacing: f64,
     },
 }
 
-/// A mistake that explains a wrong spacing.
+/// A mistake that could explain a wrong spacing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Mistake {
@@ -103,18 +102,17 @@ pub enum Mistake {
     Radius,
     /// Twice the spacing was given: a support radius, or the spacing taken for a radius.
     Double,
-    /// The length is in another unit than the positions: one of so many of theirs.
+    /// The length is in another unit, which is this multiple of the positions' unit.
     Unit(f64),
 }
 
-/// A spacing that is at least this share of the true one, ...
+/// Minimum ratio of a given to the true spacing without a warning.
 const TOO_SMALL: f64 = 0.78;
-/// ... and at most so many times it, makes a sound surface, and is within what an estimate may be
-/// wrong by.
+/// Maximum ratio. In between the surface is good, and estimates can be wrong by as much.
 const TOO_LARGE: f64 = 1.36;
-/// Factors by which an unsure estimate may be wrong in addition.
+/// Additional factor for an uncertain estimate.
 const UNSURE: f64 = 1.1;
-/// Steps of the coordinates in a spacing, below which neighbours are in the wrong place.
+/// Minimum number of coordinate steps in a spacing; with fewer, neighbours are misplaced.
 const STEPS: f64 = 4.0;
 
 impl Mistake {
@@ -240,7 +238,7 @@ impl fmt::Display for Doubt {
         match self {
             Self::TwoResolutions { spacings: [one, other], taken } => write!(
                 f,
-                "the particles are of two resolutions, {} and {} apart, and all are taken to be {} apart",
+                "the particles have two spacings, {} and {}; {} is used for all",
                 shown(*one),
                 shown(*other),
                 shown(*taken)
@@ -273,17 +271,14 @@ impl fmt::Display for Doubt {
                     None => {}
                 }
                 if *spray {
-                    write!(
-                        f,
-                        "; if this is spray, or threads of single particles, it can be right"
-                    )?;
+                    write!(f, "; it can be right for spray, or threads of single particles")?;
                 }
                 Ok(())
             }
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
-                "the {} particles whose {attribute} is {} lie around the {} whose {attribute} is {}, as a boundary does around a \
-                 fluid: all are one surface",
+                "the {} particles with {attribute}={} surround the {} with {attribute}={}, as a \
+                 boundary surrounds a fluid; all are meshed together",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { taken, counted, nearest } => {
@@ -291,28 +286,28 @@ impl fmt::Display for Doubt {
                 match counted {
                     Some(counted) => write!(
                         f,
-                        "the fluid is thin, and its spacing uncertain: {taken} by nearest neighbours, {} by density; {taken} is \
-                         used",
+                        "the fluid is thin, so its spacing is uncertain: {taken} by nearest \
+                         neighbours, {} by density; {taken} is used",
                         about(*counted)
                     ),
                     None => write!(
                         f,
-                        "few particles are surrounded by others, so their spacing is uncertain: {taken} is used, the nearest \
-                         neighbour is {} away",
+                        "few particles are surrounded by others, so their spacing is uncertain: \
+                         {taken} is used; nearest neighbours are {} apart",
                         about(*nearest)
                     ),
                 }
             }
             Self::Random { taken } => write!(
                 f,
-                "the particles are scattered at random, as spray is: their mean distance, {}, is used as the spacing, and may be \
-                 larger than that of the fluid they come from",
+                "the particles are at random positions, like spray: their mean distance {} is \
+                 used as the spacing, and may be larger than that of the fluid",
                 about(*taken)
             ),
             Self::SinglePrecision { step, spacing } => write!(
                 f,
-                "the coordinates are stored in single precision, and so far from the origin they move in steps of {}: more than a \
-                 quarter of the spacing {}",
+                "single-precision coordinates so far from the origin have steps of {}, more \
+                 than a quarter of the spacing {}",
                 about(*step),
                 shown(*spacing)
             ),

@@ -1,4 +1,4 @@
-//! A surface that was reconstructed, and how it is written.
+//! A reconstructed surface, and writing it.
 
 use std::fmt;
 use std::path::Path;
@@ -33,13 +33,13 @@ const PREVIEW: [usize; 2] = [640, 360];
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
     drawn: Drawn,
-    /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be
+    /// The threads that made the surface and write it; stopped in between, because a surface may be
     /// kept for long.
     threads: Threads,
     settings: Settings,
-    /// Whoever had it drawn.
+    /// The handle of the request that made the surface.
     control: Control,
-    /// Memory that may be used for it.
+    /// The memory limit.
     #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "pictures alone ask for it"))]
     memory: MemoryBudget,
     particles_up: UpAxis,
@@ -58,16 +58,16 @@ impl Surface {
         Self { drawn, threads: threads.into(), settings, control, memory, particles_up }
     }
 
-    /// The mesh, piece by piece, as it is kept.
+    /// The mesh, in the pieces in which it is stored.
     #[must_use]
     pub fn mesh(&self) -> &dyn MeshSource {
         self.drawn.mesh.source()
     }
 
-    /// Copies the mesh into memory as a whole.
+    /// Copies the whole mesh into memory.
     ///
     /// # Errors
-    /// [`Error::WholeMesh`] where it is too large, or cannot be read from a scratch file, and
+    /// [`Error::WholeMesh`] if it is too large or a scratch file cannot be read, and
     /// [`Error::Threads`].
     pub fn to_mesh(&self) -> Result<Mesh, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
@@ -79,15 +79,15 @@ impl Surface {
         Ok(mesh?)
     }
 
-    /// The report on how it was made.
+    /// The report on the reconstruction.
     #[must_use]
     pub fn report(&self) -> &Report {
         &self.drawn.report
     }
 
-    /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in
-    /// its particles. A picture that says nothing of memory takes no more than half of the frame's:
-    /// the other half is the mesh's.
+    /// Draws a picture of the mesh, on the threads that made it, with the up axis of its particles.
+    /// Unless the picture has its own memory limit, it uses at most half of the frame's; the mesh
+    /// may use the other half.
     ///
     /// # Errors
     /// [`Error::Picture`] and [`Error::Threads`].
@@ -100,8 +100,7 @@ impl Surface {
         drawn.map_err(|fault| Error::Picture { path: None, fault })
     }
 
-    /// Draws a small picture of the mesh on a ground, to see in a moment what became of the
-    /// particles.
+    /// Draws a small picture of the mesh with its ground, as a first look.
     ///
     /// # Errors
     /// Those of [`picture`](Self::picture).
@@ -111,10 +110,10 @@ impl Surface {
         self.picture(&Picture::new().size(width, height).ground(true).effort(Effort::Draft))
     }
 
-    /// Finds what a format makes of the mesh that is worth a warning.
+    /// Warnings about storing the mesh in a format.
     ///
     /// # Errors
-    /// [`Error::Write`] where the mesh is in a scratch file that cannot be read.
+    /// [`Error::Write`] if the mesh is in a scratch file that cannot be read.
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
         let mut warnings: Vec<_> =
@@ -124,15 +123,16 @@ impl Surface {
         Ok(warnings)
     }
 
-    /// Writes the mesh to a file that is not there yet, whose extension says the format: whole or
-    /// not at all. Coordinates are f64 where f32 would move vertices by more than 1 / 256 of a cell
-    /// and the format can hold them. Returns the file's size in bytes. Its folder is made if it is missing.
+    /// Writes the mesh to a new file, completely or not at all, and returns its size in bytes.
+    ///
+    /// The extension selects the format. Coordinates are f64 if f32 would move vertices by more
+    /// than 1 / 256 of a cell and the format can store f64. Missing folders are created.
     ///
     /// To replace a file call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
-    /// [`Error::Write`], [`Error::Unfit`] for what the format cannot hold, and [`Error::Cancelled`]
-    /// by the handle of the request that had the surface drawn.
+    /// [`Error::Write`], [`Error::Unfit`] for settings that the format cannot store, and
+    /// [`Error::Cancelled`] by the handle of the request.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(
             &self.settings,
@@ -142,7 +142,7 @@ impl Surface {
         )?)
     }
 
-    /// Writes the mesh in place of a file that may be there.
+    /// Writes the mesh like [`write`](Self::write), and replaces an existing file.
     ///
     /// # Errors
     /// Those of [`write`](Self::write).
@@ -155,12 +155,11 @@ impl Surface {
         )?)
     }
 
-    /// Writes the mesh to a file that was made ready before the work, and returns its size in
-    /// bytes.
+    /// Writes the mesh to a file that was prepared before the work, and returns its size in bytes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that had the surface
-    /// drawn, or that made the file ready.
+    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the
+    /// surface or prepared the file.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.settings.orientation(self.particles_up, format);
@@ -178,8 +177,7 @@ impl fmt::Debug for Surface {
     }
 }
 
-/// Warns of what a format makes of a mesh: attributes that get other names, and vertices that it
-/// does not tell apart.
+/// Warnings about a mesh in a format: renamed attributes, and vertices that become equal.
 pub(crate) fn made_of(
     mesh: &dyn MeshSource,
     format: MeshFormat,
@@ -195,7 +193,7 @@ pub(crate) fn made_of(
     Ok(warnings)
 }
 
-/// Brings a mesh of several pieces into memory.
+/// Reads a mesh of several pieces into memory.
 fn in_one_piece(mesh: &dyn MeshSource) -> Result<Mesh, WholeMeshError> {
     let Outline { vertices, normals, attributes, pieces, .. } = mesh.outline();
     if u32::try_from(vertices).is_err() {

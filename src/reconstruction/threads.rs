@@ -4,11 +4,10 @@ use std::sync::{Arc, Weak};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Threads of a request: as long as someone works they are his, and whoever comes later starts as
-/// many.
+/// Threads of a request. They exist only while work runs; later work starts new ones.
 ///
-/// Surfaces are kept by the hundred, and in processes that fork, where threads of the parent are
-/// none of the child's.
+/// Callers keep hundreds of surfaces, and fork processes, in which the parent's threads do not
+/// exist.
 #[derive(Debug, Clone)]
 pub(crate) struct Threads {
     pool: Weak<ThreadPool>,

@@ -1,4 +1,4 @@
-//! Doubts about a frame, or about the request for it, although there is a surface.
+//! Warnings about a surface, or about the request for it.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -16,95 +16,94 @@ use crate::surface::simplify::TooSmall;
 
 use super::{Cells, Doubt};
 
-/// Particles that are so many times too dense for their spacing are half as far apart.
+/// Density, relative to the spacing, from which on a warning is given: half the distance.
 const CROWDED: f64 = 8.0;
 
-/// Particles in no surface, or in the same place as others, that are not worth a word.
+/// Number of lost or coincident particles up to which there is no warning.
 const FEW: u64 = 10;
 
-/// A doubt about a surface, or about the request for it.
+/// A warning about a surface, or about the request for it.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Warning {
-    /// The spacing may not be that of the particles.
+    /// The spacing may be wrong.
     Spacing(Doubt),
-    /// Many more particles are there than their spacing leaves room for.
+    /// Particles are much denser than the spacing allows.
     Crowded {
-        /// How many times as many, at the least.
+        /// Lower bound of the ratio of densities.
         times: f64,
-        /// The spacing that they are taken to have.
+        /// The spacing.
         spacing: f64,
     },
-    /// Particles are in the same place as others.
+    /// Particles have the same position as others.
     Coincident {
-        /// How many, where, and whether far from others.
+        /// The number and place of these particles, and whether they are far from others.
         found: Coincident,
-        /// How many particles there are.
+        /// Number of particles.
         of: usize,
     },
     /// Some particles lack a value of an attribute.
     Lacking {
         /// The attribute's name.
         attribute: String,
-        /// How many particles have no such number.
+        /// Number of particles without a value.
         without: usize,
-        /// How many particles there are.
+        /// Number of particles.
         of: usize,
     },
-    /// The backend failed, and the processor stood in for it.
+    /// The backend failed, and the CPU did its work.
     MadeGood(String),
-    /// A lattice of particles lies on the corners of cells, which symmetry does not bear.
+    /// A lattice of particles lies on the corners of cells, where symmetry fails.
     OnCorners {
         /// The mean indicator of full cells.
         mean: f64,
-        /// An origin that moves the grid off them.
+        /// An origin of the grid that avoids this.
         origin: [f64; 3],
     },
-    /// An isovalue that was given is above values deep in the fluid.
+    /// The given isovalue is above values deep in the fluid.
     Bubbles {
         /// The isovalue.
         iso: f64,
         /// The lowest value deep in the fluid.
         lowest: f64,
     },
-    /// Particles are past a wall that was found on other frames.
+    /// Particles are beyond a wall that was found on other frames.
     PastWall(Past),
-    /// Particles are in no surface.
+    /// Particles are missing from the surface.
     Lost {
-        /// How many, at the least.
+        /// Lower bound of their number.
         lost: u64,
-        /// How many particles there are.
+        /// Number of particles.
         of: usize,
-        /// Whether smoothing by one of the paper's indicators loses them, where smaller cells would
-        /// not help.
+        /// Whether smoothing by counting or symmetry loses them, so that smaller cells do not help.
         smoothed: bool,
     },
-    /// The surface holds far less than its particles.
+    /// The surface encloses much less than the particles' volume.
     Shortfall {
-        /// By how much.
+        /// The ratio of volumes.
         shortfall: Shortfall,
-        /// Whether clouds make the field.
+        /// Whether the indicator is cloud.
         clouds: bool,
-        /// The frame that its isovalue or plateau was measured on, if that is another.
+        /// The calibration frame, if it is another one.
         measured_on: Option<i64>,
     },
-    /// A format leaves vertices in the same place, and has nothing else to tell them by.
+    /// Vertices become equal in a format that has no indices.
     Merged {
-        /// How many.
+        /// The number of these vertices.
         vertices: u64,
         /// The format.
         format: MeshFormat,
     },
-    /// A format has no room for an attribute's name, or has it taken.
+    /// The format cannot store the attribute's name, or uses it already.
     Renamed {
         /// The attribute.
         attribute: String,
-        /// The name that it gets.
+        /// The name in the file.
         name: String,
         /// The format.
         format: MeshFormat,
     },
-    /// A format holds coordinates as f32, too coarse for these.
+    /// The format stores coordinates as f32, which is too coarse.
     Coarse {
         /// The format.
         format: MeshFormat,
@@ -122,15 +121,15 @@ pub enum Warning {
     },
     /// A part of the input is not read.
     LeftOut(LeftOut),
-    /// None of a frame's particles satisfies the conditions: its mesh is empty.
+    /// No particle of the frame satisfies the conditions: its mesh is empty.
     NoneSelected(SelectionFault),
-    /// A frame among others has no surface: its mesh is empty.
+    /// The frame of a simulation has no surface: its mesh is empty.
     Empty {
         /// The cause.
         why: Emptiness,
-        /// Whether clouds make the field.
+        /// Whether the indicator is cloud.
         clouds: bool,
-        /// The frame that its isovalue or plateau was measured on, if that is another.
+        /// The calibration frame, if it is another one.
         measured_on: Option<i64>,
     },
 }
@@ -141,14 +140,14 @@ pub enum Warning {
 pub enum Emptiness {
     /// The field is nowhere above the isovalue.
     Field,
-    /// No cell's centre is inside of the surface.
+    /// The surface contains no cell's centre.
     Distances,
-    /// All components were too small to be kept.
+    /// All components are smaller than the limits.
     TooSmall(TooSmall),
 }
 
 impl Emptiness {
-    /// Tells why an error leaves a frame with an empty mesh, if it does.
+    /// The cause, if this error means an empty mesh.
     pub(crate) fn of(fault: &FrameError) -> Option<Self> {
         match *fault {
             FrameError::NoSurface { .. } => Some(Self::Field),
@@ -166,20 +165,17 @@ impl fmt::Display for Warning {
             Self::Crowded { times, spacing } => {
                 write!(
                     f,
-                    "there are {times:.1} times as many particles as {} apart have room",
+                    "particles are {times:.1} times denser than spacing {} allows",
                     shown(*spacing)
                 )
             }
             Self::Coincident { found, of } => {
                 let Coincident { particles, most, at, alone, .. } = found;
                 let at = at.map(|c| significant(c, 6)).join(", ");
-                write!(f, "{particles} of {of} particles are in the same place as another one")?;
+                write!(f, "{particles} of {of} particles have the same position as another one")?;
                 match (*alone, *most) {
                     (true, most) => {
-                        write!(
-                            f,
-                            "; {most} are at ({at}), far from all others, like slots that are not in use"
-                        )
+                        write!(f, "; {most} are at ({at}), far from all others, like unused slots")
                     }
                     (false, most) if most > 2 => write!(f, "; {most} are at ({at})"),
                     (false, _) => write!(f, ", such as at ({at})"),
@@ -187,43 +183,51 @@ impl fmt::Display for Warning {
             }
             Self::Lacking { attribute, without, of } => write!(
                 f,
-                "{without} of {of} particles have no {attribute} that is a finite number of 32 bits: the others alone tell that \
-                 of the vertices"
+                "{without} of {of} particles have no finite 32-bit {attribute}: vertices use \
+                 the values of the others"
             ),
             Self::MadeGood(what) => f.write_str(what),
             Self::OnCorners { mean, .. } => write!(
                 f,
-                "the particles lie on the corners of cells (mean indicator {}), which harms the surface",
+                "the particles lie on the corners of cells (mean indicator {}), which makes the \
+                 surface inaccurate",
                 significant(*mean, 3)
             ),
             Self::Bubbles { iso, lowest } => write!(
                 f,
-                "isovalue {} is above the field's lowest interior value, {}: expect bubbles inside",
+                "isovalue {} is above the field's lowest interior value, {}: the fluid can \
+                 contain bubbles",
                 significant(*iso, 4),
                 significant(*lowest, 4)
             ),
             Self::PastWall(Past { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
-                let what = if moved.is_some() { "moved there" } else { "left out" };
+                let what =
+                    if moved.is_some() { "the wall is moved there" } else { "that side is open" };
                 write!(
                     f,
-                    "particles reach {axis} = {reach}, past the wall that was found at {wall}: it is {what} in this frame"
+                    "particles reach {axis} = {reach}, beyond the wall found at {wall}: {what} \
+                     in this frame"
                 )
             }
             Self::Lost { lost, of, .. } => {
-                write!(f, "at least {lost} of {of} particles are in no surface")
+                write!(f, "at least {lost} of {of} particles are missing from the surface")
             }
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
             Self::Merged { vertices, format } => write!(
                 f,
-                "{vertices} vertices have the place of another in f32, and {format} has nothing else to tell them by; .ply keeps \
-                 them"
+                "{vertices} vertices have the same f32 position as another one, and {format} \
+                 cannot distinguish them; .ply can"
             ),
             Self::Renamed { attribute, name, format } => {
-                write!(f, "the attribute \"{attribute}\" is called \"{name}\" in {format}")
+                write!(f, "the attribute \"{attribute}\" is stored as \"{name}\" in {format}")
             }
             Self::Coarse { format } => {
-                write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
+                write!(
+                    f,
+                    "{format} stores coordinates as f32, which is too coarse here; .ply \
+                           stores f64"
+                )
             }
             Self::Turned(path) => write!(
                 f,
@@ -241,20 +245,20 @@ impl fmt::Display for Warning {
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {
                 Emptiness::Field => {
-                    f.write_str("the field is nowhere above the isovalue: an empty mesh")
+                    f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
                 Emptiness::Distances => {
-                    f.write_str("no cell's centre is inside of the surface: an empty mesh")
+                    f.write_str("the mesh is empty: the surface contains no cell's centre")
                 }
                 Emptiness::TooSmall(all) => {
-                    write!(f, "all components are below {}: an empty mesh", all.limits())
+                    write!(f, "the mesh is empty: all components are below {}", all.limits())
                 }
             },
         }
     }
 }
 
-/// Doubts about a frame that was sampled.
+/// Warnings about a sampled frame.
 pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::MadeGood).collect();
     let mean = engine.dif().and_then(mean_symmetry);
@@ -317,7 +321,7 @@ pub(crate) fn of_particles<'a>(
     warnings
 }
 
-/// A doubt about an isovalue that was given, by what was measured on the frame.
+/// A warning about a given isovalue, from measurements on the frame.
 pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Option<Warning> {
     let (Plateau::Interior { lowest, .. }, Some(given)) = (measured.plateau, given) else {
         return None;
@@ -329,7 +333,7 @@ pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Opt
     })
 }
 
-/// A doubt about particles that are in no surface, if they are many.
+/// A warning about particles that are missing from the surface, if there are many.
 pub(crate) fn lost_warning(lost: u64, of: usize, smoothed: bool) -> Option<Warning> {
     (lost > FEW).then_some(Warning::Lost { lost, of, smoothed })
 }

@@ -1,4 +1,4 @@
-//! Boxes and points as people write them: numbers with commas or blanks between.
+//! Boxes and points as text: numbers separated by commas or blanks.
 
 use std::str::FromStr;
 
@@ -37,7 +37,7 @@ impl TryFrom<[Option<f64>; 6]> for Faces {
         let axis = |(name, ends)| match ends {
             (Some(lo), Some(hi)) => Ok(Some([lo, hi])),
             (None, None) => Ok(None),
-            _ => Err(format!("both ends of {name} are numbers, or neither is")),
+            _ => Err(format!("one end of {name} is open: give two numbers, or - for both")),
         };
         Ok(Self([axis(("x", (x0, x1)))?, axis(("y", (y0, y1)))?, axis(("z", (z0, z1)))?]))
     }
@@ -46,17 +46,17 @@ impl TryFrom<[Option<f64>; 6]> for Faces {
 impl FromStr for Faces {
     type Err = String;
 
-    /// Reads six ends, of which both of an axis may be `-`.
+    /// Reads six numbers; both ends of an axis may be `-`.
     fn from_str(text: &str) -> Result<Self, String> {
         ends(text)?.try_into()
     }
 }
 
-/// A tank, as it is asked for.
+/// A requested tank.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tank {
-    /// Found by the scene file and the particles.
+    /// Walls that meniscus finds by the scene file and the particles.
     Auto,
     /// Walls at these coordinates.
     #[serde(untagged)]
@@ -66,7 +66,7 @@ pub enum Tank {
 impl FromStr for Tank {
     type Err = String;
 
-    /// Reads auto, or six coordinates of which any may be `-`.
+    /// Reads auto, or six numbers, of which any may be `-`.
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "auto" => Ok(Self::Auto),
@@ -75,7 +75,7 @@ impl FromStr for Tank {
     }
 }
 
-/// Reads six ends, of which any may be `-`.
+/// Reads six numbers, of which any may be `-`.
 pub(super) fn ends(text: &str) -> Result<[Option<f64>; 6], String> {
     let end = |part: &str| match part {
         "-" => Ok(None),
@@ -83,7 +83,7 @@ pub(super) fn ends(text: &str) -> Result<[Option<f64>; 6], String> {
     };
     let ends: Vec<Option<f64>> = parts(text).map(end).collect::<Result<_, String>>()?;
     let count = ends.len();
-    ends.try_into().map_err(|_| format!("6 numbers with commas between, not {count}"))
+    ends.try_into().map_err(|_| format!("expected 6 numbers separated by commas, got {count}"))
 }
 
 /// Reads three numbers.
@@ -92,7 +92,7 @@ pub(super) fn point(text: &str) -> Result<[f64; 3], String> {
     let values = values.map_err(|e| e.to_string())?;
     values
         .try_into()
-        .map_err(|v: Vec<f64>| format!("3 numbers with commas between, not {}", v.len()))
+        .map_err(|v: Vec<f64>| format!("expected 3 numbers separated by commas, got {}", v.len()))
 }
 
 /// Splits a list at its commas, or at its blanks if it has no commas.

@@ -1,4 +1,4 @@
-//! Values of settings, and how a caller's values become such.
+//! Values of settings, and their conversion from a caller's values.
 
 use std::str::FromStr;
 
@@ -18,15 +18,15 @@ use crate::surface::mesh::up::UpAxis;
 pub enum MethodName {
     /// Discrete indicator functions.
     Dif,
-    /// Mueller, Charypar and Gross 2003.
+    /// Kernels of Mueller, Charypar and Gross 2003.
     Mueller,
-    /// Zhu and Bridson 2005.
+    /// Kernels of Zhu and Bridson 2005.
     ZhuBridson,
-    /// Yu and Turk 2013.
+    /// Anisotropic kernels of Yu and Turk 2013.
     YuTurk,
 }
 
-/// An isovalue, as it is asked for.
+/// A requested isovalue.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Iso {
@@ -46,7 +46,7 @@ impl FromStr for Iso {
             _ => text
                 .parse()
                 .map(Self::Value)
-                .map_err(|_| "a number between 0 and 1, or auto".to_owned()),
+                .map_err(|_| "expected a number between 0 and 1, or auto".to_owned()),
         }
     }
 }
@@ -69,7 +69,7 @@ impl Given for bool {
     }
 }
 
-/// A value of a caller that knows no types of this language. It refuses what is of another type.
+/// A value from a caller without Rust's types. Each method fails for a value of another type.
 #[allow(missing_docs, clippy::missing_errors_doc)]
 pub trait Source {
     type Error;

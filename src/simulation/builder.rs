@@ -1,4 +1,4 @@
-//! The request for the meshes of a simulation's frames, step by step.
+//! The request for the meshes of a simulation's frames, built option by option.
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf, is_separator};
@@ -15,8 +15,8 @@ use super::pattern::is_foreign;
 
 /// A request for the mesh of each frame of a simulation.
 ///
-/// Grid and calibration are measured once and kept beside the outputs, so that all frames are
-/// alike, whoever makes them.
+/// Grid and calibration are measured once and stored beside the outputs, so that all frames are
+/// consistent, whichever process makes them.
 ///
 /// ```no_run
 /// use meniscus::Simulation;
@@ -37,23 +37,25 @@ pub struct Simulation {
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
     pub(super) beside: Vec<PathBuf>,
-    /// Whether nothing is converted yet: every job may then plan.
+    /// Whether this only plans and converts nothing, which every job may do.
     pub(super) planned: bool,
-    /// Whether a sheet of the frames will be drawn.
+    /// Whether a contact sheet will be drawn.
     pub(super) sheet: bool,
-    /// Whether frames of one number are one.
+    /// Whether inputs with the same frame number are joined.
     pub(super) together: bool,
 }
 
 impl Simulation {
-    /// Asks for the meshes of frames: a name with `{}` for the number, a folder, a glob, or a file
-    /// of several steps; to a name with `{}` or `{:04}`, or a folder, which exists or ends in `/`,
-    /// where they are `.ply`. Folders of a name are made.
+    /// A request for the meshes of frames.
+    ///
+    /// The input is a pattern with `{}` for the frame number, a folder, a glob, or a file with
+    /// several steps. The output is a pattern with `{}` or `{:04}`, or a folder for `.ply` files,
+    /// which exists or ends in `/`. Missing folders are created.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>) -> Self {
         Self::of_files([input], output)
     }
 
-    /// Asks for the meshes of frames that are named one by one.
+    /// A request for the meshes of these files.
     pub fn of_files(
         inputs: impl IntoIterator<Item = impl Into<PathBuf>>,
         output: impl Into<PathBuf>,
@@ -75,9 +77,9 @@ impl Simulation {
         }
     }
 
-    /// Asks for a simulation where inputs and output name one; `None` where both name a single
-    /// frame. The output of a single file is called as it is written, unless it has `{}`: its `##`
-    /// and `%04d` stand for no number.
+    /// A request for a simulation, if inputs and output name one; `None` if both name a single
+    /// frame. The output of a single file is taken literally unless it has `{}`: `##` and `%04d`
+    /// are not frame numbers then.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
@@ -94,8 +96,8 @@ impl Simulation {
         }
     }
 
-    /// Asks for a simulation whose inputs are [joined](Self::together), where the output names one;
-    /// `None` where it names a single frame.
+    /// A request for a simulation whose inputs are [joined](Self::together), if the output names
+    /// one; `None` if it names a single frame.
     ///
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
@@ -120,73 +122,72 @@ impl Simulation {
         Ok(None)
     }
 
-    /// Sets the request by which each frame is reconstructed.
+    /// Sets the request for each frame's surface.
     pub fn reconstruction(mut self, request: Reconstruction) -> Self {
         self.request = request;
         self
     }
 
-    /// Begins the simulation at a frame's number.
+    /// Sets the number of the first frame.
     pub fn start(mut self, number: i64) -> Self {
         self.selection.start = number;
         self
     }
 
-    /// Ends the simulation at a frame's number, which is part of it.
+    /// Sets the number of the last frame.
     pub fn end(mut self, number: i64) -> Self {
         self.selection.end = number;
         self
     }
 
-    /// Takes every so many numbers from the first.
+    /// Uses only every `numbers`-th frame number, starting with the first.
     pub fn step(mut self, numbers: u64) -> Self {
         self.selection.step = numbers;
         self
     }
 
-    /// Converts these frames of the simulation only, as one of several jobs; all jobs measure and
-    /// keep the same.
+    /// Converts only these frames of the simulation, as one of several jobs. All jobs share the
+    /// same calibration.
     pub fn frames(mut self, numbers: RangeInclusive<i64>) -> Self {
         self.frames = numbers.into_inner();
         self
     }
 
-    /// Goes on with a conversion that was begun: skips what is done, whole, and made of the same
-    /// inputs. One with other settings is refused, unless its outputs may be
-    /// [replaced](Self::overwrite).
+    /// Resumes an interrupted conversion: keeps meshes that are complete and made from the same
+    /// inputs. Other settings are an error unless outputs may be [replaced](Self::overwrite).
     pub fn resume(mut self) -> Self {
         self.resume = true;
         self
     }
 
-    /// Replaces outputs that exist.
+    /// Replaces existing outputs.
     pub fn overwrite(mut self) -> Self {
         self.overwrite = true;
         self
     }
 
-    /// Follows a simulation that runs, until its last frame, or until nothing has come for so many
-    /// seconds.
+    /// Follows a running simulation, until its last frame, or until no new frame has appeared for
+    /// `seconds`.
     pub fn watch(mut self, seconds: f64) -> Self {
         self.watch = Some(seconds);
         self
     }
 
-    /// Joins the frames of all inputs that have one number: their particles make one surface, with
-    /// the attributes that all have.
+    /// Joins the frames with the same number from all inputs: their particles make one surface,
+    /// with the attributes that all of them have.
     pub fn together(mut self) -> Self {
         self.together = true;
         self
     }
 
-    /// Sets frames a second, for times where the files have none.
+    /// Sets the frames per second, if the files have no times.
     pub fn fps(mut self, rate: f64) -> Self {
         self.fps = Some(rate);
         self
     }
 
-    /// Names a file that the caller writes beside the meshes: refused where it is one of the
-    /// conversion's own.
+    /// Names a file that the caller writes beside the meshes; an error if the conversion writes it
+    /// as well.
     pub fn beside(mut self, file: impl Into<PathBuf>) -> Self {
         self.beside.push(file.into());
         self
@@ -196,7 +197,8 @@ impl Simulation {
     pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
         let Some(naming) = Naming::of(&self.output)? else {
             let what = format!(
-                "{}: one file for all frames, and no folder that exists, or ends in /",
+                "{}: names one file for all frames; write {{}} for the frame number, or name an \
+                 existing folder, or end it in /",
                 self.output.display()
             );
             return Err(SimulationError::Names(what).into());
@@ -219,13 +221,13 @@ impl Simulation {
         Ok((inputs, naming))
     }
 
-    /// Whether a frame of the simulation is one of those that are to be converted.
+    /// Whether a frame of the simulation is to be converted.
     pub(super) fn wants(&self, number: i64) -> bool {
         let (first, last) = self.frames;
         (first..=last).contains(&number)
     }
 
-    /// Refuses numbers that have no meaning.
+    /// Rejects invalid numbers.
     pub(super) fn validate(&self) -> Result<(), Error> {
         if let Some(fps) = self.fps.filter(|fps| !FPS.contains(fps)) {
             return Err(SimulationError::Rate { rate: fps, range: FPS }.into());
@@ -244,10 +246,11 @@ impl Simulation {
     }
 }
 
-/// The refusal of one output for the frames of a simulation.
+/// The error for one output file for several frames.
 fn one_output(output: &Path, inputs: &Inputs) -> Error {
     Error::Request(format!(
-        "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder that exists, or ends in /",
+        "{}: names one file for the frames of {}; write {{}} for the frame number, or name an \
+         existing folder, or end it in /",
         output.display(),
         inputs.describe()
     ))

@@ -31,7 +31,7 @@ use super::state::{State, Store};
 use super::tally::Tally;
 use super::watch::{Ready, Watch};
 
-/// Between two events that tell how much of a stage is done, at the least.
+/// Minimum time between two events of progress within a stage.
 const BETWEEN_NEWS: Duration = Duration::from_millis(50);
 
 /// Settles at last that it cannot be known: whatever happens, nobody waits for ever.
@@ -296,8 +296,9 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame at its solids, whose progress is told as that of its lane: where a stage begins and
-    /// ends, and now and then in between, for every event wakes the caller's thread.
+    /// The request for a frame with its solids, that reports its progress as that of its lane: at the
+    /// beginning and end of a stage, and rarely in between, because each event wakes the caller's
+    /// thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<Checked, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
         let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());

@@ -20,78 +20,78 @@ use crate::system::control::Progress;
 use super::frozen::{Frozen, Trust};
 use super::gaps::Gaps;
 
-/// News of a conversion, which prints as a line for people.
+/// An event of a conversion. It displays as one line of text.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum Event {
-    /// No frame has come yet, and one is waited for.
+    /// Waiting for the first frame.
     Waiting {
-        /// The inputs, as they were asked for.
+        /// The inputs of the request.
         inputs: String,
     },
-    /// The spacing that a frame says, or looks like, may not be right.
+    /// The spacing may be wrong.
     Doubted(Box<Doubt>),
-    /// The state of an earlier run is made anew, because settings or its input changed.
+    /// The conversion starts again, because settings or the calibration frame changed.
     Anew {
         /// The state's file.
         state: PathBuf,
-        /// Settings that changed, by their names, or the frame whose input did.
+        /// The changed settings or input frame.
         differing: String,
     },
-    /// The frames of an earlier run are gone on with.
+    /// An earlier conversion is resumed.
     GoesOn {
         /// The state's file.
         state: PathBuf,
-        /// The measurements that all frames share.
+        /// The calibration that all frames share.
         frozen: Box<Frozen>,
     },
-    /// The measurements that all frames share are made.
+    /// The calibration that all frames share was measured.
     Measured {
-        /// The file of the frame that it was measured on.
+        /// The file of the calibration frame.
         path: PathBuf,
-        /// The measurements that all frames share.
+        /// The calibration that all frames share.
         frozen: Box<Frozen>,
-        /// How much this frame can tell of all others.
+        /// How reliable this frame is for the others.
         trust: Trust,
     },
-    /// The frames that are to be made are known.
+    /// The conversion begins.
     Begins {
-        /// How many are asked for; more may come where a simulation is followed.
+        /// Number of frames; more can appear in a simulation that is followed.
         frames: usize,
-        /// How many of them are done already.
+        /// Number of frames that are already finished.
         done: usize,
-        /// Bytes of the inputs of all others.
+        /// Bytes of the inputs of the others.
         bytes: u64,
-        /// Frames that are made side by side.
+        /// Number of frames that are made in parallel.
         lanes: usize,
         /// Whether the simulation is followed.
         followed: bool,
     },
-    /// A further frame has come.
+    /// A new frame appeared.
     Came {
         /// Bytes of its input.
         bytes: u64,
     },
-    /// A lane is at a stage of a frame.
+    /// A lane entered a stage of a frame, or progressed in it.
     Stage {
         /// The lane's number, from 0.
         lane: usize,
         /// The frame's number.
         frame: i64,
-        /// The stage and how much of it is done; `None` once the lane is done with the frame.
+        /// The stage and its progress; `None` when the lane has finished the frame.
         progress: Option<Progress>,
     },
-    /// A frame is done.
+    /// A frame is finished.
     Done(Box<FrameDone>),
-    /// A frame could not be made.
+    /// A frame failed.
     Failed(Arc<FrameFailed>),
-    /// One of several simulations could not be converted; the others are.
+    /// One of several simulations failed; the others continue.
     SimulationFailed(Arc<Error>),
-    /// All frames of a simulation are done, or have failed.
+    /// All frames of a simulation have finished or failed.
     Ended(Box<Summary>),
 }
 
-/// A frame that is done: its mesh is whole, and under its name.
+/// A finished frame, whose mesh is complete.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct FrameDone {
@@ -101,23 +101,23 @@ pub struct FrameDone {
     pub input: PathBuf,
     /// The mesh's file.
     pub output: PathBuf,
-    /// The mesh, as the simulation lists it.
+    /// The mesh's entry in the list of frames.
     pub mesh: SeriesFrame,
-    /// The frame's time in seconds, by its file or by the rate of frames.
+    /// The frame's time in seconds, from its file or the frame rate.
     pub time: Option<f64>,
-    /// A report on the surface; `None` where there are no particles.
+    /// A report on the surface; `None` without particles.
     pub report: Option<Report>,
-    /// Particles that are in no surface, at the least.
+    /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
-    /// Doubts about the frame.
+    /// Warnings about the frame.
     pub warnings: Vec<Warning>,
-    /// How long it took in seconds.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// Where the conversion is after it.
+    /// Progress of the conversion after this frame.
     pub progress: Tallied,
 }
 
-/// A frame that could not be made.
+/// A failed frame.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct FrameFailed {
@@ -127,7 +127,7 @@ pub struct FrameFailed {
     pub input: PathBuf,
     /// The error.
     pub error: Error,
-    /// Where the conversion is after it.
+    /// Progress of the conversion after this frame.
     pub progress: Tallied,
 }
 
@@ -135,9 +135,9 @@ pub struct FrameFailed {
 #[derive(Debug, Clone, Copy, Default)]
 #[non_exhaustive]
 pub struct Tallied {
-    /// Frames that are done or have failed.
+    /// Frames that have finished or failed.
     pub done: usize,
-    /// Frames that are to be made.
+    /// All frames of the conversion.
     pub total: usize,
     /// Frames that have failed.
     pub failed: usize,
@@ -145,17 +145,17 @@ pub struct Tallied {
     pub bytes: u64,
 }
 
-/// Particles and drops that surfaces leave out.
+/// Particles and drops that are left out of surfaces.
 #[derive(Debug, Default, Clone, Copy)]
 #[non_exhaustive]
 pub struct LeftOut {
     /// Counts of particles.
     pub census: Census,
-    /// Particles in no surface, at the least.
+    /// Lower bound of the particles that are missing from surfaces.
     pub lost: u64,
-    /// Drops that were too small.
+    /// Drops below the limits.
     pub drops: u64,
-    /// Particles that fail the conditions by which they are selected.
+    /// Particles that fail the conditions.
     pub unselected: u64,
 }
 
@@ -185,9 +185,9 @@ pub struct Missing {
     pub first: i64,
     /// The last number.
     pub last: i64,
-    /// From one number to the next.
+    /// Difference between consecutive numbers.
     pub step: u64,
-    /// The names that their files would have.
+    /// The names of the first and last missing file.
     pub paths: [PathBuf; 2],
 }
 
@@ -207,32 +207,31 @@ impl fmt::Display for Missing {
 #[non_exhaustive]
 #[must_use = "frames may have failed"]
 pub struct Summary {
-    /// The inputs, as they were asked for.
+    /// The inputs of the request.
     pub inputs: String,
     /// The folder of the meshes.
     pub folder: PathBuf,
     /// Frames that were made.
     pub made: usize,
-    /// Frames that could not be made, in order, and why.
+    /// Failed frames, in order.
     pub failed: Vec<Arc<FrameFailed>>,
-    /// The error for which no frame was made: of one of several simulations, whose others were
-    /// converted.
+    /// The error that prevented this simulation, one of several.
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
     pub missing: Vec<Missing>,
-    /// Numbers without a frame, where more are missing than there: a choice of frames, and not one
-    /// with gaps.
+    /// Numbers without a file, if more are missing than exist: then they are not counted as
+    /// missing.
     pub chosen: Option<Gaps>,
-    /// Particles and drops that the surfaces leave out.
+    /// Particles and drops that are left out of the surfaces.
     pub left_out: LeftOut,
-    /// Whether one of the paper's indicators makes the field, which loses drops that clouds keep.
+    /// Whether the indicator is counting or symmetry, which lose drops that clouds keep.
     pub smoothed: bool,
-    /// How long it took in seconds.
+    /// Duration in seconds.
     pub seconds: f64,
 }
 
 impl Summary {
-    /// Frames that are not there: failed, or missing between others.
+    /// Number of frames that failed or are missing between others.
     #[must_use]
     pub fn lacking(&self) -> u64 {
         let missing = self
@@ -242,13 +241,13 @@ impl Summary {
         missing.fold(self.failed.len() as u64, u64::saturating_add)
     }
 
-    /// Whether every frame is there.
+    /// Whether no frame failed or is missing.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.failed.is_empty() && self.missing.is_empty() && self.error.is_none()
     }
 
-    /// A doubt about particles that are in no surface, if they are many.
+    /// A warning about particles that are missing from surfaces, if there are many.
     #[must_use]
     pub fn lost(&self) -> Option<Warning> {
         lost_warning(self.left_out.lost, self.left_out.census.binned, self.smoothed)
@@ -261,25 +260,25 @@ impl fmt::Display for Event {
             Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
             Self::Doubted(doubt) => write!(f, "warning: {doubt}"),
             Self::Anew { state, differing } => {
-                write!(f, "{}: made anew, for these changed: {differing}", state.display())
+                write!(f, "{}: starting again, because these changed: {differing}", state.display())
             }
             Self::GoesOn { state, frozen } => {
-                write!(f, "going on with {}: {frozen}", state.display())
+                write!(f, "resuming with {}: {frozen}", state.display())
             }
             Self::Measured { path, frozen, trust: Trust::Sound } => {
                 write!(f, "measured on {}: {frozen}", path.display())
             }
             Self::Measured { frozen, trust, .. } => {
                 let what = match trust {
-                    Trust::Shallow => "next to no fluid is deeper than the filters reach",
+                    Trust::Shallow => "almost no fluid is deep enough to measure",
                     Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
                 };
                 write!(f, "warning: {what}; measured on frame {}: {frozen}", frozen.frame)
             }
             Self::Begins { frames, done, .. } => {
-                write!(f, "{done} of {frames} frames are done already")
+                write!(f, "{done} of {frames} frames are already finished")
             }
-            Self::Came { bytes } => write!(f, "a further frame has come: {}", ByteSize(*bytes)),
+            Self::Came { bytes } => write!(f, "new frame: {}", ByteSize(*bytes)),
             Self::Stage { frame, progress: Some(Progress { stage, .. }), .. } => {
                 write!(f, "frame {frame}: {stage}")
             }
@@ -355,23 +354,22 @@ impl fmt::Display for Frozen {
     }
 }
 
-/// Events that may wait to be heard. Beyond that the work waits, so that they take no memory
-/// without end.
+/// Maximum number of queued events. The work waits beyond that, so that memory is bounded.
 const WAITING: usize = 1024;
 
-/// Tells the caller of events, from any thread.
+/// Sends events to the caller, from any thread.
 #[derive(Debug, Clone)]
 pub(super) struct Teller(SyncSender<Event>);
 
 impl Teller {
     pub(super) fn tell(&self, event: Event) {
-        // A caller that panicked hears no more.
+        // Fails only after the caller panicked.
         let _ = self.0.send(event);
     }
 }
 
-/// Does `work` on a thread of its own, and calls `hear` with what that tells, on this one. If
-/// `hear` panics, the work is cancelled.
+/// Runs `work` on a new thread, and calls `hear` with its events on this one. If `hear` panics, the
+/// work is cancelled.
 pub(super) fn hearing<T: Send>(
     cancel: &Cancel,
     hear: impl FnMut(Event),
@@ -382,7 +380,7 @@ pub(super) fn hearing<T: Send>(
         let work = move || work(&Teller(sender));
         let worker = thread::Builder::new().name("meniscus".into()).spawn_scoped(scope, work);
         let worker = worker.map_err(|fault| Error::Threads(fault.to_string()))?;
-        // Ends with the last teller.
+        // Ends when the last sender is dropped.
         let stop = CancelInPanic(cancel);
         hear_all(&told, hear);
         drop(stop);
@@ -390,7 +388,8 @@ pub(super) fn hearing<T: Send>(
     })
 }
 
-/// Hears all that is told. A thread of a rayon pool works meanwhile: what tells may need that pool.
+/// Receives all events. A thread of a rayon pool keeps working, because the sender may need the
+/// pool.
 fn hear_all(told: &Receiver<Event>, mut hear: impl FnMut(Event)) {
     if rayon::current_thread_index().is_none() {
         return told.iter().for_each(hear);
@@ -408,7 +407,7 @@ fn hear_all(told: &Receiver<Event>, mut hear: impl FnMut(Event)) {
     }
 }
 
-/// Cancels work that nobody waits for any more.
+/// Cancels the work if the caller panics.
 struct CancelInPanic<'a>(&'a Cancel);
 
 impl Drop for CancelInPanic<'_> {

@@ -73,7 +73,7 @@ impl fmt::Display for Forecast {
         let output = output.display();
         write!(f, "would convert {wanted} of {frames} frames of {inputs} to {output}")?;
         if *done > 0 {
-            write!(f, "; {done} are done")?;
+            write!(f, "; {done} are finished")?;
         }
         if missing.count() > 0 {
             write!(f, "\nmissing: {missing}")?;
@@ -82,8 +82,8 @@ impl fmt::Display for Forecast {
         let Some(largest) = largest else { return Ok(()) };
         write!(
             f,
-            "\nlargest frame {}: {} particles, {} triangles, {} in memory of {}; {} side by side\n\
-             disk: about {}\ntime: about {:.0} s",
+            "\nlargest frame {}: {} particles, {} triangles, memory: {} of {}; {} frames in \
+             parallel\ndisk: about {}\ntime: about {:.0} s",
             largest.frame,
             largest.particles,
             largest.triangles,

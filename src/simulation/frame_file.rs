@@ -74,7 +74,7 @@ pub struct Selection {
     pub start: i64,
     /// The last number.
     pub end: i64,
-    /// Every so many numbers from the first.
+    /// Distance between used numbers, starting with the first.
     pub step: u64,
 }
 

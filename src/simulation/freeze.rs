@@ -1,4 +1,4 @@
-//! Measuring once for all frames, on the first that can tell.
+//! Calibration of all frames on the first suitable one.
 
 use super::frame_file::FrameFile;
 use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
@@ -51,8 +51,8 @@ impl Setup<'_> {
         Ok((state, file))
     }
 
-    /// Measures what holds for all frames on the first that can tell, whose particles may still be
-    /// open, and finds the walls that some of them show, if walls are asked for.
+    /// Calibrates all frames on the first suitable one, whose particles may still be open, and
+    /// finds walls in some frames, if requested.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
@@ -211,7 +211,7 @@ impl Setup<'_> {
         frame.open(self.checked.settings.wanted(), unpacking)
     }
 
-    /// Tells what was measured, on which frame, and why its spacing may be wrong.
+    /// Reports the calibration with its frame, and doubts about its spacing.
     fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
         found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(Box::new(doubt.clone()))));
         let frozen = Box::new(found.frozen.clone());

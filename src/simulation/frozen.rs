@@ -67,7 +67,7 @@ pub struct Measured {
     pub trust: Trust,
 }
 
-/// How much a frame can tell of those to come.
+/// How reliable a calibration frame is for the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Trust {
     /// Next to none of the fluid is deeper than the filters reach.

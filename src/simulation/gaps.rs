@@ -84,7 +84,7 @@ impl Gaps {
     }
 }
 
-/// Gaps that are told one by one.
+/// Maximum number of gaps in a message.
 const TOLD: usize = 20;
 
 impl std::fmt::Display for Gaps {

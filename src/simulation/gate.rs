@@ -32,7 +32,7 @@ pub(super) struct Permit<'a> {
 }
 
 impl Gate {
-    /// Opens for so many lanes; a lane that is alone has `threads` threads.
+    /// A gate for `lanes`; a lane that runs alone has `threads`.
     pub(super) fn new(lanes: usize, threads: usize) -> Self {
         let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
         Self { lanes, threads, all, state, changed }
@@ -48,7 +48,7 @@ impl Gate {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for a lane. Whoever waits to be alone comes first, or it would wait for ever.
+    /// Waits for a lane. A frame that must run alone has priority, or it would wait forever.
     pub(super) fn enter(&self) -> Permit<'_> {
         let mut state = self.state();
         while state.waiting_alone > 0 || state.inside == self.lanes {

@@ -12,12 +12,12 @@ use super::pattern::{Candidate, Numbers, PIECE, Pattern, skeleton};
 ///
 /// Names that differ in text besides numbers belong to different simulations. Among the others the
 /// number that varies is the frame's; of a single file it is the last one. Where several numbers
-/// vary, the last is the frame's if the others tell simulations apart that ran side by side, and a
-/// number after `rank` or `proc` is that of a piece if every frame has the same ones. Decimals are
-/// times where they go on from one whole number to the next.
+/// vary, the last is the frame's if the others distinguish simulations that ran in parallel, and a
+/// number after `rank` or `proc` is a piece if every frame has the same ones. Decimals are times if
+/// they continue from one integer to the next.
 ///
 /// # Errors
-/// [`SimulationError::Names`] where several numbers could be the frame's.
+/// [`SimulationError::Names`] if several numbers could be the frame.
 pub(super) fn infer(files: &[Candidate]) -> Result<Vec<Pattern>, SimulationError> {
     let numbered = files.iter().filter(|file| !file.runs.is_empty());
     let mut found: BTreeMap<[String; 2], Pattern> = BTreeMap::new();
@@ -169,7 +169,8 @@ fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
     let choices = choices.join(" or ");
     Err(SimulationError::Names(match decimal {
         Some(_) => format!(
-            "{}: its numbers may be a decimal or two whole ones; name the frames with {choices}, where {{time}} stands for a decimal",
+            "{}: its numbers can be one decimal or two integers; name the frames with \
+             {choices}, where {{time}} is a decimal",
             first.path.display()
         ),
         None => format!(
@@ -222,7 +223,8 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
             // The frame's number is the last of the others.
             let Some(frame) = (0..first.runs.len()).rev().find(|run| run != piece) else {
                 return Err(SimulationError::Names(format!(
-                    "{}: the number in its name looks like that of a process, and there is none of a frame; join the files of one frame, or name the frames with \"{}\"",
+                    "{}: its only number looks like that of a process, not of a frame; join the \
+                     files of one frame, or name the frames with \"{}\"",
                     first.path.display(),
                     first.pattern(*piece),
                 )));
@@ -295,10 +297,10 @@ fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
     pattern
 }
 
-/// Whether the runs in `others` tell simulations apart whose frames are numbered by the run `last`:
-/// fewer simulations than frames, and at least half of the numbers of each are also those of the
-/// longest. Numbers that count from 0 alike in all may be those of pieces, unless they are padded
-/// as frames' are.
+/// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
+/// `last`: there are fewer simulations than frames, and at least half of each one's numbers are
+/// also those of the longest. Numbers that count from 0 in the same way in all can be pieces,
+/// unless they are padded like frames.
 fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {

@@ -60,7 +60,7 @@ impl Inputs {
     pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SimulationError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
-            // A file that cannot be read is told of as a single frame.
+            // The error of a file that cannot be read is that of a single frame.
             let several = steps(path).is_ok_and(|steps| steps.len() > 1);
             return Ok(several.then(|| Self::Steps(path.clone())));
         }
@@ -109,16 +109,15 @@ impl Inputs {
         }
     }
 
-    /// The simulations whose frames are there now. Of a folder that holds particles, meshes are
-    /// none, whoever made them.
+    /// The simulations whose frames exist now. In a folder with particles, meshes are ignored.
     ///
-    /// Where frames are still to come, `idle` is the number of seconds without news after which the
-    /// simulation is over. A file of a folder or a glob waits as long, and 5 minutes at most, if
-    /// another file will tell whether it is a piece, or which of its numbers is the frame's.
+    /// When watching, the simulation is over after `idle` seconds without a new file. A file of a
+    /// folder or a glob waits that long, but at most 5 minutes, if another file will show whether
+    /// it is a piece, or which of its numbers is the frame.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
-    /// where the names do not say which number is the frame's.
+    /// if the names do not determine the frame number.
     pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
         let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
         let patience = idle
@@ -157,7 +156,7 @@ impl Inputs {
         if matches!(self, Self::Folder(_)) && !files.is_empty() {
             files = without_meshes(files);
             if files.is_empty() {
-                let what = format!("{}: holds meshes and no particles", self.describe());
+                let what = format!("{}: contains meshes, but no particles", self.describe());
                 return Err(SimulationError::Names(what));
             }
         }
@@ -200,7 +199,7 @@ impl Inputs {
             let files = self.candidates().unwrap_or_default();
             if files.iter().any(|file| times.digits(&file.name).is_some()) {
                 return SimulationError::Names(format!(
-                    "{pattern}: the numbers of these files are decimals, which are written {{time}}: \"{times}\""
+                    "{pattern}: the numbers of these files are decimals; use \"{times}\""
                 ));
             }
         }
@@ -370,7 +369,8 @@ impl Sequence {
             .find(|(a, b)| a.number == b.number || a.time.is_some() && a.time == b.time)
         {
             return Err(SimulationError::Names(format!(
-                "{} and {} are both frame {}; name one simulation, with {{}} for its numbers",
+                "{} and {} are both frame {}; name one simulation, with {{}} for the frame \
+                 number",
                 a.path.display(),
                 b.path.display(),
                 a.digits
@@ -558,7 +558,8 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
     match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
         None => Ok(()),
         Some((a, b)) => Err(SimulationError::Names(format!(
-            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by \"{pattern}\"",
+            "{} and {}: their numbers can be decimals; if {} and {} are the frame numbers, use \
+             \"{pattern}\"",
             a.path.display(),
             b.path.display(),
             a.number,

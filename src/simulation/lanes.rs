@@ -21,8 +21,8 @@ pub(super) struct Division {
 }
 
 impl Division {
-    /// For so many frames, with `chunk` bytes for each thread that are no frame's: one for each
-    /// thread, and one more that makes up for uneven ones and for reading.
+    /// Lanes for `frames`: one per thread, and one more to compensate for uneven frames and
+    /// reading. Each thread reserves `chunk` bytes.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // A lane has a thread at the least, and a frame that is alone has all.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);

@@ -1,4 +1,4 @@
-//! Frames of a simulation that are never files: surfaces while it runs, all alike.
+//! Surfaces of a running simulation, without files, with one calibration.
 
 use std::sync::Arc;
 
@@ -19,10 +19,9 @@ use super::frozen::{Measured, Trust, measure_in};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
-/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters
-/// reach, for the counting indicator also in disorder, and frozen: the frames from then on are
-/// alike. Until then [`is_settled`](Self::is_settled) is false, and each frame is measured anew and
-/// drawn by what it says itself, such as single drops.
+/// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
+/// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
+/// Before that, [`is_settled`](Self::is_settled) is false, and each frame is measured by itself.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};
@@ -46,7 +45,7 @@ pub struct LiveSimulation {
     settled: bool,
 }
 
-/// Measurements that the frames share.
+/// The calibration that the frames share.
 #[derive(Debug, Clone)]
 struct Known {
     kinds: Vec<SettledKind>,
@@ -60,7 +59,7 @@ struct Known {
 }
 
 impl LiveSimulation {
-    /// Starts threads for a simulation, of which nothing is known yet.
+    /// Starts a simulation with its threads.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
@@ -71,14 +70,13 @@ impl LiveSimulation {
         Ok(Self { ready: checked.on_threads()?, known: None, settled: false })
     }
 
-    /// Whether all that frames have in common is frozen: cells, grid and calibration.
+    /// Whether cells, grid and calibration are fixed.
     #[must_use]
     pub fn is_settled(&self) -> bool {
         self.settled
     }
 
-    /// Gives the frames to come into the hands of another request: what ends them early, and
-    /// whoever is told of their progress.
+    /// Uses the cancel handle and the progress callback of another request for the next frames.
     ///
     /// ```
     /// use meniscus::{Cancel, LiveSimulation, Reconstruction};
@@ -95,13 +93,13 @@ impl LiveSimulation {
         Arc::make_mut(&mut self.ready.checked).resources.control = request.control.clone();
     }
 
-    /// Reconstructs the surface of the next frame, from particles that are borrowed.
+    /// Reconstructs the surface of the next frame from borrowed particles.
     ///
-    /// A frame without particles, or without a surface, is an empty mesh: a tank may be dry at
-    /// times.
+    /// A frame without particles, or without a surface, is an empty mesh.
     ///
     /// # Errors
-    /// Those of [`Reconstruction::run`] but for that; the next frame may do better.
+    /// Those of [`Reconstruction::run`], except for missing particles or surfaces. Later frames can
+    /// still succeed.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
         self.ready.checked.go_on()?;

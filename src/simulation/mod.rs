@@ -1,13 +1,13 @@
-//! The frames of a simulation: which files they are, what is measured once for all of them, and
-//! what is known of each that is done.
+//! The frames of a simulation: their files, their shared calibration, and the records of finished
+//! frames.
 //!
-//! What the surface depends on besides a frame's own particles is measured on the first frame that
-//! can tell, frozen, and kept in a state file beside the outputs. From then on frames are
-//! independent: whoever converts one, when and where, gets the same bytes. A frame that is done
-//! leaves a record beside the state; the record is written after the output has got its name, so an
-//! output with a record is whole.
+//! Everything on which a surface depends besides its own particles is measured on the first
+//! suitable frame, and stored in a state file beside the outputs. After that, frames are
+//! independent: each process gives the same bytes. A finished frame leaves a record beside the
+//! state. The record is written after the output was renamed, so an output with a record is
+//! complete.
 //!
-//! How simulations are converted is said in `guide.md`, a page of the docs.
+//! The guide for users is `guide.md`.
 
 mod builder;
 mod conversion;

@@ -34,7 +34,8 @@ impl Naming {
         }
         let pattern = Pattern::parse(path)?;
         if pattern.as_ref().is_some_and(Pattern::has_pieces) {
-            let what = "{piece} stands for a piece's number in the name of an input";
+            let what = "{piece} is the number of a piece in the name of an input, not of an \
+                        output";
             return Err(SimulationError::Names(format!("{}: {what}", path.display())));
         }
         Ok(pattern.map(Self::Pattern))

@@ -10,8 +10,8 @@ use super::frame_file::FrameFile;
 use super::inputs::Sequence;
 use super::pattern::{Candidate, Pattern};
 
-/// Frames by the whole numbers in their names; files of one number are its pieces, if names tell
-/// them apart.
+/// Frames by the integers in their names; files with the same number are its pieces, if their names
+/// distinguish them.
 pub(super) fn whole(
     pattern: &Pattern,
     files: Vec<(String, Candidate)>,

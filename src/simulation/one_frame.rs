@@ -359,7 +359,7 @@ impl Conversion<'_> {
         let measured_on = known.filter(|_| checked.surfacing.iso.is_none()).map(|_| frozen.frame);
         let drawn = checked.draw_or_empty(sampled, known, infos, measured_on, timings);
         let mut drawn = drawn.map_err(|fault| Error::from(fault).of_file(path))?;
-        // All frames together are told of at the end.
+        // The sum over all frames is reported at the end.
         drawn.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
         for warning in &mut drawn.report.warnings {
             if let Warning::Shortfall { measured_on: by, .. } = warning {

@@ -64,7 +64,7 @@ impl Pattern {
         let folder = path.parent().unwrap_or(Path::new(""));
         let in_folder = folder.iter().filter_map(|name| name.to_str());
         if in_folder.flat_map(all).next().is_some() && !folder.is_dir() {
-            return wrong("{} stands for the number in a file's name, not in a folder's");
+            return wrong("{} must be in the name of the file, not of a folder");
         }
         let (pieces, mut found): (Vec<_>, Vec<_>) =
             all(name).into_iter().partition(|(_, placeholder)| *placeholder == Placeholder::Piece);
@@ -76,12 +76,12 @@ impl Pattern {
             return wrong("one {} is enough");
         }
         let Some((at, placeholder)) = found.pop() else {
-            let lacks = "{piece} stands for a piece's number; {} has to stand for the frame's";
+            let lacks = "{piece} is the number of a piece; {} must stand for the frame number";
             return if pieces.is_empty() { Ok(None) } else { wrong(lacks) };
         };
         let (prefix, suffix) = (&name[..at.start], &name[at.end..]);
         if prefix.ends_with(PIECE) || suffix.starts_with(PIECE) {
-            return wrong("text has to be between {} and {piece}");
+            return wrong("there must be text between {} and {piece}");
         }
         let (width, numbers) = match placeholder {
             Placeholder::Number(width) => (width, Numbers::Whole),

@@ -1,5 +1,5 @@
-//! Pictures of meshes in files: of one, of each of a simulation, of all on a sheet, or an
-//! animation; through one camera.
+//! Pictures of meshes in files: of each mesh, on a contact sheet, or as an animation, with one
+//! camera.
 
 use std::fmt;
 use std::fs::File;
@@ -34,17 +34,17 @@ const KNOWN: &str = ".png, and .apng for an animation";
 /// Pixels of a picture on a sheet, and in an animation.
 const ON_SHEET: [usize; 2] = [640, 360];
 const IN_ANIMATION: [usize; 2] = [960, 540];
-/// Pictures on a sheet, at the most: of more meshes, as many are drawn at even distances.
+/// Maximum number of pictures on a sheet. Of more meshes, this many are drawn at equal distances.
 const MOST_ON_SHEET: usize = 24;
 const COLUMNS: usize = 4;
-/// Pictures of an animation a second, where nothing else is asked for.
+/// Default number of pictures per second of an animation.
 const FPS: f64 = 24.0;
 
 /// A request for pictures of meshes in files.
 ///
-/// One mesh gives one picture. Of several, a folder or a name with `{}` for the number takes a
-/// picture of each, `.apng` an animation, and `.png` a sheet of all. All are seen from one place,
-/// which sees all of them, with one range of values.
+/// One mesh gives one picture. For several, the output is a folder or a pattern with `{}` for a
+/// picture of each, `.apng` for an animation, or `.png` for a contact sheet. All have the same
+/// camera, which sees all of them, and the same range of values.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Pictures {
@@ -63,7 +63,7 @@ pub struct Pictures {
     cancel: Cancel,
 }
 
-/// A file that is ready to take a picture: a `.png` that appears whole or not at all.
+/// A prepared file for a picture: a `.png` that appears completely or not at all.
 #[derive(Debug)]
 pub struct PictureFile(
     WholeFile,
@@ -71,7 +71,7 @@ pub struct PictureFile(
 );
 
 impl PictureFile {
-    /// Makes sure, before the work, that a picture can be written.
+    /// Checks before the work that a picture can be written.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -87,8 +87,8 @@ impl PictureFile {
         }
     }
 
-    /// Makes sure, before the work, that a picture can be written beside a mesh, under its name
-    /// with `.png`.
+    /// Checks before the work that a picture can be written beside a mesh, under its name with
+    /// `.png`.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -116,17 +116,17 @@ impl PictureFile {
     }
 }
 
-/// A picture that is done.
+/// A finished picture.
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct PictureDone<'a> {
     /// The mesh.
     pub mesh: &'a Path,
-    /// The file that holds the picture, or will once all are done.
+    /// The file of the picture; for sheets and animations, it is complete when all pictures are.
     pub output: &'a Path,
-    /// How many are done.
+    /// Number of finished pictures.
     pub done: usize,
-    /// How many there will be.
+    /// Number of all pictures.
     pub all: usize,
 }
 
@@ -142,9 +142,9 @@ enum Target {
 }
 
 impl Pictures {
-    /// Pictures of a file, several, a folder, a glob, or a name with `{}` for the number. Where the
-    /// picture says nothing of the axis that points up, it is z if the first mesh whose file or
-    /// listing says it has z up, else y.
+    /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. Unless the
+    /// picture sets the up axis, it is z if the first mesh whose file or listing records the axis
+    /// has z up, else y.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -165,46 +165,46 @@ impl Pictures {
         }
     }
 
-    /// Sets the width and height in pixels: 1920 x 1080 otherwise, 960 x 540 in an animation, 640 x
-    /// 360 on a sheet.
+    /// Sets the width and height in pixels. The default is 1920 x 1080, 960 x 540 in an animation,
+    /// and 640 x 360 on a sheet.
     pub fn size(mut self, width: usize, height: usize) -> Self {
         self.picture = self.picture.size(width, height);
         self.sized = true;
         self
     }
 
-    /// Sets how many pictures of an animation are shown a second: 24 otherwise.
+    /// Sets the pictures per second of an animation. The default is 24.
     pub fn fps(mut self, rate: f64) -> Self {
         self.fps = rate;
         self
     }
 
-    /// Sets whether files may be replaced.
+    /// Sets whether existing files may be replaced.
     pub fn replace(mut self, replace: Replace) -> Self {
         self.replace = replace;
         self
     }
 
-    /// Sets the number of threads: one for each core otherwise.
+    /// Sets the number of threads. The default is one per core.
     pub fn threads(mut self, count: usize) -> Self {
         self.threads = Some(count);
         self
     }
 
-    /// Sets the bytes of memory that a mesh and its picture may take. A .ply as this library writes
-    /// it is drawn from its file, in a stream, where it would take more than half of them.
+    /// Limits the memory of a mesh and its picture in bytes. A .ply from this library that needs
+    /// more than half of it is streamed from its file.
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
         self
     }
 
-    /// Sets a handle that ends the work early.
+    /// Sets a handle that can cancel the work.
     pub fn cancel(mut self, cancel: Cancel) -> Self {
         self.cancel = cancel;
         self
     }
 
-    /// Draws and writes them, and tells of each.
+    /// Draws and writes the pictures, and reports each.
     ///
     /// # Errors
     /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`],
@@ -274,13 +274,13 @@ impl Pictures {
         match inputs.only() {
             Ok((sequence, frames)) => Ok((Some(sequence), frames)),
             Err(SimulationError::NoFrames(given)) => {
-                Err(SimulationError::NoFrames(format!("{given}: no mesh")).into())
+                Err(SimulationError::NoFrames(format!("{given}: not a mesh")).into())
             }
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Makes sure that the pictures can be written.
+    /// Checks that the pictures can be written.
     fn target(&self, sequence: Option<&Sequence>, frames: &[FrameFile]) -> Result<Target, Error> {
         let fail = |path: &Path, fault| Error::from(WriteError::new(path, fault));
         let output = &self.output;
@@ -315,7 +315,7 @@ impl Pictures {
         match extension(output) {
             APNG if frames.len() > 1 => Ok(Target::Animation(file)),
             APNG => Err(Error::Request(format!(
-                "{}: an animation takes several meshes",
+                "{}: an animation needs several meshes",
                 output.display()
             ))),
             _ if extension(output) != PNG && !file.is_direct() => {
@@ -381,7 +381,7 @@ impl Pictures {
                 })?;
             }
             Target::Animation(file) => {
-                // What fails in a picture is told of as itself, and not as a fault of the file.
+                // An error of the picture is returned as such, not as a fault of the file.
                 let mut fault = None;
                 let written = file.write(|out| {
                     let mut animation: Option<Animation<'_>> = None;
@@ -484,7 +484,7 @@ fn extension(path: &Path) -> &'static str {
     [PNG, APNG].into_iter().find(|known| name.ends_with(&format!(".{known}"))).unwrap_or("")
 }
 
-/// A picture of a simulation's frames, which is drawn of their meshes once they are there.
+/// A contact sheet of a simulation's frames, drawn when their meshes exist.
 #[derive(Debug)]
 #[must_use]
 pub struct Sheet {
@@ -492,21 +492,21 @@ pub struct Sheet {
     path: PathBuf,
     overwrite: bool,
     resume: bool,
-    /// Where small meshes of all frames are kept, if the frames' own are not read again.
+    /// Folder of small meshes of all frames, if the frames' own format cannot be read.
     small: Option<SmallMeshes>,
 }
 
-/// A sheet that was drawn, which prints as a line for people.
+/// A finished contact sheet. It displays as one line of text.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 #[must_use = "meshes may be missing on it"]
 pub struct SheetDone {
-    /// The picture's file; there is none where no mesh could be drawn.
+    /// The picture's file; it does not exist if no mesh could be drawn.
     pub path: PathBuf,
-    /// How many meshes there were to draw.
+    /// Number of meshes to draw.
     pub meshes: usize,
-    /// Meshes that are not on the sheet: their format is not read, and the run that made them kept
-    /// no small mesh of them.
+    /// Meshes that are not on the sheet, because their format cannot be read, and the run that made
+    /// them kept no small meshes.
     pub undrawn: Vec<PathBuf>,
 }
 
@@ -520,7 +520,8 @@ impl SheetDone {
             count => format!("{} to {} ({count} meshes)", first.display(), last.display()),
         };
         Some(format!(
-            "{which}: not on the sheet; the run that made them drew no sheet, and their format is not read again: make them once more to see them"
+            "{which}: not on the contact sheet, because they were made without it and their \
+             format cannot be read; make them again to see them"
         ))
     }
 }
@@ -529,20 +530,22 @@ impl fmt::Display for SheetDone {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { path, meshes, undrawn } = self;
         match meshes - undrawn.len() {
-            0 => write!(f, "{}: no sheet, for no frame could be drawn", path.display()),
-            _ if undrawn.is_empty() => write!(f, "{}: a sheet of the frames", path.display()),
-            drawn => write!(f, "{}: a sheet of {drawn} of {meshes} frames", path.display()),
+            0 => write!(f, "{}: no contact sheet, because no frame could be drawn", path.display()),
+            _ if undrawn.is_empty() => {
+                write!(f, "{}: a contact sheet of the frames", path.display())
+            }
+            drawn => write!(f, "{}: a contact sheet of {drawn} of {meshes} frames", path.display()),
         }
     }
 }
 
 impl Simulation {
-    /// Makes sure, before the work, that a sheet of the frames can be written beside the meshes:
-    /// called as they are, without their numbers, or `frames.png`. One that is there already is
-    /// replaced where the simulation replaces its outputs, or goes on and it is a sheet of them.
+    /// Checks before the work that a contact sheet can be written beside the meshes. It has their
+    /// name without numbers, or is `frames.png`. An existing sheet is replaced if the simulation
+    /// replaces its outputs, or resumes and it is a sheet of them.
     ///
-    /// Of formats that are not read again, [`run`](Self::run) then keeps a small mesh of each frame
-    /// beside the state, for the sheet of this run and of those that go on with it.
+    /// For formats that cannot be read, [`run`](Self::run) then keeps a small mesh of each frame
+    /// beside the state, for this run and those that resume it.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -598,7 +601,7 @@ impl Sheet {
         &self.path
     }
 
-    /// Draws the meshes that there are.
+    /// Draws the existing meshes.
     ///
     /// # Errors
     /// Those of [`Pictures::run`].

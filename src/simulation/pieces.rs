@@ -1,11 +1,11 @@
-//! Telling files that are frames from their pieces.
+//! Distinguishing frames from their pieces.
 //!
-//! Pieces are told by what names them: a .pvtp or .pvtu beside them, their own names as
-//! DualSPHysics spells them, or the header of a snapshot whose files are `base.0.hdf5`,
+//! Pieces are identified by a .pvtp or .pvtu that names them, by DualSPHysics' naming, or by the
+//! header of a snapshot whose files are `base.0.hdf5`,
 //! `base.1.hdf5` and so on. These are one frame, numbered as `base.hdf5` is.
 //!
-//! A .pvtp or .pvtu is written after its pieces. Until then they are told by their names, if there
-//! is another frame: `pool_2_0.vtp` is a piece where `pool_1.pvtp` names `pool_1_0.vtp`.
+//! A .pvtp or .pvtu is written after its pieces. Until then they are identified by their names, if
+//! another frame exists: `pool_2_0.vtp` is a piece where `pool_1.pvtp` names `pool_1_0.vtp`.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use super::pattern::{Candidate, all_digits, digit_runs, skeleton};
 
 /// Keeps those of `paths` that stand for frames, in their order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
-    // What cannot be read names no pieces, and is told of when its turn comes.
+    // A file that cannot be read names no pieces; its error is reported when it is converted.
     let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
     for index in &paths {
         for piece in pieces_named(index).unwrap_or_default() {

@@ -6,7 +6,7 @@ use std::ops::Range;
 /// A place for a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Placeholder {
-    /// A whole number, padded with zeros to so many digits where there is a width.
+    /// An integer, padded with zeros to a width if there is one.
     Number(Option<usize>),
     /// A time.
     Time,

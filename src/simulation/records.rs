@@ -1,9 +1,9 @@
-//! Records of the frames that are done, a line of JSON each.
+//! Records of finished frames, one line of JSON each.
 //!
-//! Every process writes a log of its own, `frames.1.jsonl`, `frames.2.jsonl` and so on, and holds a
-//! lock on it while it lives. Whoever is done moves all logs that nobody writes any more into
-//! `frames.jsonl`, in the frames' order: at the end there is that file alone, and it is the same
-//! whoever did what.
+//! Each process writes its own log, `frames.1.jsonl`, `frames.2.jsonl` and so on, and locks it
+//! while it runs. A process that finishes merges all unlocked logs into `frames.jsonl`, in the
+//! order of frames. At the end only this file exists, and its bytes do not depend on the division
+//! of work.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -122,7 +122,7 @@ impl Log {
         &self.folder
     }
 
-    /// Opens the log, which tells others that somebody is at work.
+    /// Opens the log, whose lock shows other processes that this one is running.
     pub fn open(&self) -> Result<(), SimulationError> {
         let opened = create(&self.folder);
         let opened =
@@ -131,7 +131,7 @@ impl Log {
         Ok(())
     }
 
-    /// Whether another process writes a log of its own, as far as the file system's locks tell.
+    /// Whether another process holds the lock of its log, on a file system with locks.
     pub fn others_are_open(&self) -> bool {
         logs(&self.folder).values().any(|path| held::is_held(path))
     }

@@ -136,8 +136,8 @@ impl Simulation {
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
 
-    /// Bytes of all frames that are wanted; `None` where more are waited for, or files do not tell
-    /// how much their particles are.
+    /// Bytes of all requested frames; `None` when watching, or if the size of files does not
+    /// indicate that of their particles.
     #[must_use]
     pub fn input_bytes(&self) -> Option<u64> {
         if self.watch.is_some() {
@@ -174,7 +174,7 @@ impl Simulation {
         if self.request.scratch.is_none() {
             checked.resources.scratch = naming.folder().to_owned();
         }
-        // Frames side by side tell of their progress by events.
+        // Parallel frames report their progress by events.
         checked.resources.control.progress = None;
         // A packed frame says by itself what it is of.
         if !self.inputs.iter().all(|input| is_packed(input)) {

@@ -44,7 +44,7 @@ pub(super) struct Setup<'a> {
 }
 
 impl Setup<'_> {
-    /// Tells the caller something.
+    /// Sends an event to the caller.
     pub(super) fn tell(&self, event: Event) {
         self.teller.tell(event);
     }
@@ -92,7 +92,7 @@ impl Setup<'_> {
         Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
     }
 
-    /// The division of the machine among so many frames.
+    /// The division of the machine among `frames`.
     pub(super) fn division(&self, frames: usize) -> Division {
         let Checked { resources, reduction, threads, .. } = self.checked;
         let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };
@@ -148,7 +148,8 @@ impl Setup<'_> {
             }
             if self.sequence.takes(&output) {
                 return Err(Error::Request(format!(
-                    "{}: would be taken for a frame of {}; name the meshes otherwise, or write them into another folder",
+                    "{}: this mesh would be taken for a frame of {}; choose another name or \
+                     folder for the meshes",
                     output.display(),
                     self.sequence.describe()
                 )));
@@ -187,7 +188,7 @@ impl Setup<'_> {
             if self.is_calibrated(&state, frames) {
                 return Ok(Found::Kept(Box::new(state), text));
             }
-            let what = "what was measured is missing, or of another surface".into();
+            let what = "the calibration is missing, or belongs to another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
             return if anew {
                 Ok(Found::Stale { text, of_others: true })

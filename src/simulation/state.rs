@@ -115,7 +115,7 @@ impl Store {
             Err(fault) if fault.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(fault) if fault.kind() == io::ErrorKind::NotADirectory => {
                 let file = path.ancestors().find(|place| place.is_file()).unwrap_or(&path);
-                let fault = io::Error::new(fault.kind(), "is a file, and no folder");
+                let fault = io::Error::new(fault.kind(), "is a file, not a folder");
                 Err(SimulationError::Io { path: file.to_owned(), fault })
             }
             Err(fault) => Err(SimulationError::Io { path, fault }),
@@ -133,8 +133,9 @@ impl Store {
         }
     }
 
-    /// Begins by the state that was found, which is returned if it is kept: whoever is `at_work` by
-    /// it is known to others from now on. A stale one stays until [`add`](Self::add) replaces it.
+    /// Begins with the state that was found, and returns it if it is kept. From now on, other
+    /// processes can see whether this one is `at_work`. A stale state stays until
+    /// [`add`](Self::add) replaces it.
     ///
     /// # Errors
     /// [`SimulationError::Busy`] and [`SimulationError::Io`].
@@ -258,7 +259,7 @@ mod tests {
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
                 assert_eq!(loaded.fingerprint(), state.fingerprint());
-                // Whoever measures at the same time goes by the state that is there.
+                // Another process that measures at the same time uses the state that exists first.
                 let late =
                     State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
                 assert_eq!(store.add(&late).unwrap(), state);

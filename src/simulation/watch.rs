@@ -28,7 +28,7 @@ struct Seen {
     under_way: bool,
 }
 
-/// A frame that is complete, as far as can be told.
+/// A frame that appears to be complete.
 pub(super) struct Ready {
     pub(super) frame: FrameFile,
     /// Whether it was given before, and has changed since.

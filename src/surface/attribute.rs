@@ -27,8 +27,8 @@ use crate::surface::mesh::BlockMesh;
 /// work in little memory.
 const AT_ONCE: usize = 16;
 
-/// Bytes of a cell while an attribute of so many components is smoothed: sums of some of them and
-/// of the particles, in two fields.
+/// Bytes of a cell while an attribute with `components` is smoothed: sums of some of them and of
+/// the particles, in two fields.
 pub fn cell_bytes(components: usize) -> u64 {
     ((components.min(AT_ONCE) + 3) * size_of::<f64>()) as u64
 }

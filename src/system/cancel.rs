@@ -1,4 +1,4 @@
-//! Ending work early, at any time and from any thread, without leaving half-written files.
+//! Cancelling work at any time and from any thread, without leaving unfinished files.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 
 use thiserror::Error;
 
-/// A handle to end work early; its clones are one.
+/// A handle to cancel work; its clones share one state.
 ///
 /// ```
 /// use meniscus::{Cancel, Cause, Reconstruction};
@@ -21,7 +21,7 @@ use thiserror::Error;
 #[derive(Debug, Clone, Default)]
 pub struct Cancel(Arc<Shared>);
 
-/// The error of work that ends because its caller asked for that.
+/// The error of cancelled work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("cancelled")]
 pub struct Cancelled;
@@ -69,11 +69,10 @@ impl Cancel {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Removes all half-written outputs, for a process that exits now: whoever would create another
-    /// waits for ever.
+    /// Removes all unfinished outputs, for a process that exits now. Threads that would create
+    /// another one wait forever.
     ///
-    /// Files that have their names already stay; records of frames that are being kept are kept
-    /// first.
+    /// Renamed files stay; pending records of frames are written first.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         for path in &*self.unfinished() {

@@ -67,7 +67,7 @@ pub type Watcher = Arc<dyn Fn(Progress) + Send + Sync>;
 pub struct Control {
     /// The handle that ends it early.
     pub cancel: Cancel,
-    /// Whoever is told how far it is.
+    /// The callback for progress.
     pub progress: Option<Watcher>,
 }
 
@@ -90,7 +90,7 @@ impl Control {
         result
     }
 
-    /// Tells that a stage begins.
+    /// Reports the beginning of a stage.
     pub(crate) fn begin(&self, stage: Stage) {
         self.tell(stage, 0.0);
     }
@@ -102,7 +102,7 @@ impl Control {
         Meter { control: self, stage, span: [0.0, 1.0], parts, done, told }
     }
 
-    /// Tells how much of a stage is done.
+    /// Reports the progress of a stage.
     fn tell(&self, stage: Stage, done: f64) {
         if let Some(progress) = &self.progress {
             progress(Progress { stage, done });
@@ -110,7 +110,7 @@ impl Control {
     }
 }
 
-/// Steps that a stage is told of, but for one that is told because it took [`LONG`].
+/// Maximum number of progress reports of a stage.
 const STEPS: usize = 128;
 /// The time after which the caller is told of less than a step.
 const LONG: Duration = Duration::from_millis(50);
@@ -125,8 +125,8 @@ pub struct Meter<'a> {
     span: [f64; 2],
     parts: usize,
     done: AtomicUsize,
-    /// Parts that the caller knows of, and since when. A thread that finds it locked leaves the
-    /// telling to the others.
+    /// Parts that were reported, and when. A thread that finds the lock taken leaves the report to
+    /// the other.
     told: Mutex<(usize, Instant)>,
 }
 
@@ -146,7 +146,7 @@ impl Meter<'_> {
         !self.control.cancel.is_cancelled()
     }
 
-    /// Notes that so many parts more are done.
+    /// Adds `parts` to the finished ones.
     pub fn add(&self, parts: usize) {
         self.done.fetch_add(parts, Ordering::Relaxed);
         let Ok(mut told) = self.told.try_lock() else { return };

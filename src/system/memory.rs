@@ -9,10 +9,10 @@ use memmap2::MmapMut;
 
 use crate::grid::units::MemoryBudget;
 
-/// Three quarters of what is available: the system's own estimate, and no more than a control group
+/// Three quarters of the available memory: the system's estimate, but at most what a control group
 /// or `ulimit` allows.
 ///
-/// Where the system tells nothing, there is no limit.
+/// There is no limit if the system has no estimate.
 #[must_use]
 pub fn default_memory() -> MemoryBudget {
     let available =
@@ -69,8 +69,8 @@ pub fn peak_memory() -> Option<u64> {
     kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
 }
 
-/// A vector of zeros, in huge pages where the system has them: whoever writes all over it looks up
-/// fewer pages, and the system hands out fewer.
+/// A vector of zeros, in huge pages if the system has them: random writes then need fewer page
+/// lookups and page faults.
 pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
     let zeros = zeroed_vec(len);
     advise_huge_pages(&zeros);
@@ -84,8 +84,7 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     empty
 }
 
-/// Zeros in a mapping of their own, in huge pages where the system has them and so many bytes fill
-/// some.
+/// A separate mapping of zeros, in huge pages if the system has them and `bytes` fill some.
 ///
 /// # Errors
 /// Where the system has no memory left.

@@ -1,8 +1,8 @@
 //! Writing a large file past the system's cache.
 //!
-//! Whoever writes gigabytes and waits until they are on disk gains nothing by the cache: the system
-//! looks for as much memory, copies all into it, and drops for it what was worth keeping, such as
-//! the particles of the next frame.
+//! A program that writes gigabytes and waits until they are on disk gains nothing from the cache:
+//! the system finds as much memory, copies everything into it, and drops useful data for it, such
+//! as the particles of the next frame.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
@@ -41,7 +41,7 @@ impl<'a> PastCache<'a> {
         Self::after(CACHED, file)
     }
 
-    /// Lets so many whole pages through the cache.
+    /// Writes the first `cached` bytes, in whole pages, through the cache.
     fn after(cached: u64, file: &'a File) -> Self {
         Self { file, way: Way::Cached(cached) }
     }
@@ -148,8 +148,7 @@ mod tests {
 
     use super::*;
 
-    /// A new file, in which some bytes are already, after others were written to it so many at
-    /// once.
+    /// The content of a new file that has `before`, after `bytes` were written `at_once`.
     fn written(folder: &Path, before: &[u8], bytes: &[u8], at_once: usize) -> Vec<u8> {
         let mut file = tempfile::NamedTempFile::new_in(folder).unwrap();
         file.write_all(before).unwrap();

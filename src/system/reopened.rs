@@ -34,7 +34,7 @@ static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
 });
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
-/// A file's identity, size and time, which tell whether it was written to or replaced since.
+/// A file's identity, size and time, which show whether it was changed or replaced since.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileStamp {
     /// The file's size.
@@ -71,7 +71,7 @@ pub enum Lost {
 impl From<Lost> for io::Error {
     fn from(lost: Lost) -> Self {
         match lost {
-            Lost::Changed => Self::other("it has changed while it was read"),
+            Lost::Changed => Self::other("changed while it was read"),
             Lost::Io(fault) => fault,
         }
     }
@@ -176,8 +176,7 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     return windows::write_all_at(file, bytes, at);
 }
 
-/// Tells the system that `bytes` from position `at` on are wanted soon, so that it reads them
-/// meanwhile.
+/// Asks the system to read `bytes` from position `at` on ahead of time.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
     // A refusal is no matter.
     #[cfg(target_os = "linux")]

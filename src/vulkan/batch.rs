@@ -151,7 +151,7 @@ impl Batch {
     }
 
     /// Names what follows, up to the next stage or the end, for [`Device::take_timings`]: it will
-    /// read and write so many bytes at the least.
+    /// read and write at least `bytes`.
     pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
         self.stages.push((name, bytes));
@@ -169,7 +169,7 @@ impl Batch {
         }
     }
 
-    /// Runs a shader on `buffers`, in the order of its bindings, with so many work groups along
+    /// Runs a shader on `buffers`, in the order of its bindings, with these work groups along
     /// each axis.
     ///
     /// # Errors

@@ -162,7 +162,7 @@ impl Device {
             let local = |kind: &vk::MemoryType| {
                 kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
             };
-            // The first of the best: so it is that of whoever exported it.
+            // The first of the best, which the exporter chose as well.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;

@@ -221,7 +221,7 @@ impl Device {
         // SAFETY: the device is one of the instance's.
         let known = unsafe { instance.raw.enumerate_device_extension_properties(info.physical) };
         let known = known.unwrap_or_default();
-        // Whoever offers it demands that it is enabled.
+        // A device that offers it requires that it is enabled.
         let subset = names(&known, khr::portability_subset::NAME);
         let exports = names(&known, khr::external_memory_fd::NAME).filter(|_| options.exports);
         let unfit = |lacks| VulkanError::Unfit { device: info.name.clone(), lacks };

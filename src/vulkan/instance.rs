@@ -184,7 +184,7 @@ impl Instance {
         }
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }
-            .map_err(|e| VulkanError::NoLoader(format!("no instance can be made: {e}")))?;
+            .map_err(|e| VulkanError::NoLoader(format!("cannot create a Vulkan instance: {e}")))?;
         // From here on what is made is dropped with `instance` if a later step fails.
         let mut instance =
             Self { entry, raw, messenger: None, sees_shaders: validation && has_settings, log };
@@ -363,7 +363,7 @@ pub(super) fn lacks(
     properties: &vk::PhysicalDeviceProperties,
 ) -> Option<&'static str> {
     if properties.api_version < vk::API_VERSION_1_2 {
-        return Some("it offers less than Vulkan 1.2");
+        return Some("it does not support Vulkan 1.2");
     }
     let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);

@@ -1,8 +1,7 @@
-//! Compute on a Vulkan device: choosing one, its memory, its shaders, and batches of commands.
+//! Compute on a Vulkan device: selection, memory, shaders, and batches of commands.
 //!
-//! Knows nothing of fluids. Asks for Vulkan 1.2 with timeline semaphores, and nothing beyond.
-//!
-//! How devices are used and tried is said in `guide.md`, a page of the docs.
+//! This room knows nothing about fluids. It needs Vulkan 1.2 with timeline semaphores, and nothing
+//! else. The guide for users is `guide.md`.
 
 mod batch;
 mod buffer;
@@ -43,10 +42,10 @@ pub enum VulkanError {
     #[error("the Vulkan validation layer is not installed")]
     NoValidation,
     /// The loader knows no device at all.
-    #[error("no Vulkan device: the loader knows none")]
+    #[error("no Vulkan device found")]
     NoDevice,
     /// No device of that number or name.
-    #[error("no Vulkan device {wanted:?}; there are: {known}")]
+    #[error("no Vulkan device {wanted:?}; available: {known}")]
     NotFound {
         /// The number or name that was asked for.
         wanted: String,
@@ -62,7 +61,7 @@ pub enum VulkanError {
         lacks: &'static str,
     },
     /// Memory of the device, or the share of it that may be used, is exhausted.
-    #[error("device memory is exhausted: {bytes} more bytes were asked for")]
+    #[error("device memory is exhausted: cannot allocate {bytes} more bytes")]
     OutOfMemory {
         /// How many were asked for.
         bytes: u64,

@@ -699,7 +699,7 @@ fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak()
         assert!(failed.len() > 5, "{scene:?}: {} calls", failed.len());
         for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
             assert!(
-                warnings.len() == 1 && warnings[0].ends_with("going on on the CPU"),
+                warnings.len() == 1 && warnings[0].ends_with("continuing on the CPU"),
                 "{scene:?}, call {call}: {warnings:?}"
             );
             assert_ne!(
@@ -742,7 +742,7 @@ fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
             let what = format!("{scene:?}, {memory} bytes: {warnings:?}");
             assert!(mesh == expected, "{what}");
             let handed_over =
-                warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
+                warnings.iter().any(|warning| warning.ends_with("continuing on the CPU"));
             assert_eq!(handed_over, on_device != whole, "{what}");
             assert!(handed_over || memory > 2 << 20, "{what}");
             assert_clean(&log);

@@ -154,7 +154,7 @@ fn a_report_reads_as_lines_that_name_the_defect() {
     mesh.triangles.pop();
     let text = check(&mesh).to_string();
     assert!(text.contains("closed: no\n"), "{text}");
-    assert!(text.ends_with("edges with one triangle only: 3, the first [1, 5]\n"), "{text}");
+    assert!(text.ends_with("edges with only one triangle: 3, the first [1, 5]\n"), "{text}");
     let json = serde_json::to_value(check(&mesh)).unwrap();
     assert_eq!(
         (&json["vertices"], &json["boundary_edges"]["first"]),

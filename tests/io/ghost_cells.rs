@@ -159,15 +159,15 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);
     for (from, to, says) in [
-        (corners(2), corners(4), "partition 3: cell 4 of 5 names point 4 of 4"),
-        (corners(2), corners(-1), "partition 3: cell 4 of 5 names point -1 of 4"),
-        (ids_of(5), ids_of(4), "partition 3: 5 cells name 4 points"),
+        (corners(2), corners(4), "partition 3: cell 4 of 5 refers to point 4 of 4"),
+        (corners(2), corners(-1), "partition 3: cell 4 of 5 refers to point -1 of 4"),
+        (ids_of(5), ids_of(4), "partition 3: 5 cells refer to 4 points"),
         (ids_of(5), ids_of(6), "partition 3: Connectivity has 5 numbers of 6"),
         (ids_of(5), ids_of(-1), "-1 in NumberOfConnectivityIds"),
-        (ids_of(5), ids_of(1 << 62), "beyond all reason"),
+        (ids_of(5), ids_of(1 << 62), "too many for the size"),
         (counts(5), counts(6), "partition 3: Offsets has 6 numbers of 7"),
         (counts(5), counts(-1), "-1 in NumberOfCells"),
-        (counts(5), counts(1 << 62), "beyond all reason"),
+        (counts(5), counts(1 << 62), "too many for the size"),
         (data(6), data(13), "partition 3: vtkGhostType has 4 numbers of 5"),
         (data(6), data(i64::MAX), "partition 3: vtkGhostType has 0 numbers of 5"),
     ] {
@@ -209,7 +209,7 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
         faults(&lying, &right, &wrong, None)
     });
     let lying: Vec<String> = lying.collect();
-    let says = "vtkGhostType is not of one number for each of 23 cells";
+    let says = "vtkGhostType must have one number for each of 23 cells";
     assert!(lying.iter().any(|fault| fault.contains(says)), "{lying:?}");
 }
 

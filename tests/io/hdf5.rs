@@ -192,7 +192,7 @@ fn a_file_of_steps_is_a_sequence() {
     );
     let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25", "--resume"]);
     assert_eq!(code, Some(0));
-    assert!(said.contains("3 of 3 frames are done already"), "{said}");
+    assert!(said.contains("3 of 3 frames are already finished"), "{said}");
     let (code, said) = run(&["sim.h5part", "-o", "n/", "--watch"]);
     assert!(code == Some(2) && said.contains("--watch"), "{said}");
     let (code, said) = run(&["sim.h5part#2", "-o", "one.ply", "--spacing", "0.25"]);

@@ -249,11 +249,14 @@ fn obj_lines_that_do_not_parse_are_named() {
         ("f 1 2 4", "line 4: vertex 4 of the 3 so far"),
         ("f 1 2 0", "line 4: vertex 0 of the 3 so far"),
         ("f 1 2 -4", "line 4: vertex -4 of the 3 so far"),
-        ("f 1 2 9223372036854775808", "line 4: \"9223372036854775808\" is no number of a vertex"),
+        (
+            "f 1 2 9223372036854775808",
+            "line 4: \"9223372036854775808\" is not the number of a vertex",
+        ),
         ("f 1 2 -9223372036854775808", "line 4: vertex -9223372036854775808 of the 3 so far"),
         ("f 1//1 2//1 3//1", "line 4: normal 1 of the 0 so far"),
-        ("f 1 /2 3", "line 4: \"\" is no number of a vertex"),
-        ("\nhello", "line 5: \"hello\" starts no line of an .obj file"),
+        ("f 1 /2 3", "line 4: \"\" is not the number of a vertex"),
+        ("\nhello", "line 5: \"hello\" does not begin a valid .obj line"),
     ] {
         assert_eq!(fault(tail), expected);
     }
@@ -412,7 +415,7 @@ fn vtp_files_that_are_not_read_say_why() {
         (
             "Name=\"id\" format=\"ascii\"",
             "Name=\"id\" format=\"hex\"",
-            "array id has the unknown format \"hex\"",
+            "array id has unknown format \"hex\"",
         ),
         (
             "Name=\"id\" format=\"ascii\"",
@@ -421,11 +424,11 @@ fn vtp_files_that_are_not_read_say_why() {
         ),
         ("NumberOfVerts", "NumberOfStrips", "triangle strips"),
         ("<Piece", "<Piece NumberOfPoints=\"0\"/><Piece", "2 pieces"),
-        ("7 8 9 10", "7 8 9", "array id is not of 1 numbers for each of 4 points"),
+        ("7 8 9 10", "7 8 9", "array id must have 1 numbers for each of 4 points"),
         ("4\n7", "4\n8", "polygon 1 has no corners from 4 to 8"),
         ("4\n7", "4\n3", "polygon 1 has no corners from 4 to 3"),
         ("4\n7", "7", "2 polygons are announced, 1 have an offset"),
-        ("2 3 3", "2 4 3", "face 0 names vertex 4, the file has 4"),
+        ("2 3 3", "2 4 3", "face 0 refers to vertex 4, but the file has 4"),
         ("<Points>", "<Other>", "expected `</Other>`"),
         ("NumberOfPoints=\"4\"", "NumberOfPoints=\"many\"", "NumberOfPoints is \"many\""),
         (VTP_TEXT, "<html></html>", "without </VTKFile>"),

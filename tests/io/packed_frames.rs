@@ -186,7 +186,7 @@ fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
         (faces, 0_f64.to_le_bytes().into(), "corner"),
         (faces + 8, 9.5_f64.to_le_bytes().into(), "corner"),
         (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
-        (faces + 32, 2.5_f64.to_le_bytes().into(), "less than two reaches"),
+        (faces + 32, 2.5_f64.to_le_bytes().into(), "less than twice the reach"),
         (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
         (faces + 52, 1_u32.to_le_bytes().into(), "no periodic box"),
         (footer + 32, 1_u32.to_le_bytes().into(), "cannot be that of"),
@@ -281,8 +281,12 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
     let Layout { footer, index } = layout;
     let second = index + 44;
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
-        (8, 3_u32.to_le_bytes().into(), "a frame of version 3; this program reads versions 1 to 2"),
-        (8, 0_u32.to_le_bytes().into(), "a frame of version 0"),
+        (
+            8,
+            3_u32.to_le_bytes().into(),
+            "version 3 of packed frames; versions 1 to 2 are supported",
+        ),
+        (8, 0_u32.to_le_bytes().into(), "version 0 of packed frames"),
         (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
         (12, 8_u32.to_le_bytes().into(), "not of its bin"),
         (footer, f64::NAN.to_le_bytes().into(), "origin"),
@@ -309,7 +313,7 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         (index + 24, 0_u32.to_le_bytes().into(), "where the one before it ends"),
         (index + 28, 0_u32.to_le_bytes().into(), "page 0 does not match its checksum"),
         (index + 32, 0_u32.to_le_bytes().into(), "do not fit in its box"),
-        (index + 32, 2_u32.to_le_bytes().into(), "page 0 holds other cells"),
+        (index + 32, 2_u32.to_le_bytes().into(), "page 0 contains other cells"),
         (index + 36, [15, 15, 15, 17, 16, 16].into(), "not in its bin"),
         (index + 36, [3, 3, 3, 3, 4, 4].into(), "not in its bin"),
         (index + 42, [1, 0].into(), "end in zeros"),
@@ -342,7 +346,7 @@ fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
         if indicator == IndicatorKind::Cloud {
             let found = open_frame(&folder.file(&bytes), 1 << 20).unwrap_err().fault;
             assert!(matches!(found, ReadFault::Unsupported(_)), "{found}");
-            assert!(found.to_string().contains("clouds of version 1"), "{found}");
+            assert!(found.to_string().contains("version 1 of the indicator cloud"), "{found}");
             assert!(found.to_string().contains("pack the particles again"), "{found}");
         } else {
             assert_same_frame(
@@ -389,7 +393,7 @@ fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
     let mut whole = written(&samples);
     open_frame(&folder.file(&whole), 0).unwrap();
     samples[0] = 1;
-    assert!(refusal(&folder, &written(&samples)).contains("page 0 holds other cells"));
+    assert!(refusal(&folder, &written(&samples)).contains("page 0 contains other cells"));
 
     // As many particles as a file can speak of.
     let layout = Layout::of(&whole);
@@ -405,7 +409,7 @@ fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
     let unfinished = &whole[..Layout::of(&whole).footer];
     let fault = open_frame(&folder.file(unfinished), 0).unwrap_err().fault;
     assert!(matches!(fault, ReadFault::Malformed { .. }), "{fault}");
-    assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a frame"));
+    assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a packed frame"));
     let missing = open_frame(Path::new("/nowhere/frame.mnf"), 0).unwrap_err();
     assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
 }

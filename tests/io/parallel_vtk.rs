@@ -478,9 +478,9 @@ fn cells_that_are_not_as_announced_are_refused_and_no_damage_is_a_panic() {
         let whole = with_cells(polydata, &[5, 4, 3, 2, 1, 0], "vtkGhostType", &[1, 0, 0, 1, 0, 0]);
         let name = if polydata { "NumberOfVerts" } else { "NumberOfCells" };
         for (from, to, says) in [
-            (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "names point 6 of 6"),
-            (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "names point -1 of 6"),
-            (">5 4 3 2 1 0<", ">5 4 3 2 1<", "6 cells name 5 points"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "refers to point 6 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "refers to point -1 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1<", "6 cells refer to 5 points"),
             (">1 0 0 1 0 0<", ">1 0 0 1 0<", "for each of 6 cells"),
             (
                 &format!("{name}=\"6\""),

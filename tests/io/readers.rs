@@ -481,7 +481,7 @@ fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
     let neither = build::npz(&[("a", vectors.clone()), ("b", vectors)], CompressionMethod::Stored);
     let fault = fault(read(NPZ, &neither));
     assert!(
-        fault.contains("save it as pos, of shape (N, 3)") && fault.contains("a (4, 3), b (4, 3)"),
+        fault.contains("save it as pos, with shape (N, 3)") && fault.contains("a (4, 3), b (4, 3)"),
         "{fault}"
     );
 }
@@ -783,7 +783,7 @@ fn an_array_of_a_last_block_and_none_in_all_is_refused() {
             .unwrap();
         let data = bytes.windows(2).position(|at| at == b" _").unwrap() + 2;
         bytes[data + offset..][..if layout.wide { 8 } else { 4 }].fill(0);
-        assert!(fault(read(VTU, &bytes)).contains("a last block, and none in all"), "{layout:?}");
+        assert!(fault(read(VTU, &bytes)).contains("a last block, but no blocks"), "{layout:?}");
     }
 }
 

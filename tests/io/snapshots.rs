@@ -106,7 +106,10 @@ fn a_header_s_box_and_unit_are_told_and_nothing_else_is_taken_from_them() {
         .output()
         .unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
-    assert!(text.contains("edges [4.0, 4.0, 4.0]; whether it is periodic is not said"), "{text}");
+    assert!(
+        text.contains("edges [4.0, 4.0, 4.0]; may be periodic, the file does not say"),
+        "{text}"
+    );
     assert!(text.contains("2 ghosts"), "{text}");
 }
 
@@ -117,13 +120,9 @@ fn types_of_particles_are_named_and_gas_or_fluid_is_meant_without_a_name() {
     assert_eq!(positions(&open_type(&data("pysph_40.hdf5"), "wall").unwrap()), points()[..3]);
     assert_eq!(open_type(&data("openpmd.h5#200"), "water").unwrap().particles.len(), 24);
     for (name, kind, says) in [
-        (
-            GADGET[0],
-            "PartType4",
-            "no particles of the type PartType4; there are: PartType0, PartType1",
-        ),
-        ("pysph_40.hdf5", "gas", "there are: fluid, wall"),
-        ("openpmd.h5#100", "ions", "there are: water"),
+        (GADGET[0], "PartType4", "no particles of type PartType4; available: PartType0, PartType1"),
+        ("pysph_40.hdf5", "gas", "available: fluid, wall"),
+        ("openpmd.h5#100", "ions", "available: water"),
     ] {
         let error = open_type(&data(name), kind).unwrap_err();
         assert!(
@@ -157,7 +156,7 @@ fn steps_are_frames_with_numbers_and_times_of_their_own() {
         ("grid.vtkhdf#0", "no step 0"),
         ("openpmd.h5", "steps 100 to 200"),
         ("openpmd.h5#150", "no iteration 150"),
-        ("swift_0003.hdf5#0", "one frame"),
+        ("swift_0003.hdf5#0", "a single frame"),
     ] {
         let error = open(name).unwrap_err();
         assert!(
@@ -209,7 +208,7 @@ fn whatever_is_wrong_with_a_file_of_a_snapshot_names_that_file() {
     let folder = copied("gadget");
     fs::copy(data(GADGET[2]), folder.path().join(GADGET[0])).unwrap();
     let error = open_type(&folder.path().join(GADGET[0]), None).unwrap_err();
-    assert!(error.to_string().contains("24 particles of PartType0 are announced"), "{error}");
+    assert!(error.to_string().contains("announces 24 particles of PartType0"), "{error}");
     // Without one of the attributes: its name begins otherwise.
     let folder = copied("gadget");
     let path = folder.path().join(GADGET[2]);

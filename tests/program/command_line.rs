@@ -131,27 +131,27 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
         (ball(&["--method", "yu-turk", "--smooth", "2"]), "--smooth"),
         (ball(&["--adaptive"]), "--adaptive"),
-        (ball(&["--smooth", "0.79"]), "--smooth must be from 0.8 to 4 spacings, not 0.79"),
-        (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, not 4.01"),
+        (ball(&["--smooth", "0.79"]), "--smooth must be from 0.8 to 4 spacings, got 0.79"),
+        (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, got 4.01"),
         (ball(&["--smooth", "-1"]), "--smooth must be"),
         (ball(&["--smooth", "nan"]), "--smooth must be"),
-        (ball(&["--sigma", "1"]), "--sigma is for --indicator counting and symmetry"),
+        (ball(&["--sigma", "1"]), "--sigma applies only to --indicator counting and symmetry"),
         (
             ball(&["--iso", "0.4"]),
-            "--iso is for --indicator counting and symmetry, and for --method mueller and yu-turk",
+            "--iso applies only to --indicator counting and symmetry and to --method mueller and yu-turk",
         ),
-        (ball(&["--detail"]), "distances told by clouds are 0, and --smooth says how calm it is"),
-        (ball(&["--mu0", "3"]), "--mu0 has no meaning for --indicator cloud"),
-        (ball(&["--smooth", "2", "--indicator", "counting"]), "--smooth is for --indicator cloud"),
+        (ball(&["--detail"]), "for cloud, use --smooth"),
+        (ball(&["--mu0", "3"]), "--mu0 does not apply to --indicator cloud"),
         (
-            ball(&["--smooth", "2", "--indicator", "symmetry"]),
-            "--sigma says how smooth the surface of others is",
+            ball(&["--smooth", "2", "--indicator", "counting"]),
+            "--smooth applies only to --indicator cloud",
         ),
+        (ball(&["--smooth", "2", "--indicator", "symmetry"]), "for others, use --sigma"),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
-        (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
+        (ball(&["--method", "mueller", "--cell", "0.05"]), "at most 16 cells per spacing, got 20"),
         (ball(&["--indicator", "counting", "--mu0", "-3"]), "mu0"),
-        (ball(&["--cell", "0"]), "--cell must be positive and finite, not 0"),
+        (ball(&["--cell", "0"]), "--cell must be positive and finite, got 0"),
         (ball(&["--cell-size", "-1"]), "--cell-size"),
         (ball(&["--cell-size", "1", "--cell", "1"]), "cannot be used with"),
         (ball(&["--spacing", "inf"]), "--spacing"),
@@ -273,7 +273,7 @@ fn an_input_is_never_its_own_output() {
         folder.path(),
         &["spot.ply", "-o", "./spot.ply", "--overwrite"],
         2,
-        &["two purposes"],
+        &["choose another file"],
     );
     assert_eq!(fs::read(folder.path().join("spot.ply")).unwrap(), before);
 }
@@ -316,7 +316,7 @@ fn no_more_memory_is_planned_for_than_ulimit_leaves() {
         in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
     let plan = String::from_utf8_lossy(&run.stdout);
     let budget: Option<f64> =
-        plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
+        plan.split(" of ").find_map(|rest| rest.split_once(" MiB (")?.0.parse().ok());
     assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");
 }
 
@@ -388,7 +388,7 @@ fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
     assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"], 0).contains("warning"));
     let moved = notes(&["symmetry"], 0);
     assert!(
-        moved.contains("lattice: the grid's origin is") && !moved.contains("warning"),
+        moved.contains("lattice: the grid was moved to the origin") && !moved.contains("warning"),
         "{moved}"
     );
     assert!(!notes(&["counting"], 0).contains("warning"));
@@ -441,8 +441,11 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let errors = String::from_utf8(refused.stderr).unwrap();
     assert_eq!(refused.status.code(), Some(2), "{errors}");
     assert_eq!(names(folder.path()), ["spray.xyz"]);
-    let sizes: Vec<&str> =
-        errors.split("cell size of ").skip(1).map(|s| s.split(' ').next().unwrap()).collect();
+    let sizes: Vec<&str> = errors
+        .split("cell size of ")
+        .skip(1)
+        .map(|s| s.split([' ', ',']).next().unwrap())
+        .collect();
     let [asked, fitting] = sizes[..] else { panic!("{errors}") };
     assert_eq!(asked, "0.5");
     let fitted = run(fitting);
@@ -574,7 +577,7 @@ fn statistics_never_touch_the_input_or_the_output_and_are_not_begun_for_a_run_th
             folder.path(),
             &["ball.xyz", "-o", "out.ply", "--stats", stats],
             2,
-            &["two purposes"],
+            &["choose another file"],
         );
     }
     assert_refused(
@@ -766,8 +769,8 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         (&["a.ply", "--simplify", "4.1"], "at most 4 cells"),
         (&["a.ply", "--simplify", "nan"], "--simplify"),
         (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
-        (&["a.ply", "--compress"], "--compress goes with .glb"),
-        (&["a.glb", "--up", "z"], "in a .glb y points up; --particles-up z"),
+        (&["a.ply", "--compress"], "--compress applies only to .glb"),
+        (&["a.glb", "--up", "z"], "a .glb always has y up; use --particles-up z"),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
     }
@@ -777,7 +780,7 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         &all,
         3,
         &[
-            "all of its 1 components are below the smallest component; a smaller --smallest-component",
+            "all of its 1 components are below the smallest component; use a smaller --smallest-component",
         ],
     );
 }
@@ -830,7 +833,7 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
                 let (_, notes) = drawn(folder.path(), frame.to_str().unwrap(), &more);
                 // Counting loses drops of one particle, which clouds keep.
                 let lost = indicator == "counting"
-                    && notes.contains("are in no surface; --indicator cloud");
+                    && notes.contains("are missing from the surface; use --indicator cloud");
                 assert!(lost || !notes.contains("warning"), "{notes}");
                 let measures = measure(&read_mesh(&folder.path().join("drawn.ply")).unwrap());
                 (measures.volume.unwrap(), measures.components)
@@ -857,7 +860,7 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let frame = frame.to_str().unwrap();
     // The one finds an interior, the other none.
     for (indicator, told) in
-        [("cloud", "as no fluid is deep enough"), ("counting", "the spacing tells")]
+        [("cloud", "because no fluid is deep enough"), ("counting", "computed from the spacing")]
     {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) =
@@ -880,8 +883,11 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
 fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let folder = folder_with_ball();
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
-    let says =
-        ["ball.xyz", "less than 0.1 spacings", "use cells of 0.0505 or more (--cell 0.1 or more)"];
+    let says = [
+        "ball.xyz",
+        "smaller than 0.1 spacings",
+        "use cells of 0.0505 or more (--cell 0.1 or more)",
+    ];
     assert_refused(folder.path(), &finest, 2, &says);
     let enough = [
         "reconstruct",
@@ -920,7 +926,10 @@ fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
     let errors = String::from_utf8_lossy(&run.stderr);
-    assert!(run.status.code() == Some(2) && errors.contains("less than 0.1 spacings"), "{errors}");
+    assert!(
+        run.status.code() == Some(2) && errors.contains("smaller than 0.1 spacings"),
+        "{errors}"
+    );
     let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &pack);
     assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));
@@ -939,7 +948,7 @@ fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty
         folder.path(),
         &alone,
         3,
-        &["d_1.xyz", "no cell's centre is inside", "use smaller cells"],
+        &["d_1.xyz", "contains no cell's centre", "use smaller cells"],
     );
     let run = meniscus(
         folder.path(),
@@ -948,7 +957,7 @@ fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty
     let notes = String::from_utf8_lossy(&run.stderr);
     assert!(
         run.status.success()
-            && notes.contains("d_1.xyz: no cell's centre is inside of the surface: an empty mesh"),
+            && notes.contains("d_1.xyz: the mesh is empty: the surface contains no cell's centre"),
         "{notes}"
     );
     let empty = read_mesh(&folder.path().join("m_1.ply")).unwrap();
@@ -970,7 +979,7 @@ fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball).collect::<Vec<_>>())).unwrap();
     let lost = notes(&["--indicator", "counting"]);
     assert!(
-        lost.contains("% of the volume of") && lost.contains("--indicator cloud keeps"),
+        lost.contains("% of the volume of") && lost.contains("--indicator cloud, which keeps"),
         "{lost}"
     );
     assert!(!notes(&[]).contains("% of the volume of"));
@@ -1092,7 +1101,7 @@ fn an_output_makes_its_folder_and_one_that_cannot_be_made_is_refused() {
     let output = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.xyz/such/x.ply"]);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(4), "{errors}");
-    assert!(errors.contains("ball.xyz/such/x.ply: the folder cannot be made"), "{errors}");
+    assert!(errors.contains("ball.xyz/such/x.ply: cannot create the folder"), "{errors}");
     assert!(!errors.contains(".tmp"), "{errors}");
 }
 

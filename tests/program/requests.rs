@@ -160,7 +160,7 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
         );
         // Those of this run, and those of the runs before.
         let again = ["reconstruct", ".", "-o", &output, "--spacing", "1", "--resume"];
-        assert!(run(folder.path(), &again, 0).contains("2 of 2 frames are done already"));
+        assert!(run(folder.path(), &again, 0).contains("2 of 2 frames are already finished"));
     }
     run(folder.path(), &["reconstruct", "*.xyz", "-o", "g_{}.ply", "--spacing", "1"], 0);
     // A simulation that runs, into its own folder.
@@ -188,12 +188,12 @@ fn a_folder_of_meshes_is_refused_before_the_work() {
     refused(
         folder.path(),
         &["reconstruct", "made", "-o", "again/", "--spacing", "1"],
-        "holds meshes and no particles",
+        "contains meshes, but no particles",
     );
     refused(
         folder.path(),
         &["reconstruct", "made", "-o", "m_{}.ply", "--spacing", "1"],
-        "holds meshes",
+        "contains meshes",
     );
 }
 
@@ -215,12 +215,8 @@ fn meshes_whose_names_would_make_frames_of_them_are_refused_before_the_work() {
         &["reconstruct", "f_{}.ply", "-o", "f_1{}.ply"],
         "would be taken for a frame",
     );
-    refused(
-        folder.path(),
-        &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"],
-        "given for two purposes",
-    );
-    refused(folder.path(), &["reconstruct", ".", "-o", "./"], "given for two purposes");
+    refused(folder.path(), &["reconstruct", "f_{}.ply", "-o", "f_{}.ply"], "choose another file");
+    refused(folder.path(), &["reconstruct", ".", "-o", "./"], "choose another file");
     run(folder.path(), &["reconstruct", ".", "-o", "mesh_{}.ply", "--spacing", "1"], 0);
 }
 
@@ -296,7 +292,7 @@ fn gaps_between_time_stamps_are_told_by_their_ends() {
     ];
     let folder = frames(&names);
     let notes = run(folder.path(), &["reconstruct", ".", "-o", "m_{}.ply", "--spacing", "1"], 0);
-    assert!(notes.contains("there are no frames 1 to 1699999999999999999"), "{notes}");
+    assert!(notes.contains("no files for frames 1 to 1699999999999999999"), "{notes}");
     assert!(notes.len() < 2000, "{notes}");
     let folder = frames(&["f_1.xyz", "f_2.xyz", "f_3.xyz", "f_4.xyz", "f_7.xyz"]);
     let notes = run(folder.path(), &["reconstruct", ".", "-o", "m_{}.ply", "--spacing", "1"], 1);
@@ -334,12 +330,12 @@ fn odd_numbers_are_refused_with_the_sentence_that_helps() {
     refused(
         folder.path(),
         &with(&["--origin", "nan,0,0"]),
-        "--origin must be three finite numbers, not NaN",
+        "--origin must be three finite numbers, got NaN",
     );
     refused(
         folder.path(),
         &with(&["--origin", "0,-inf,0"]),
-        "--origin must be three finite numbers, not -inf",
+        "--origin must be three finite numbers, got -inf",
     );
     for fps in ["5e-324", "1e300", "0", "nan"] {
         refused(
@@ -348,11 +344,7 @@ fn odd_numbers_are_refused_with_the_sentence_that_helps() {
             "--fps must be from 0.000000001 to 1000000000",
         );
     }
-    refused(
-        folder.path(),
-        &with(&["--start", "5", "--end", "3"]),
-        "no frames from --start 5 to --end 3",
-    );
+    refused(folder.path(), &with(&["--start", "5", "--end", "3"]), "--start 5 is after --end 3");
     let notes =
         run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "tiny.ply", "--spacing", "1e-320"], 3);
     assert!(notes.contains("cells of 4.99994e-321"), "{notes}");
@@ -373,11 +365,11 @@ fn a_mesh_with_another_byte_is_made_again() {
     let mut flipped = whole.clone();
     flipped[whole.len() / 2] ^= 1;
     fs::write(&path, flipped).unwrap();
-    assert!(run(folder.path(), &all, 0).contains("1 of 2 frames are done already"));
+    assert!(run(folder.path(), &all, 0).contains("1 of 2 frames are already finished"));
     assert!(fs::read(&path).unwrap() == whole);
     // A copy of the same bytes is believed.
     fs::write(&path, &whole).unwrap();
-    assert!(run(folder.path(), &all, 0).contains("2 of 2 frames are done already"));
+    assert!(run(folder.path(), &all, 0).contains("2 of 2 frames are already finished"));
 }
 
 #[test]
@@ -415,17 +407,23 @@ fn values_that_32_bits_do_not_hold_are_said() {
     let one = [&["reconstruct", "f_1.csv", "-o", "a.ply"], &heat[..]].concat();
     let count = particles.len();
     let notes = run(folder.path(), &one, 0);
-    assert!(notes.contains(&format!("{count} of {count} particles have no heat")), "{notes}");
+    assert!(
+        notes.contains(&format!("{count} of {count} particles have no finite 32-bit heat")),
+        "{notes}"
+    );
     let all = [&["reconstruct", "f_{}.csv", "-o", "m_{}.ply"], &heat[..]].concat();
     let notes = run(folder.path(), &all, 0);
-    assert!(notes.contains(&format!("f_2.csv: 1 of {count} particles have no heat")), "{notes}");
+    assert!(
+        notes.contains(&format!("f_2.csv: 1 of {count} particles have no finite 32-bit heat")),
+        "{notes}"
+    );
     let mesh = read_mesh(&folder.path().join("m_2.ply")).unwrap();
     assert!(mesh.attributes[0].values.iter().all(|value| (value - 7.0).abs() < 1e-4));
     // The same within a budget that spills them.
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
     assert!(
         run(folder.path(), &spilled, 0)
-            .contains(&format!("f_2.csv: 1 of {count} particles have no heat"))
+            .contains(&format!("f_2.csv: 1 of {count} particles have no finite 32-bit heat"))
     );
 }
 
@@ -560,7 +558,7 @@ fn vertices_that_stl_cannot_tell_apart_are_always_said() {
         let [whole, joined] = ["a.ply", "a.stl"]
             .map(|name| read_mesh(&folder.path().join(name)).unwrap().positions.len());
         assert_eq!(
-            notes.contains("have the place of another"),
+            notes.contains("have the same f32 position as another"),
             joined < whole,
             "{far}: {joined} of {whole}: {notes}"
         );
@@ -583,7 +581,7 @@ fn vertices_that_stl_cannot_tell_apart_are_always_said() {
             "--overwrite",
         ];
         assert_eq!(
-            run(folder.path(), &all, 0).contains("have the place of another"),
+            run(folder.path(), &all, 0).contains("have the same f32 position as another"),
             joined < whole,
             "{far}"
         );
@@ -629,7 +627,7 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
         run(folder.path(), &[&["reconstruct"], arguments, &symmetry].concat(), 0)
     };
     let count = body.len() + 201;
-    let said = format!("warning: at least 201 of {count} particles are in no surface");
+    let said = format!("warning: at least 201 of {count} particles are missing from the surface");
     let notes = with(&["f_3.xyz", "-o", "a.ply"]);
     assert!(notes.contains(&said), "{notes}");
     for budget in [&[][..], &["--memory", "16MiB", "--threads", "1"]] {
@@ -638,12 +636,12 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
     }
     for few in ["f_1.xyz", "f_2.xyz"] {
         let notes = with(&[few, "-o", "a.ply"]);
-        assert!(!notes.contains("in no surface"), "{few}: {notes}");
+        assert!(!notes.contains("missing from the surface"), "{few}: {notes}");
     }
     // Clouds keep every particle.
     let clouds =
         run(folder.path(), &["reconstruct", "f_3.xyz", "-o", "b.ply", "--spacing", "1"], 0);
-    assert!(!clouds.contains("in no surface"), "{clouds}");
+    assert!(!clouds.contains("missing from the surface"), "{clouds}");
     let kernels = [
         "reconstruct",
         "f_3.xyz",
@@ -657,7 +655,7 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
         "4",
     ];
     let kernels = run(folder.path(), &kernels, 0);
-    assert!(kernels.contains("in no surface"), "{kernels}");
+    assert!(kernels.contains("missing from the surface"), "{kernels}");
     // A simulation tells the sum, of frames with nothing else, too.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);
     assert!(
@@ -687,12 +685,13 @@ fn two_resolutions_in_one_frame_are_said_and_a_fluid_that_thins_out_is_not() {
     };
     for fine in [0.5, 0.4, 0.3] {
         let notes = of(&[at(1.0, 0.0), at(fine, 24.0)]);
-        assert!(notes.contains("the particles are of two resolutions"), "{fine}: {notes}");
-        let told = notes.split("two resolutions, ").nth(1).unwrap();
-        let [a, b] = [0, 2].map(|word| told.split(' ').nth(word).unwrap().parse::<f64>().unwrap());
+        assert!(notes.contains("the particles have two spacings"), "{fine}: {notes}");
+        let told = notes.split("two spacings, ").nth(1).unwrap();
+        let [a, b] =
+            [0, 2].map(|word| told.split([' ', ';']).nth(word).unwrap().parse::<f64>().unwrap());
         assert!((a / fine - 1.0).abs() < 0.05 && (b - 1.0).abs() < 0.1, "{fine}: {a} and {b}");
     }
-    assert!(!of(&[at(1.0, 0.0)]).contains("two resolutions"));
+    assert!(!of(&[at(1.0, 0.0)]).contains("two spacings"));
     let thinning: Vec<[f64; 3]> = fill(20.0, 2.0, 0.3, 3, |_| true)
         .into_iter()
         .enumerate()
@@ -700,5 +699,5 @@ fn two_resolutions_in_one_frame_are_said_and_a_fluid_that_thins_out_is_not() {
         .map(|(_, p)| p)
         .collect();
     let notes = of(&[thinning]);
-    assert!(!notes.contains("two resolutions"), "{notes}");
+    assert!(!notes.contains("two spacings"), "{notes}");
 }

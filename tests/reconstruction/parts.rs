@@ -168,7 +168,9 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
         "--skip-invalid",
     ];
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
-    for word in ["in no surface", "no heat", "looks too large", "not finite"] {
+    for word in
+        ["missing from the surface", "no finite 32-bit heat", "looks too large", "not finite"]
+    {
         assert!(single.contains(word), "nothing of {word:?}: {single}");
     }
     in_parts(folder, "mist.csv", "many.ply", 5, &[0, 1, 2, 3, 4], &options);
@@ -196,7 +198,7 @@ fn a_part_is_one_file_however_often_and_by_however_many_at_once_it_is_made() {
         assert!(child.wait().unwrap().success());
     }
     let once = fs::read(&path).unwrap();
-    assert!(run(folder, &with(&["--part", "1"]), 0).contains("done already"));
+    assert!(run(folder, &with(&["--part", "1"]), 0).contains("made earlier"));
     // What is damaged is made again, to the same bytes, and what a process that was killed has left
     // goes.
     fs::write(&path, &once[..once.len() / 2]).unwrap();
@@ -214,7 +216,7 @@ fn what_has_changed_since_the_plan_is_refused_by_its_name() {
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "3"];
     let with = |more: &[&'static str]| [&common[..], more].concat();
     for step in [&["--part", "0"][..], &["--merge"]] {
-        assert!(run(folder, &with(step), 2).contains("no plan yet; --plan makes it"));
+        assert!(run(folder, &with(step), 2).contains("no plan yet; run with --plan first"));
     }
     run(folder, &with(&["--plan"]), 0);
     let plan = folder.join("m.ply.meniscus-parts/plan.json");
@@ -238,11 +240,11 @@ fn what_has_changed_since_the_plan_is_refused_by_its_name() {
     // Settings of the machine are nobody's concern.
     run(folder, &with(&["--part", "0", "--threads", "1", "--memory", "1GiB"]), 0);
     // A plan that is the same is kept, and another is made only when asked for.
-    assert!(run(folder, &with(&["--plan"]), 0).contains("was there already"));
+    assert!(run(folder, &with(&["--plan"]), 0).contains("exists already"));
     assert!(run(folder, &with(&["--plan", "--normals"]), 2).contains("--resume or --overwrite"));
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &with(&["--plan", "--resume", "--normals"]), 0);
-    assert!(run(folder, &with(&["--merge", "--normals"]), 3).contains("part of another plan"));
+    assert!(run(folder, &with(&["--merge", "--normals"]), 3).contains("belongs to another plan"));
     run(folder, &with(&["--plan", "--overwrite"]), 0);
     assert_eq!(fs::read(&plan).unwrap(), kept, "the same plan has the same bytes");
 
@@ -254,11 +256,11 @@ fn what_has_changed_since_the_plan_is_refused_by_its_name() {
     let of_twin =
         |step: &[&'static str]| [&["twin.bgeo", "-o", "m.ply", "--parts", "3"], step].concat();
     for step in [&["--plan"][..], &["--part", "0"], &["--merge"]] {
-        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: it is not what"));
+        assert!(run(folder, &of_twin(step), 3).contains("twin.bgeo: differs from the input of"));
     }
     assert_eq!(fs::read(&plan).unwrap(), kept);
     run(folder, &of_twin(&["--plan", "--resume"]), 0);
-    assert!(run(folder, &of_twin(&["--merge"]), 3).contains("part of another plan"));
+    assert!(run(folder, &of_twin(&["--merge"]), 3).contains("belongs to another plan"));
     run(folder, &with(&["--plan", "--overwrite"]), 0);
 
     run(folder, &with(&["--merge"]), 0);
@@ -297,7 +299,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
     for name in ["part_0", "part_2"] {
         fs::rename(parts.join(name), folder.join(name)).unwrap();
     }
-    refused("2 of 3 parts are missing: 0, 2; --part makes them");
+    refused("2 of 3 parts are missing: 0, 2; make them with --part");
     for name in ["part_0", "part_2"] {
         fs::rename(folder.join(name), parts.join(name)).unwrap();
     }
@@ -319,7 +321,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
     fs::write(&part, [&whole[..], b"x"].concat()).unwrap();
     refused("damaged");
     fs::copy(parts.join("part_0"), &part).unwrap();
-    refused("part of another plan");
+    refused("belongs to another plan");
     fs::write(&part, &whole).unwrap();
     run(folder, &merge, 0);
 
@@ -368,20 +370,17 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         (ask(&["--merge"]), "--parts"),
         (ask(&["--plan"]), "--plan needs a simulation"),
         (ask(&["--parts", "0", "--plan"]), "--parts"),
-        (ask(&["--parts", "1001", "--plan"]), "1 to 1000 parts"),
-        (ask(&["--parts", "2", "--part", "2"]), "there is no part 2 of 2"),
+        (ask(&["--parts", "1001", "--plan"]), "must be from 1 to 1000"),
+        (ask(&["--parts", "2", "--part", "2"]), "the part must be from 0 to 1, got 2"),
         (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a simulation"),
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
         (
             ask(&["--parts", "2", "--plan", "--method", "mueller"]),
-            "--parts has no meaning for this --method",
+            "--parts does not apply to this --method",
         ),
-        (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats goes with --merge"),
-        (
-            ask(&["--parts", "2", "--part", "0", "--dry-run"]),
-            "--dry-run has no meaning with --parts",
-        ),
-        (ask(&["--parts", "2", "--merge", "--resume"]), "--resume goes with --plan"),
+        (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats needs --merge"),
+        (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run does not support --parts"),
+        (ask(&["--parts", "2", "--merge", "--resume"]), "--resume needs --plan"),
         (vec!["frames", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["drop.xyz", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["splash.xyz", "-o", "there.ply", "--parts", "2", "--plan"], "there.ply"),

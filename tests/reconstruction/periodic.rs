@@ -279,23 +279,23 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
     let before = fs::read_dir(folder.path()).unwrap().count();
     for (options, code, says) in [
         (&["--periodic", "0,-,0,24,-"][..], 2, "6 numbers"),
-        (&["--periodic", "0,-,0,-,-,24"], 2, "both ends of x"),
+        (&["--periodic", "0,-,0,-,-,24"], 2, "one end of x is open"),
         (&["--periodic", "-,-,-,-,-,-"], 2, "open along every axis"),
         (&["--periodic", "24,-,0,0,-,24"], 2, "corners must be finite"),
         (&["--periodic", "0,-,nan,24,-,24"], 2, "corners must be finite"),
         (&["--periodic", "0,-,0,inf,-,24"], 2, "corners must be finite"),
-        (&["--periodic", "0,-,0,24,-,20"], 2, "20 wide along z, less than two reaches"),
+        (&["--periodic", "0,-,0,24,-,20"], 2, "20 wide along z, less than twice the reach"),
         (&["--periodic", BOX, "--domain", "0,0,0,24,20,24"], 2, "x is periodic"),
         (&["--periodic", "0,-,0,1e9,-,24"], 2, "from the origin"),
-        (&["--periodic", BOX, "--cell", "1e-12"], 2, "less than 0.1 spacings"),
+        (&["--periodic", BOX, "--cell", "1e-12"], 2, "smaller than 0.1 spacings"),
         (
             &["--periodic", BOX, "--cell", "1e-12", "--method", "mueller"],
             2,
-            "cells a spacing are more than",
+            "cells per spacing, got",
         ),
-        (&["--periodic-mesh", "overlap"], 2, "without a periodic box"),
-        (&["--periodic", "0,-,0,23,-,24"], 3, "is outside of the periodic box along x"),
-        (&["--periodic", BOX, "--domain", "-,0,-,-,nan,-"], 2, "all coordinates numbers"),
+        (&["--periodic-mesh", "overlap"], 2, "with a periodic box"),
+        (&["--periodic", "0,-,0,23,-,24"], 3, "is outside the periodic box along x"),
+        (&["--periodic", BOX, "--domain", "-,0,-,-,nan,-"], 2, "coordinates must be numbers"),
     ] {
         let options = with(&with(&POOL, &["-o", "mesh.ply"]), options);
         let errors = run(folder.path(), &options, code);
@@ -306,12 +306,12 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
         ["reconstruct", "astray.xyz", "--spacing", "1", "--periodic", BOX, "-o", "mesh.ply"];
     let errors = run(folder.path(), &astray, 3);
     let named = format!(
-        "particle {} at (24.5, 3, 3) is outside of the periodic box along x",
+        "particle {} at (24.5, 3, 3) is outside the periodic box along x",
         particles.len() - 1
     );
     assert!(errors.contains(&named), "{errors}");
     let errors = run(folder.path(), &with(&astray, &["--skip-invalid"]), 0);
-    assert!(errors.contains("1 particles not counted"), "{errors}");
+    assert!(errors.contains("1 particles left out: outside"), "{errors}");
     run(folder.path(), &with(&POOL, &["--periodic", BOX, "-o", "whole.ply"]), 0);
     let [mesh, whole] =
         ["mesh.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
@@ -341,7 +341,7 @@ fn a_domain_stands_along_the_open_axes_of_a_periodic_box() {
     let (folder, _) = pool();
     let tank = ["--periodic", BOX, "--domain", "-,2,-,-,20,-", "-o", "mesh.ply"];
     let errors = run(folder.path(), &with(&POOL, &tank), 0);
-    assert!(errors.contains("particles not counted"), "what is below the floor: {errors}");
+    assert!(errors.contains("particles left out: outside"), "what is below the floor: {errors}");
     let mesh = read_mesh(&folder.path().join("mesh.ply")).unwrap();
     assert_watertight(&mesh, "a tank");
     let [lo, hi] = measure(&mesh).bounds.unwrap();
@@ -383,7 +383,7 @@ fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
     assert!(errors.contains("images up to"), "{errors}");
     let errors =
         run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
-    assert!(errors.contains("--periodic needs the particles themselves"), "{errors}");
+    assert!(errors.contains("--periodic needs the particles"), "{errors}");
     let said = command(folder.path(), &["info", "pool.mnf"]).output().unwrap().stdout;
     assert!(String::from_utf8(said).unwrap().contains("x 0 to 24, z 0 to 24"));
 }

@@ -94,7 +94,7 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
     let alive = fs::File::create(out.join(".meniscus-alive.tmp")).unwrap();
     alive.lock_shared().unwrap();
     let errors = run(folder.path(), &with(&["--resume"]), 0);
-    assert!(errors.contains("4 of 8 frames are done already"), "{errors}");
+    assert!(errors.contains("4 of 8 frames are already finished"), "{errors}");
     fs::remove_file(out.join(".meniscus-alive.tmp")).expect("what another process writes stays");
     assert!(tree(&out) == whole);
     let again: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
@@ -197,7 +197,7 @@ fn a_file_where_the_folder_of_the_meshes_would_be_is_named_before_any_work_and_l
     fs::write(folder.path().join("taken"), "mine").unwrap();
     for out in ["taken/", "taken/m_{}.ply", "taken/further/m_{}.ply"] {
         let errors = run(folder.path(), &["in", "-o", out], 4);
-        assert!(errors.contains("taken: is a file, and no folder"), "{out}: {errors}");
+        assert!(errors.contains("taken: is a file, not a folder"), "{out}: {errors}");
         assert!(!errors.contains("measured"), "{out}: {errors}");
     }
     assert_eq!(fs::read(folder.path().join("taken")).unwrap(), b"mine");
@@ -279,7 +279,11 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
         (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
-        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"], 2, "--compress goes with .glb"),
+        (
+            vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"],
+            2,
+            "--compress applies only to .glb",
+        ),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
         (
             vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"],
@@ -324,7 +328,7 @@ fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
         "3 of 3 frames",
         "missing: 3",
         "particles per cubed spacing",
-        "in memory of",
+        ", memory: ",
         "disk: about",
         "time: about",
     ] {
@@ -380,9 +384,9 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
         "{notes}"
     );
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
-    assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
+    assert!(notes.contains("3 of 3 frames are already finished") && again == other, "{notes}");
     let (_, notes) = made(&["--resume", "--overwrite"]);
-    assert!(notes.contains("made anew, for these changed: method"), "{notes}");
+    assert!(notes.contains("starting again, because these changed: method"), "{notes}");
 }
 
 #[test]
@@ -475,7 +479,7 @@ fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_
     let missing = ["none/f_{}.xyz", "none/"];
     for input in missing {
         let errors = run(folder.path(), &[input, "-o", "out/m_{}.ply"], 3);
-        assert!(errors.contains("none") && errors.contains("no such folder"), "{errors}");
+        assert!(errors.contains("none") && errors.contains("does not exist"), "{errors}");
         assert!(!folder.path().join("out").exists());
     }
     for (number, input) in ["none/f_{}.xyz", "none"].into_iter().enumerate() {
@@ -593,7 +597,7 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
     for more in [&[][..], &["--resume"], &["--frames", "3..3"], &["--plan"]] {
         let errors = run(folder.path(), &with(more), 2);
         assert!(
-            ["state.json", "of another surface", "--overwrite"]
+            ["state.json", "another surface", "--overwrite"]
                 .iter()
                 .all(|word| errors.contains(word)),
             "{more:?}: {errors}"
@@ -610,7 +614,7 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
     assert!(errors.contains("adaptive") && errors.contains("smooth"), "{errors}");
     assert!(run(folder.path(), &with(&["--resume"]), 2).contains("--overwrite"));
     let errors = run(folder.path(), &with(&["--resume", "--overwrite"]), 0);
-    assert!(errors.contains("made anew"), "{errors}");
+    assert!(errors.contains("starting again"), "{errors}");
 }
 
 #[test]
@@ -665,10 +669,7 @@ fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_war
     }
     fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
     let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
-    assert!(
-        notes.contains("warning: next to no fluid is deeper than the filters reach"),
-        "{notes}"
-    );
+    assert!(notes.contains("warning: almost no fluid is deep enough to measure"), "{notes}");
     assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
     let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
     let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);
@@ -736,7 +737,10 @@ fn a_frame_whose_kernels_reach_no_cell_s_centre_is_an_empty_mesh() {
     fs::write(folder.path().join("in/f_2.xyz"), raw(&[[0.0; 3]])).unwrap();
     let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
     let notes = run(folder.path(), &with(&coarse), 0);
-    assert!(notes.contains("f_2.xyz: no cell's centre is inside"), "{notes}");
+    assert!(
+        notes.contains("f_2.xyz: the mesh is empty: the surface contains no cell's centre"),
+        "{notes}"
+    );
     let [ball, nothing] =
         ["out/m_1.ply", "out/m_2.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
     assert!(ball.triangles.len() > 100 && nothing.triangles.is_empty());
@@ -790,7 +794,7 @@ fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
     assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
     let all = dense.len() + thin.len();
     assert!(
-        lost.contains(&format!("{} of {all} particles are in no surface", thin.len())),
+        lost.contains(&format!("{} of {all} particles are missing from the surface", thin.len())),
         "{notes}"
     );
     assert!(folder.path().join("m_2.ply").exists());
@@ -1055,7 +1059,7 @@ fn listings_are_the_same_whoever_made_the_frames_and_name_them_all_with_their_bo
 
         names.iter().for_each(|name| fs::remove_file(out.join(name)).unwrap());
         let said = convert(&["--resume"]);
-        assert!(said.contains("5 of 5 frames are done already"), "{said}");
+        assert!(said.contains("5 of 5 frames are already finished"), "{said}");
         assert!(listings(&out) == whole, "{extension}: after a run that had nothing to do");
         fs::remove_dir_all(&out).unwrap();
         convert(&["--frames", "11..12"]);

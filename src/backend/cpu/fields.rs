@@ -19,7 +19,7 @@ use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::surface::solid::Solid;
 
-/// Spray has particles in no more than one of so many cells.
+/// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
 
 /// Samples that are looked at before it is asked whether that was enough.
@@ -42,8 +42,8 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
 
 /// Makes, one after the other, the final field on each of some boxes of cells near one another
 /// where the surface can pass between them, as far as can be told before there is a field, by
-/// whether each is away from walls. They share what they can in so many bytes. A solid near any of
-/// them cuts the field.
+/// whether each is away from walls. They share intermediate results within a limit of bytes. A solid
+/// near any of them cuts the field.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,

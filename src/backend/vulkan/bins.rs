@@ -332,7 +332,7 @@ fn read_pages(
     Ok(samples.par_chunks_exact(stride).zip(batch.bins).map(page).collect())
 }
 
-/// Bytes of a bin with so many particles, on the device and staged.
+/// Bytes of a bin with `count` particles, on the device and staged.
 pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
     2 * (8 * count as u64 + page_bytes(shape))
 }

@@ -118,7 +118,7 @@ pub struct DeviceSurfaces {
     pub tiles: View,
     /// For every vertex the field at the lower and the upper end of its edge.
     pub ends: View,
-    /// When both are there: whoever reads them waits for it on the device.
+    /// Signals that both are complete; readers wait for it on the device.
     pub(super) written: Option<Ticket>,
 }
 

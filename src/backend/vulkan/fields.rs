@@ -221,7 +221,7 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(Padded { samples: to, margin, of }))
     }
 
-    /// Whoever draws has looked before.
+    /// The caller has looked before.
     fn look(&mut self, _: &WideFields<Rc<Padded>>, _: u32, _: &Gate) -> Result<(), VulkanError> {
         Ok(())
     }

@@ -128,7 +128,7 @@ impl DeviceFrame {
         match fitting.map_or_else(|| made(with_headroom).or_else(|_| made(bytes)), Ok) {
             Ok(pages) => Some(pages),
             Err(error) => {
-                state.warn(format!("{error}; the field is sent anew for every batch"));
+                state.warn(format!("{error}; sending the field again for each batch"));
                 None
             }
         }
@@ -181,16 +181,16 @@ impl State {
         let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
         (self.resident_bytes, self.wide_bytes) = (0, 0);
         if exhausted && forgotten {
-            self.warn(format!("{error}; the field is sent anew for every batch"));
+            self.warn(format!("{error}; sending the field again for each batch"));
         } else if exhausted && self.batch_bytes / 2 >= SMALLEST_BATCH {
             self.batch_bytes /= 2;
             self.warn(format!(
-                "{error}; going on in batches of {}",
+                "{error}; continuing in batches of {}",
                 bytesize::ByteSize(self.batch_bytes)
             ));
         } else {
             self.on_cpu = true;
-            self.warn(format!("{error}; going on on the CPU"));
+            self.warn(format!("{error}; continuing on the CPU"));
         }
     }
 

@@ -124,7 +124,7 @@ impl Grid {
         }));
     }
 
-    /// Finds room for all that is sent of it: of samples whose pages take so many bytes each.
+    /// Reserves room for everything that is sent, with `page_bytes` per page of samples.
     pub(super) fn place(&self, layout: &mut Layout, page_bytes: u64) -> Places {
         Places {
             blocks: layout.place(size_of_val(&self.blocks[..]) as u64),

@@ -302,9 +302,8 @@ impl Stages for Arc<DeviceFrame> {
         let state = self.state();
         let mut warnings = state.warnings.clone();
         let failed = self.reader.failed().filter(|_| !state.on_cpu);
-        warnings.extend(
-            failed.map(|error| format!("{error}; what was on the device is made again on the CPU")),
-        );
+        warnings
+            .extend(failed.map(|error| format!("{error}; repeating the device's work on the CPU")));
         warnings
     }
 

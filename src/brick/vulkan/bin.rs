@@ -114,8 +114,8 @@ pub struct DeviceBins {
 }
 
 impl DeviceBins {
-    /// Cuts a run of bins into parts of at most so many bins, and of so many particles unless one
-    /// bin has more.
+    /// Cuts a run of bins into parts with a maximum number of bins, and of particles unless one bin
+    /// has more.
     pub fn parts(
         &self,
         run: Range<usize>,

@@ -146,7 +146,7 @@ impl DeviceBlocks {
     }
 }
 
-/// Work groups for so many threads, in rows that every device allows.
+/// Work groups for `threads`, in rows that every device allows.
 fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
     let groups = pipeline.groups(threads);
     let width = groups.clamp(1, GROUP_ROW);

@@ -31,7 +31,7 @@ impl FullCells {
     }
 }
 
-/// Finds the full cells of so many pages.
+/// Finds the full cells of pages.
 ///
 /// # Errors
 /// Those of the device.

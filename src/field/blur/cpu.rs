@@ -135,7 +135,7 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
 /// For weights of any width and gain.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32) {
-    // So many sums stay in registers.
+    // This many sums stay in registers.
     const LANES: usize = 32;
     let (centre, pairs) = half.split_first().expect("a weights has a centre");
     let reach = pairs.len();

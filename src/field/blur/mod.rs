@@ -72,7 +72,7 @@ impl Weights {
         Self::with_tails(tails.collect())
     }
 
-    /// Adds a gain of so many bits, 15 at the most.
+    /// Adds a gain of `gain` bits, at most 15.
     pub fn gaining(self, gain: u32) -> Self {
         debug_assert!(gain < UNIT.ilog2(), "{gain} bits");
         Self { gain, ..self }

@@ -14,8 +14,7 @@ const PLACES: u64 = 8;
 /// Edge of the fluid that is made, in spacings or in cells, whichever is longer.
 const EDGE: f64 = 16.0;
 
-/// The most that it is, in spacings. Of the disorder of so many particles in one cell nothing is
-/// left.
+/// The maximum, in spacings. With this many particles in a cell, no disorder is left.
 const LONGEST: f64 = 24.0;
 
 /// Cells of a spacing in which no cell holds two particles: finer ones hold as much less as they

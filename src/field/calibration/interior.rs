@@ -53,8 +53,8 @@ impl<'a> Interior<'a> {
     pub fn new(blurred: &'a Blurred<'a>, gap: f64) -> Self {
         let &Blurred { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
-        // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals
-        // is off by a rounding.
+        // Half the edge of the cube around each cell. The quotient of two decimals can be off by a
+        // rounding.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
@@ -114,9 +114,8 @@ impl<'a> Interior<'a> {
     }
 }
 
-/// Combines every cell, a bit of its row, with those that follow in a cube of so many along each
-/// axis. `combine` may see a cell more than once. Cells nearer than that to the end of a row are
-/// combined with whatever.
+/// Combines every cell, a bit of its row, with those after it in a cube of this edge. `combine` can
+/// see a cell more than once. Cells that are nearer to the end of a row give arbitrary results.
 fn windows(
     rows: &mut [u128],
     rows_a_slab: usize,

@@ -13,14 +13,14 @@ use crate::grid::units::{MeanCount, UnitError};
 /// A frame on which mu0 cannot be measured.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error("cannot measure mu0 on this frame: {0}")]
-pub struct NoMeanCount(#[source] UnitError);
+pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
 /// A frame's particles in order of their bins, ready to be made into pages, wherever they are kept.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
 pub trait Binned {
     /// The pages, and whatever else is left when they are made.
     type Made;
-    /// The errors of whoever keeps them.
+    /// The errors of the storage.
     type Error: From<NoMeanCount>;
 
     /// Makes the pages of all bins, and says how many cells are full of how many particles.

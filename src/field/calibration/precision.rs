@@ -43,8 +43,9 @@ pub const ON_CORNERS: f64 = 0.2;
 pub enum TooFine {
     /// The field's steps are too large.
     #[error(
-        "cells of {} are too fine for a field of 16 bits: deep in the fluid it is {plateau:.1} of 65535, a step of which moves the \
-         surface by {step_cells:.3} cells, where {COARSEST_STEP} are allowed; {remedy}",
+        "cells of {} are too fine for 16-bit samples: the field deep in the fluid is \
+         {plateau:.1} of 65535, so one step moves the surface by {step_cells:.3} cells (at most \
+         {COARSEST_STEP} are allowed); {remedy}",
         shown(*cell_size)
     )]
     Steps {
@@ -59,7 +60,7 @@ pub enum TooFine {
     },
     /// Cells so fine that even drops need none finer.
     #[error(
-        "cells of {} are less than {FINEST} spacings, which no surface of particles needs: use cells of {} or more",
+        "cells of {} are smaller than {FINEST} spacings: use cells of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST * spacing))
     )]
     Finest {
@@ -70,8 +71,8 @@ pub enum TooFine {
     },
     /// Too many cells are empty to tell how particles lie in them.
     #[error(
-        "cells of {} are too fine for symmetry, which sees particles in one of eight of them at the most: use cells of {} or \
-         more",
+        "cells of {} are too fine for symmetry, because at most one of eight contains a \
+         particle: use cells of {} or more",
         shown(*cell_size), shown(roundly_above(FINEST_OF_SYMMETRY * spacing))
     )]
     Symmetry {
@@ -98,8 +99,8 @@ impl fmt::Display for Remedy {
             Self::Cells(size) => write!(f, "use cells of {} or more", shown(*size)),
             Self::Origin([x, y, z]) => write!(
                 f,
-                "its particles lie on corners of cells, where symmetry sees next to nothing: move the grid's origin to \
-                 {x},{y},{z}"
+                "the particles lie on corners of cells, where symmetry is almost 0: move the \
+                 grid's origin to {x},{y},{z}"
             ),
         }
     }

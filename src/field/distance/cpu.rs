@@ -167,7 +167,7 @@ pub fn spread(block: Block, reach: i32) -> Block {
     block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
 }
 
-/// Fills `to[i]` with the greatest of so many taps, `step` apart.
+/// Fills `to[i]` with the greatest of `count` taps, `step` apart.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     to.copy_from_slice(&taps[..to.len()]);

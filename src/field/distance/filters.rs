@@ -89,8 +89,8 @@ pub struct Distances {
 /// is still told.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so
-/// many cells, if it can.
+/// A Gaussian that, together with the clouds' variance of a quarter of a squared cell, has a
+/// standard deviation of `cells`, if possible.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -184,7 +184,7 @@ impl Distances {
         near.grown(1, 0).intersection(&cells)
     }
 
-    /// The widest filter of the calm surface reaches so many wide cells.
+    /// Reach of the widest filter of the calm surface, in wide cells.
     #[must_use]
     pub fn bulk_reach(&self) -> i32 {
         self.bulk.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0)

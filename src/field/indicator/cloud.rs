@@ -143,8 +143,8 @@ const fn edge(side: BrickSide) -> usize {
 /// Clouds that are made at once: vectors' work.
 const BATCH: usize = 32;
 
-/// Adds the clouds of particles to bricks of so many samples along an axis, row by row of four, the
-/// last of which stays as it was.
+/// Adds the clouds of particles to bricks with this number of samples along an axis, in rows of
+/// four, of which the last does not change.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
     "x86_64+avx2+bmi1",

@@ -42,11 +42,11 @@ use crate::grid::units::{FULL, MeanCount};
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum IndicatorKind {
-    /// By how far a cell's particles lie from its centre on average (eq. 7).
+    /// The distance of the particles' centroid from the cell's centre (eq. 7).
     Symmetry,
-    /// By their number (eq. 6).
+    /// The number of particles in the cell (eq. 6).
     Counting,
-    /// By how much of their clouds lies in a cell.
+    /// The share of the particles' clouds that lies in the cell.
     #[default]
     Cloud,
 }

@@ -17,7 +17,7 @@ pub struct WideCells {
 }
 
 impl WideCells {
-    /// For particles so many cells apart.
+    /// Wide cells for a spacing in cells.
     pub fn of_spacing(spacing: f64) -> Self {
         let mut wide = Self { level: 0, edge: 1.0 / spacing };
         // A quotient of decimals is off by a rounding.

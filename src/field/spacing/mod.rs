@@ -94,17 +94,18 @@ pub struct Estimate {
 #[non_exhaustive]
 pub enum Untold {
     /// Too few particles.
-    #[error("too few to tell it")]
+    #[error("there are too few")]
     TooFew,
     /// Nearly all are in the same few places.
-    #[error("they are in {places} places only")]
+    #[error("they have only {places} different positions")]
     Coincident {
         /// The number of places.
         places: usize,
     },
     /// Coordinates that are too coarse.
     #[error(
-        "so far from the origin their coordinates, stored in single precision, move in steps of {}",
+        "their single-precision coordinates are too coarse so far from the origin, with steps \
+         of {}",
         shown(*step)
     )]
     SinglePrecision {

@@ -19,8 +19,7 @@ pub fn empty_document() -> Value {
     json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
 }
 
-/// A scene of all views, where they are encoded with so many bytes each; positions are within
-/// `bounds`.
+/// A scene of all views with their encoded sizes in bytes; positions are within `bounds`.
 pub fn document(
     layout: Layout,
     space: Space,
@@ -150,7 +149,7 @@ fn node(up: UpAxis, space: Space) -> Value {
     node
 }
 
-/// Where what follows so many bytes begins.
+/// The aligned offset after `bytes`.
 pub fn aligned(bytes: u64) -> u64 {
     bytes.next_multiple_of(4)
 }

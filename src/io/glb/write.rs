@@ -74,7 +74,7 @@ pub fn write_mesh(
     }
 }
 
-/// Writes all that comes before so many bytes of numbers.
+/// Writes everything before the `stored` bytes of numbers.
 fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Result<()> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
@@ -82,7 +82,8 @@ fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Resul
     let total = 12 + 8 + json.len() as u64 + binary;
     let Ok(total) = u32::try_from(total) else {
         let what = format!(
-            "the mesh takes {total} bytes, a .glb file holds 4 GiB; write .ply, .obj or .vtp"
+            "the mesh needs {total} bytes, but a .glb file stores at most 4 GiB; write .ply, \
+             .obj or .vtp"
         );
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };

@@ -36,9 +36,9 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
                     and z, of shape (N,)."
         .to_owned();
     if lines.iter().any(|line| line.contains(PANDAS)) {
-        what += " A table of pandas needs data_columns=True, else its columns have no names.";
+        what += " A pandas table needs data_columns=True, or its columns have no names.";
     }
-    what += " The file holds";
+    what += " The file contains";
     match lines.is_empty() {
         true => what += " nothing",
         false => what += &format!(":\n  {}", lines.join("\n  ")),
@@ -99,7 +99,7 @@ fn kind(kind: &Datatype) -> String {
             format!("{}int{}", if *signed { "" } else { "u" }, u32::from(*size) * 8)
         }
         // It may be half floats or bfloat16, which the library does not tell apart.
-        Datatype::FloatingPoint { size: 2, .. } => "float16, which is not read".to_owned(),
+        Datatype::FloatingPoint { size: 2, .. } => "float16, which is not supported".to_owned(),
         Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
         Datatype::Compound { fields, .. } => {
             let members = fields.iter().take(MEMBERS);

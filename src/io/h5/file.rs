@@ -122,8 +122,8 @@ fn filter_in(error: &Error) -> Option<ReadFault> {
             let name = FILTERS.iter().find(|(number, _)| which.ends_with(&format!(" {number}")));
             let name = name.map_or(&**which, |(_, name)| name);
             Some(ReadFault::Unsupported(format!(
-                "HDF5 compressed by {name}; gzip and LZF are read: rewrite it, such as by \
-                 h5repack -f GZIP=4 OLD NEW"
+                "HDF5 compressed by {name}, which is not supported; rewrite it with gzip, for \
+                 example by h5repack -f GZIP=4 OLD NEW"
             )))
         }
         _ => None,
@@ -135,7 +135,7 @@ pub(super) fn time_of(group: &Group) -> Option<f64> {
     TIMES.iter().find_map(|name| number(group, name)).filter(|time| time.is_finite())
 }
 
-/// The time that a group says in a data set: one for all, or one for each of so many frames.
+/// The time in a data set of a group: one for all frames, or one for each.
 pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> {
     let (_, sets) = group.member_names().ok()?;
     let set = TIMES.iter().chain(&["times"]).find_map(|name| {

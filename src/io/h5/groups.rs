@@ -57,7 +57,7 @@ impl Candidate {
         match bytes.is_some_and(|bytes| bytes <= file.limit) {
             true => Ok(()),
             false => Err(ReadFault::Compression(format!(
-                "{} frames of {rows} particles are beyond all reason for this file",
+                "{} frames of {rows} particles are too many for the size of this file",
                 frames.unwrap_or(1)
             ))),
         }
@@ -132,8 +132,8 @@ impl Search {
             if seen.len() > MOST_GROUPS {
                 // One that is not looked into may hold positions as well.
                 return Err(ReadFault::Unsupported(format!(
-                    "HDF5 with more than {MOST_GROUPS} groups; copy the group of the particles to \
-                     a file of its own, such as by h5copy"
+                    "HDF5 with more than {MOST_GROUPS} groups; copy the particles' group to a \
+                     separate file, for example by h5copy"
                 )));
             }
             let (mut groups, mut sets) = checked(group.members())?;

@@ -84,7 +84,7 @@ pub fn open_particles(
     let layout = Layout::of(&file).map_err(fail)?;
     if let (Layout::Snapshot | Layout::PySph, Some(step)) = (&layout, step) {
         return Err(fail(ReadFault::Unsupported(format!(
-            "it holds one frame, and no step {step}"
+            "contains a single frame, so there is no step {step}"
         ))));
     }
     match layout {
@@ -128,6 +128,6 @@ pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
     let file = File::open(bytes, Unpacking::in_memory())?;
     match Layout::of(&file)? {
         Layout::VtkHdf => vtkhdf::read_mesh(file),
-        _ => Err(ReadFault::Unsupported("a mesh in HDF5 is one of VTKHDF".to_owned())),
+        _ => Err(ReadFault::Unsupported("HDF5 meshes must be VTKHDF".to_owned())),
     }
 }

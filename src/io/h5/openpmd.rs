@@ -85,7 +85,7 @@ struct Component {
 
 enum Values {
     Stored(Box<Array>),
-    /// One value for so many particles.
+    /// One value for all particles, with their number.
     Constant(f64, u64),
 }
 
@@ -158,7 +158,11 @@ fn particles(
 ) -> Result<ParticleFile, ReadFault> {
     let position = record(species, "position")?.filter(|position| position.len() == 3);
     let position = position.ok_or_else(|| {
-        ReadFault::Unsupported("no position of three components; particles are in space".to_owned())
+        ReadFault::Unsupported(
+            "no position with three components; particles must be \
+                               three-dimensional"
+                .to_owned(),
+        )
     })?;
     let rows = position[0].rows();
     let offset = record(species, "positionOffset")?.filter(|offset| offset.len() == 3);
@@ -210,7 +214,7 @@ fn columns_of(
     let end = rows.checked_mul(stride as u64).and_then(|bytes| bytes.checked_add(decoded.len()));
     if end.is_none_or(|end| end > file.limit) {
         return Err(ReadFault::Compression(format!(
-            "{rows} particles are beyond all reason for this file"
+            "{rows} particles are too many for the size of this file"
         )));
     }
     let stored = components.iter().find_map(|component| match &component.values {

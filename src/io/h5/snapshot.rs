@@ -18,7 +18,7 @@ use crate::particles::Particles;
 use super::file::{File, checked, number, numbers, time_of};
 use super::table::{Array, Table, chosen_type, types};
 
-/// Name of the group of all that is said of the snapshot.
+/// Name of the group with the snapshot's header.
 pub const HEADER: &str = "Header";
 /// Prefix of the names of the groups of particles.
 const TYPE: &str = "PartType";
@@ -53,8 +53,9 @@ impl Header {
             let counts = numbers(&header, name)?.into_iter();
             Some(counts.map(|count| if count >= 0.0 { count as u64 } else { 0 }).collect())
         };
-        let here = counts("NumPart_ThisFile")
-            .ok_or_else(|| malformed(0, "no numbers of particles (NumPart_ThisFile)"))?;
+        let here = counts("NumPart_ThisFile").ok_or_else(|| {
+            malformed(0, "the numbers of particles are missing (NumPart_ThisFile)")
+        })?;
         let high = counts("NumPart_Total_HighWord").unwrap_or_default();
         let total = counts("NumPart_Total").map(|low| {
             let high = high.into_iter().chain(std::iter::repeat(0));
@@ -159,7 +160,10 @@ fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFaul
     match header.total.as_ref().and_then(|total| total.get(index)) {
         Some(&total) if total != found as u64 => Err(malformed(
             0,
-            format!("{total} particles of {kind} are announced, its files hold {found}"),
+            format!(
+                "the header announces {total} particles of {kind}, but the files contain \
+                     {found}"
+            ),
         )),
         _ => Ok(()),
     }
@@ -174,7 +178,7 @@ fn read_piece(
     of: Option<&Header>,
 ) -> Result<ParticleFile, ReadFault> {
     if of.is_some_and(|of| !own.is_like(of)) {
-        return Err(malformed(0, "its header is of another snapshot"));
+        return Err(malformed(0, "its header belongs to another snapshot"));
     }
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     let announced = own.here.get(index).copied().unwrap_or(0);
@@ -183,11 +187,14 @@ fn read_piece(
     }
     let group = file.group(kind)?;
     let arrays = Array::by_name(&group)?;
-    let missing = || malformed(0, format!("no {POSITION} of three components in {kind}"));
+    let missing = || malformed(0, format!("no {POSITION} with three components in {kind}"));
     let table = Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
-        let what =
-            format!("{announced} particles of {kind} are announced, {} are there", table.rows());
+        let what = format!(
+            "the header announces {announced} particles of {kind}, but the file \
+                     contains {}",
+            table.rows()
+        );
         return Err(malformed(0, what));
     }
     drop(group);
@@ -200,8 +207,11 @@ fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> 
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
     let [stem, extension] =
         [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
-    let unnamed =
-        || ReadFault::Unsupported("one of several files whose names are like base.0.hdf5".into());
+    let unnamed = || {
+        ReadFault::Unsupported(
+            "is one of several files; their names must be like base.0.hdf5".into(),
+        )
+    };
     let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
     let mut paths = Vec::new();
     for number in 0..header.files {

@@ -98,7 +98,8 @@ impl Array {
     /// The data set called `name` in a group, which must be there and of numbers.
     pub fn named(group: &Group, name: &str) -> Result<Self, ReadFault> {
         let set = checked(group.dataset(name))?;
-        Self::new(set).ok_or_else(|| malformed(0, format!("{name} is not of rows of numbers")))
+        Self::new(set)
+            .ok_or_else(|| malformed(0, format!("{name} does not consist of rows of numbers")))
     }
 
     /// Takes `rows` rows from `first` on.
@@ -127,7 +128,7 @@ impl Array {
             self.rows.checked_mul(self.stride() as u64).and_then(|bytes| bytes.checked_add(before));
         if end.is_none_or(|end| end > limit) {
             let Self { rows, name, .. } = self;
-            let what = format!("{rows} rows of {name} are beyond all reason for this file");
+            let what = format!("{rows} rows of {name} are too many for the size of this file");
             return Err(ReadFault::Compression(what));
         }
         Ok(())
@@ -238,7 +239,7 @@ impl Array {
             let read = checked(self.set.read_slice::<Stored>(&self.selection(rows, component)))?;
             read.iter().for_each(|bytes| out.extend_from_slice(&bytes.0));
             if out.len() - before != (rows[1] - rows[0]) as usize * stride {
-                let what = format!("{} is not of rows of {stride} bytes", self.name);
+                let what = format!("{} does not consist of rows of {stride} bytes", self.name);
                 return Err(malformed(0, what));
             }
             return Ok(());
@@ -253,7 +254,10 @@ impl Array {
             Scalar::I64 => put::<i64>(self, rows, component, out),
             Scalar::U64 => put::<u64>(self, rows, component, out),
             // It is no number of HDF5.
-            Scalar::F16 => Err(malformed(0, format!("{} is of 16-bit floats", self.name))),
+            Scalar::F16 => Err(malformed(
+                0,
+                format!("{} has 16-bit floats, which are not supported", self.name),
+            )),
             Scalar::F32 => put::<f32>(self, rows, component, out),
             Scalar::F64 => put::<f64>(self, rows, component, out),
         }
@@ -275,7 +279,10 @@ impl Array {
                 self.values::<u64>(rows, 0)?.into_iter().map(|value| value as f64).collect()
             }
             Scalar::F16 => {
-                return Err(malformed(0, format!("{} is of 16-bit floats", self.name)));
+                return Err(malformed(
+                    0,
+                    format!("{} has 16-bit floats, which are not supported", self.name),
+                ));
             }
             Scalar::F32 => self.values::<f32>(rows, 0)?.into_iter().map(f64::from).collect(),
             Scalar::F64 => self.values::<f64>(rows, 0)?,
@@ -299,7 +306,7 @@ impl Array {
         self.bytes(rows, 0, &mut bytes)?;
         let numbers =
             bytes.chunks_exact(self.scalar.size()).map(|bytes| integer(self.scalar, NATIVE, bytes));
-        let no_integers = || malformed(0, format!("{} is not of integers", self.name));
+        let no_integers = || malformed(0, format!("{} does not contain integers", self.name));
         numbers.collect::<Option<_>>().ok_or_else(no_integers)
     }
 
@@ -323,7 +330,7 @@ impl Array {
         let components = if let Part::Columns = self.part { 1 } else { self.components };
         let expected = (rows[1] - rows[0]) as usize * components;
         if values.len() != expected {
-            let what = format!("{} has {} values of {expected}", self.name, values.len());
+            let what = format!("{} has {} values, expected {expected}", self.name, values.len());
             return Err(malformed(0, what));
         }
         Ok(values)
@@ -365,7 +372,7 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// The first row of a window, and the one behind its last, of so many.
+    /// The first row of a window and the one after its last, out of `all`.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
         match index as u64 {
@@ -379,7 +386,7 @@ impl Windows {
         row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
-    /// Divides so many rows, of so many bytes each, that are in no data set.
+    /// Divides `rows` of `stride` bytes each that are in no data set.
     pub fn of(rows: u64, stride: u64) -> Self {
         let size = (WINDOW / stride.max(1)).max(1);
         Self { lead: size.min(rows), size, count: rows.div_ceil(size) as usize }
@@ -538,9 +545,9 @@ pub(super) fn chosen_type(
     let is_there = |name: &&str| known.iter().any(|known| known == name);
     match (named, known) {
         (Some(name), _) if is_there(&name) => Ok(name.to_owned()),
-        (Some(name), _) => Err(ReadFault::Unsupported(format!(
-            "no particles of the type {name}; there are: {list}"
-        ))),
+        (Some(name), _) => {
+            Err(ReadFault::Unsupported(format!("no particles of type {name}; available: {list}")))
+        }
         (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
         (None, [only]) => Ok(only.clone()),
         (None, _) => usual.filter(is_there).map(str::to_owned).ok_or_else(|| {

@@ -104,7 +104,7 @@ impl<'a> Binary<'a> {
                 self.texts = Some(count);
                 return self.begin(Event::List);
             }
-            other => return Err(self.fault(format!("an array of the unknown type {other:#x}"))),
+            other => return Err(self.fault(format!("an array of unknown type {other:#x}"))),
         };
         let at = self.cursor.skip("an array", storage.bytes(count), 1)?;
         Ok(Event::Numbers(Numbers { at, storage, count }))
@@ -166,7 +166,7 @@ impl Json for Binary<'_> {
                 0x26 => Event::Text(self.token()?),
                 0x27 => Event::Text(self.text()?),
                 0x40 => self.uniform()?,
-                other => return Err(self.fault(format!("a value of the unknown type {other:#x}"))),
+                other => return Err(self.fault(format!("a value of unknown type {other:#x}"))),
             });
         }
     }
@@ -178,7 +178,7 @@ impl Json for Binary<'_> {
     fn end(&mut self) -> Result<(), ReadFault> {
         let at = self.cursor.at();
         if at < self.len {
-            return Err(malformed(at, format!("{} bytes behind the geometry", self.len - at)));
+            return Err(malformed(at, format!("{} bytes after the geometry", self.len - at)));
         }
         Ok(())
     }

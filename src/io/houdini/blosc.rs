@@ -96,7 +96,7 @@ impl Header {
         Ok(Self { codec, filter, is_stored, may_split, type_size, block })
     }
 
-    /// The streams that a block of so many bytes is compressed as.
+    /// The number of streams of a block of `bytes`.
     fn streams(&self, bytes: usize) -> usize {
         let is_split = self.may_split
             && bytes == self.block

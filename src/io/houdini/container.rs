@@ -47,7 +47,11 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
     let total = chunks.total();
     let limit = unpacked_limit(view.len() as u64);
     if total > limit {
-        let what = format!("{total} bytes in a file of {}; unpack it before", view.len());
+        let what = format!(
+            "decompresses to {total} bytes, too many for a file of {}; \
+                            decompress it first",
+            view.len()
+        );
         return Err(ReadFault::Compression(what));
     }
     let unpacked = if total <= unpacking.in_memory {
@@ -139,7 +143,8 @@ impl<'a> Chunks<'a> {
             self.view.release(start..end);
             blosc::unpack(&packed, piece).map_err(|fault| match fault {
                 blosc::Fault::Unknown(name) => ReadFault::Unsupported(format!(
-                    "it is compressed by {name}; save it uncompressed as .bgeo"
+                    "compressed by {name}, which is not supported; save it uncompressed as \
+                     .bgeo"
                 )),
                 blosc::Fault::Damaged(what) => malformed(start, format!("chunk: {what}")),
             })

@@ -61,10 +61,10 @@ impl Form {
             return Ok(Self::Text);
         }
         if text.starts_with(b"PGEOMETRY") {
-            let what = "Houdini's classic .geo in text; save it as .bgeo.sc";
+            let what = "the classic .geo text format is not supported; save it as .bgeo.sc";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
-        Err(malformed(0, "no geometry of Houdini: it begins neither with \"BgeoV\" nor as JSON"))
+        Err(malformed(0, "not a Houdini geometry: it begins neither with \"BgeoV\" nor as JSON"))
     }
 }
 
@@ -149,7 +149,7 @@ impl Opened {
                 (schema::read(&mut json, document, &mut gathered)?, endian)
             }
             Form::Classic | Form::Container => {
-                return Err(malformed(0, "it contains no geometry since version 12"));
+                return Err(malformed(0, "contains no geometry of version 12 or later"));
             }
         };
         view.check()?;
@@ -187,7 +187,7 @@ impl Opened {
                 Number::Real(_) => None,
             };
             let point = point.ok_or_else(|| {
-                run.fault(format!("vertex {vertex} names point {number:?} of {points}"))
+                run.fault(format!("vertex {vertex} refers to point {number:?} of {points}"))
             })?;
             let word = geometry.particle_vertices.get(vertex / 64).copied().unwrap_or_default();
             if word >> (vertex % 64) & 1 == 0 {
@@ -221,7 +221,7 @@ impl Opened {
         let Geometry { points, attributes, time, .. } = &self.geometry;
         let is_position = |a: &&Attribute| &*a.name == "P" && a.texts.is_none();
         let position = attributes.iter().find(is_position).ok_or_else(|| {
-            ReadFault::Unsupported("there is no point attribute P, the position".to_owned())
+            ReadFault::Unsupported("the point attribute P (the position) is missing".to_owned())
         })?;
         if !matches!(position.values.components, 3 | 4) {
             let what = format!("P has {} components, not 3 or 4", position.values.components);
@@ -316,9 +316,9 @@ fn no_particles(geometry: &Geometry) -> ReadFault {
     let remedy = match geometry.kinds.keys().any(|kind| is_packed(kind)) {
         true => "unpack it with an Unpack SOP before saving",
         false => {
-            "to use these points as particles, delete the primitives and keep the points, as an Add \
-             SOP does"
+            "to use these points as particles, delete the primitives but keep the points with \
+             an Add SOP"
         }
     };
-    ReadFault::Unsupported(format!("it holds {primitives}, and no other points; {remedy}"))
+    ReadFault::Unsupported(format!("contains {primitives}, but no other points; {remedy}"))
 }

@@ -230,11 +230,13 @@ impl<'a> Columns<'a> {
             let part = Numbers { at: 0, storage: Storage::Scalar(scalar), count };
             part.each(stored.into(), endian, |number| {
                 let Number::Integer(number @ -1..) = number else {
-                    let what = format!("attribute {name}: {number:?} is no text's number");
+                    let what =
+                        format!("attribute {name}: {number:?} is not the number of a string");
                     return Err(run.fault(what));
                 };
                 if number >= texts.len() as i64 {
-                    let what = format!("attribute {name} names text {number} of {}", texts.len());
+                    let what =
+                        format!("attribute {name} refers to string {number} of {}", texts.len());
                     return Err(run.fault(what));
                 }
                 numbers.extend_from_slice(&((number + 1) as u32).to_le_bytes());

@@ -103,7 +103,7 @@ impl Group {
 }
 
 impl Pages {
-    /// Numbers that pages of so many points store; `None` where they are more than can be.
+    /// Count of numbers in the pages of `points`; `None` if it overflows.
     fn count(&self, points: u64) -> Option<u64> {
         let counted = self.groups.iter().map(|group| {
             let constant: u64 =

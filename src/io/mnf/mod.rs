@@ -44,7 +44,7 @@
 //! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is
 //! refused, all others are read.
 //!
-//! What packed frames are good for is said in `packed.md`, a page of the docs.
+//! The guide for users is `packed.md`.
 
 mod read;
 mod write;

@@ -134,7 +134,7 @@ impl MappedPages {
                     Some(samples) => {
                         let found =
                             PageInfo::from_samples(info.key, info.bricks, &samples, self.shape);
-                        (found != Some(*info)).then_some("holds other cells than the index says")
+                        (found != Some(*info)).then_some("contains other cells than the index says")
                     }
                 }
             };
@@ -174,8 +174,7 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
     if version == FIRST_VERSION && indicator == Indicator::Cloud {
-        let what =
-            "clouds of version 1, which another surface was drawn of; pack the particles again";
+        let what = "version 1 of the indicator cloud is not supported; pack the particles again";
         return Err(ReadFault::Unsupported(what.into()));
     }
     let index = window.bytes.len() - TAIL - cursor.at();
@@ -210,7 +209,7 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     if end != footer as u64 {
         return Err(malformed(
             end as usize,
-            "there is something between the last page and the footer",
+            "there are extra bytes between the last page and the footer",
         ));
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
@@ -231,12 +230,13 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
 fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
     let mut cursor = Cursor::new(bytes.into(), 0, Endian::Little);
     if cursor.take("the header", MAGIC.len() as u64)? != MAGIC {
-        return Err(malformed(0, "this is not a frame: it does not begin like one"));
+        return Err(malformed(0, "not a packed frame: the first bytes differ"));
     }
     let version = cursor.u32("the version")?;
     if !(FIRST_VERSION..=VERSION).contains(&version) {
         let what = format!(
-            "a frame of version {version}; this program reads versions {FIRST_VERSION} to {VERSION}"
+            "version {version} of packed frames; versions {FIRST_VERSION} to {VERSION} are \
+             supported"
         );
         return Err(ReadFault::Unsupported(what));
     }
@@ -245,7 +245,7 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
         4 => Ok((version, BrickSide::Four)),
         8 => Ok((version, BrickSide::Eight)),
         16 => Ok((version, BrickSide::Sixteen)),
-        other => Err(malformed(at, format!("bricks of {other} cells; there are 4, 8 and 16"))),
+        other => Err(malformed(at, format!("bricks of {other} cells; expected 4, 8 or 16"))),
     }
 }
 
@@ -308,7 +308,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
             refuse_finest(spacing_cells, grid.cell_size()).map_err(|e| fault(&e))?;
             Indicator::Cloud
         }
-        other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
+        other => return Err(fault(&format!("indicator {other}; expected 0, 1 or 2"))),
     };
     let mut particles = || {
         let count = cursor.u64("a number of particles")?;

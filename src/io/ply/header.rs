@@ -86,25 +86,30 @@ impl Header {
                 ["format", name, "1.0"] => {
                     encoding = Some(encoding_named(name).ok_or_else(|| {
                         fault(format!(
-                            "format {name:?}; known are ascii, binary_little_endian, binary_big_endian"
+                            "format {name:?}; supported: ascii, binary_little_endian, \
+                             binary_big_endian"
                         ))
                     })?)
                 }
                 ["element", name, count] => {
-                    let count = count.parse().map_err(|_| fault(format!("{count:?} is no count")))?;
+                    let count =
+                        count.parse().map_err(|_| fault(format!("{count:?} is not a count")))?;
                     elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
                 }
                 ["property", ref rest @ ..] => {
-                    let property = property(rest).ok_or_else(|| fault(format!("{text:?} is no property")))?;
-                    let element =
-                        elements.last_mut().ok_or_else(|| fault("a property of no element".into()))?;
+                    let property = property(rest)
+                        .ok_or_else(|| fault(format!("{text:?} is not a valid property")))?;
+                    let element = elements
+                        .last_mut()
+                        .ok_or_else(|| fault("a property without an element".into()))?;
                     element.properties.push(property);
                 }
                 ["end_header"] => {
-                    let encoding = encoding.ok_or_else(|| fault("the header names no format".into()))?;
+                    let encoding =
+                        encoding.ok_or_else(|| fault("the header names no format".into()))?;
                     return Ok(Self { encoding, elements, body: lines.at() });
                 }
-                _ => return Err(fault(format!("{text:?} is no line of a .ply header"))),
+                _ => return Err(fault(format!("{text:?} is not a valid line of a .ply header"))),
             }
         }
     }

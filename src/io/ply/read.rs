@@ -320,7 +320,9 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
     let filled =
         |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
     if filled("tristrips").is_some() {
-        return Err(ReadFault::Unsupported("triangle strips; save the mesh with faces".into()));
+        return Err(ReadFault::Unsupported(
+            "triangle strips are not supported; save the mesh with faces".into(),
+        ));
     }
     let Some(element) = filled("face") else {
         return Ok(None);
@@ -334,7 +336,7 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
     let list = list.ok_or_else(|| {
         malformed(
             header.body,
-            "faces have no list of integers called `vertex_indices` or `vertex_index`",
+            "faces have no list of integers named `vertex_indices` or `vertex_index`",
         )
     })?;
     Ok(Some((element, list)))

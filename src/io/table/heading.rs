@@ -247,8 +247,8 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault
     let numbers_only = found.first == 0 && found.fields > 3;
     let first = match (numbers_only, has_whole_first(rows, found)) {
         (true, true) if !has_fractions(rows, found) => {
-            let what = "rows of whole numbers, which may be x, y and z or begin with the number \
-                 of an element; name the columns by Properties=";
+            let what = "rows of integers can be x, y and z, or begin with an atomic number; \
+                        name the columns by Properties=";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
         // Else it is x, which rows may be sorted by.
@@ -441,7 +441,10 @@ fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
 impl Title {
     fn refused(&self) -> ReadFault {
         if let Some(name) = repeated_position(&self.names) {
-            let what = format!("several columns are called {name:?}; rename those of no position");
+            let what = format!(
+                "several columns are named {name:?}; rename those that are not \
+                               the position"
+            );
             return ReadFault::Line { line: self.line, what };
         }
         let shown: Vec<_> =

@@ -154,7 +154,7 @@ impl Table {
         let stride = width * WIDTH;
         let count = rows.len() / stride;
         if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
-            let what = format!("{expected} rows are announced, and {count} found");
+            let what = format!("{expected} rows are announced, but {count} found");
             return Err(ReadFault::Line { line: table.lines_above, what });
         }
         let first = Column { offset: 0, stride, scalar: Scalar::F64, endian: Endian::Little };
@@ -272,10 +272,10 @@ impl Table {
         match self.syntax {
             Syntax { separator: Separator::Byte(b','), .. } => what,
             Syntax { decimal: Decimal::Comma, .. } if field.contains(&b'.') => {
-                format!("{what}, where others have decimal commas")
+                format!("{what}, but others have decimal commas")
             }
             Syntax { decimal: Decimal::Point, .. } if field.contains(&b',') => {
-                format!("{what}, where others have decimal points")
+                format!("{what}, but others have decimal points")
             }
             _ => what,
         }

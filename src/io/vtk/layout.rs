@@ -68,7 +68,7 @@ pub(super) enum CellKind {
 
 #[derive(Debug)]
 pub(super) enum Corners {
-    /// A stream of so many cells, each its number of corners and then these (before version 5).
+    /// A stream of `cells`, each its number of corners and then the corners (before version 5).
     Counted { cells: usize, stream: Array },
     /// Cell i has the corners from offset i to offset i + 1.
     Offsets { offsets: Array, connectivity: Array },
@@ -191,7 +191,7 @@ impl<'a> Walk<'a> {
         match (keyword.as_str(), &words[1..]) {
             ("DATASET", [kind]) if is(kind, "POLYDATA") || is(kind, "UNSTRUCTURED_GRID") => {}
             ("DATASET", [kind]) => {
-                let what = "we read POLYDATA and UNSTRUCTURED_GRID";
+                let what = "supported: POLYDATA and UNSTRUCTURED_GRID";
                 return Err(ReadFault::Unsupported(format!("DATASET {kind}; {what}")));
             }
             ("POINTS", [count, kind]) => {
@@ -262,7 +262,7 @@ impl<'a> Walk<'a> {
             }
             _ => {
                 let line: String = words.join(" ").chars().take(60).collect();
-                return Err(self.fault(format!("{line:?} is no section of a legacy .vtk file")));
+                return Err(self.fault(format!("{line:?} is not a section of a legacy .vtk file")));
             }
         }
         Ok(())
@@ -296,7 +296,7 @@ impl<'a> Walk<'a> {
     }
 
     fn count(&self, word: &str) -> Result<usize, ReadFault> {
-        word.parse().map_err(|_| self.fault(format!("{word:?} is no count")))
+        word.parse().map_err(|_| self.fault(format!("{word:?} is not a count")))
     }
 
     fn point_data(&self, count: &str) -> Result<usize, ReadFault> {
@@ -595,6 +595,6 @@ pub(super) fn stored<'b>(
 ) -> impl Iterator<Item = Result<i64, ReadFault>> + 'b {
     bytes.chunks_exact(array.scalar.size()).map(|stored| {
         let value = integer(array.scalar, Endian::Big, stored);
-        value.ok_or_else(|| malformed(array.at, format!("{} are no integers", array.name)))
+        value.ok_or_else(|| malformed(array.at, format!("{} are not integers", array.name)))
     })
 }

@@ -124,7 +124,8 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
                 (PIXEL, &[a, b, c, d]) => triangles.polygon(cell, at, &[a, b, d, c]),
                 (TRIANGLE | POLYGON | QUAD, _) => triangles.polygon(cell, at, corners),
                 _ => Err(ReadFault::Unsupported(format!(
-                    "cell {cell} is of type {kind}; a mesh has cells of types {TRIANGLE} to {QUAD}"
+                    "cell {cell} has type {kind}; a mesh must have cells of types {TRIANGLE} to \
+                     {QUAD}"
                 ))),
             }
         })?;
@@ -224,8 +225,9 @@ fn visit(
             }
         };
         let length = length.filter(|length| *length >= 0);
-        let length = length
-            .ok_or_else(|| malformed(stream.at, format!("cell {cell} has less than no corner")))?;
+        let length = length.ok_or_else(|| {
+            malformed(stream.at, format!("cell {cell} has a negative number of corners"))
+        })?;
         corners.clear();
         for _ in 0..length {
             corners.push(next(cell)?);

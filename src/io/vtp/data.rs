@@ -254,7 +254,7 @@ fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     }
 }
 
-/// Returns the bytes that an array takes that has a value for each of so many points.
+/// Returns the bytes of an array with a value for each of `points`.
 fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
     let values = points.checked_mul(array.components).filter(|values| *values > 0);
     let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
@@ -262,7 +262,7 @@ fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
 }
 
 fn no_integers(array: &Array) -> ReadFault {
-    malformed(array.place(), format!("array {} holds no integers", array.name))
+    malformed(array.place(), format!("array {} does not contain integers", array.name))
 }
 
 /// The numbers of a text from byte `at` on.
@@ -307,7 +307,7 @@ impl Stored<'_> {
     }
 
     /// Passes the numbers' bytes on in pieces, if the `allowance` bears them: a value for each of
-    /// so many `points`, or however many there are.
+    /// `points`, or all that there are.
     fn read(
         &self,
         points: Option<usize>,
@@ -336,7 +336,10 @@ impl Stored<'_> {
                 Ok(bytes)
             }
             _ => {
-                let what = format!("array {} unpacks to more than is reasonable", self.array.name);
+                let what = format!(
+                    "array {} decompresses to too many bytes for its size",
+                    self.array.name
+                );
                 Err(ReadFault::Compression(what))
             }
         };
@@ -355,8 +358,7 @@ impl Stored<'_> {
                 let last = self.number(&mut stream)?;
                 let full = if last == 0 { Some(count) } else { count.checked_sub(1) };
                 let full = full.ok_or_else(|| {
-                    let what =
-                        format!("array {} has a last block, and none in all", self.array.name);
+                    let what = format!("array {} has a last block, but no blocks", self.array.name);
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
@@ -395,8 +397,8 @@ impl Stored<'_> {
     ) -> Result<(), ReadFault> {
         if length > MOST_LZ4 {
             return Err(ReadFault::Unsupported(format!(
-                "array {} in LZ4 blocks of {length} bytes; save it in blocks of {MOST_LZ4} bytes \
-                 or less",
+                "array {} has LZ4 blocks of {length} bytes; save it in blocks of {MOST_LZ4} \
+                 bytes or less",
                 self.array.name
             )));
         }

@@ -1,5 +1,5 @@
-//! Writing a mesh as a .pvtp: a list of pieces, each a .vtp of so many triangles and the vertices
-//! that these name.
+//! Writing a mesh as a .pvtp: a list of pieces, each a .vtp with a fixed number of triangles and
+//! their vertices.
 //!
 //! Vertices that several pieces name are in each of them. Their numbers in the whole mesh, an array
 //! of global identifiers, say which are the same.

@@ -61,11 +61,11 @@ impl Array {
         }
     }
 
-    /// Returns the fault of an array that has not a value for each of so many points.
+    /// Returns the fault of an array without a value for each of `points`.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
         let what =
-            format!("array {name} is not of {components} numbers for each of {points} points");
+            format!("array {name} must have {components} numbers for each of {points} points");
         malformed(self.place(), what)
     }
 }
@@ -252,8 +252,8 @@ impl<'a> Layout<'a> {
             "PolyData" => DataSet::PolyData,
             "UnstructuredGrid" => DataSet::UnstructuredGrid,
             _ => {
-                let what = "points are read from PolyData and UnstructuredGrid";
-                return Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")));
+                let what = "supported: PolyData and UnstructuredGrid";
+                return Err(ReadFault::Unsupported(format!("data set of type {kind:?}; {what}")));
             }
         };
         self.compressor = match tag.value("compressor")?.as_deref() {
@@ -263,7 +263,8 @@ impl<'a> Layout<'a> {
             Some("vtkLZMADataCompressor") => Some(Compressor::Lzma),
             Some(other) => {
                 let what = format!(
-                    "data compressed by {other}; save them by zlib, LZ4 or LZMA, or uncompressed"
+                    "data compressed by {other}, which is not supported; save with zlib, LZ4 or \
+                     LZMA, or uncompressed"
                 );
                 return Err(ReadFault::Unsupported(what));
             }
@@ -290,7 +291,7 @@ impl<'a> Layout<'a> {
         let kind = tag.value("type")?.unwrap_or_default();
         let Some(scalar) = scalar_named(&kind) else {
             if is_points {
-                let what = format!("the points are of type {kind:?}, and no numbers");
+                let what = format!("the points have type {kind:?}, which is not numeric");
                 return Err(malformed(tag.at, what));
             }
             // Strings and bits are no values of a vertex; whatever else needs this array will miss
@@ -325,7 +326,7 @@ impl<'a> Layout<'a> {
             Some(other) => {
                 return Err(malformed(
                     tag.at,
-                    format!("array {name} has the unknown format {other:?}"),
+                    format!("array {name} has unknown format {other:?}"),
                 ));
             }
         };
@@ -350,10 +351,7 @@ impl<'a> Layout<'a> {
             "raw" => None,
             "base64" => Some(text(xml, data as usize)),
             _ => {
-                return Err(malformed(
-                    tag.at,
-                    format!("data of the unknown encoding {encoding:?}"),
-                ));
+                return Err(malformed(tag.at, format!("data with unknown encoding {encoding:?}")));
             }
         };
         for array in self.all_arrays() {

@@ -60,7 +60,8 @@ pub fn open_particles(
     }
     if left_out.len() == files.len() {
         let blocks: Vec<_> = left_out.iter().take(SHOWN).map(ToString::to_string).collect();
-        let what = format!("none of {} blocks holds particles: {}", files.len(), blocks.join("; "));
+        let what =
+            format!("none of {} blocks contains particles: {}", files.len(), blocks.join("; "));
         return Err(fail(ReadFault::Unsupported(what)));
     }
     let named: Vec<_> = sources.iter().map(|source| &*source.path).zip(&files).collect();
@@ -193,7 +194,7 @@ impl Source {
         };
         let read = match extension(&self.path).as_deref() {
             Some("vtp" | "vtu") => read_block(open()?, unpacking).map_err(fail)?,
-            other => Err(format!("data of the format .{}", other.unwrap_or_default())),
+            other => Err(format!("data in the format .{}", other.unwrap_or_default())),
         };
         Ok(read.map_err(|holds| LeftOut::Block { name: name.clone(), holds }))
     }
@@ -282,7 +283,7 @@ impl List {
         })?;
         let Format { name, .. } = format.ok_or_else(|| malformed(0, "no <VTKFile>"))?;
         if files.is_empty() {
-            return Err(malformed(0, "it names no pieces"));
+            return Err(malformed(0, "names no pieces"));
         }
         Ok(Self { files, format: name })
     }
@@ -306,8 +307,8 @@ impl Format {
             "vtkPartitionedDataSet" => ("VTK XML .vtpd", true),
             "vtkPartitionedDataSetCollection" => ("VTK XML .vtpc", true),
             _ => {
-                let what = "points are read from PPolyData, PUnstructuredGrid and lists of blocks";
-                return Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")));
+                let what = "supported: PPolyData, PUnstructuredGrid and lists of blocks";
+                return Err(ReadFault::Unsupported(format!("data set of type {kind:?}; {what}")));
             }
         };
         Ok(Self { name, blocks })

@@ -71,7 +71,7 @@ fn other_contents(layout: &Layout) -> Result<Option<String>, ReadFault> {
     for types in layout.pieces.iter().filter_map(|piece| piece.array(Section::Cells, "types")) {
         decoder.each_integer(types, |_, kind| others += u64::from(kind > POLY_VERTEX))?;
     }
-    Ok((others > 0).then(|| format!("{others} cells that are no points")))
+    Ok((others > 0).then(|| format!("{others} cells that are not points")))
 }
 
 /// Whether all has to be read to find what is where: there are texts in the XML, or what is behind
@@ -154,14 +154,18 @@ pub(super) struct NumberedMesh {
 pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let layout = Layout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
-        return Err(ReadFault::Unsupported("an UnstructuredGrid; a mesh is PolyData".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "an UnstructuredGrid; meshes must be PolyData".to_owned(),
+        ));
     }
     let [piece] = &*layout.pieces else {
         let what = format!("a mesh in {} pieces; save it as one", layout.pieces.len());
         return Err(ReadFault::Unsupported(what));
     };
     if piece.strips > 0 {
-        return Err(ReadFault::Unsupported("triangle strips; save them as triangles".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "triangle strips are not supported; save them as triangles".to_owned(),
+        ));
     }
     let mut decoder = Decoder::new(&layout, Unpacking::in_memory());
     let mut integers = |name: &str| {
@@ -262,7 +266,8 @@ fn vertices(
     let mut parts = Vec::new();
     for piece in &filled {
         let array = piece.arrays.iter().find(is_points);
-        let array = array.ok_or_else(|| malformed(0, "no array of points of three components"))?;
+        let array =
+            array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
         parts.push(Part { points: piece.points, array: Some(array) });
     }
     // First, as they vouch for the number of points.
@@ -295,7 +300,7 @@ fn not_ghosts(
     layout: &Layout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    // Whoever reads the points refuses more of them than the file can hold.
+    // Reading the points rejects more of them than the file can contain.
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }

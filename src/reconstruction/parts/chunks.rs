@@ -17,7 +17,7 @@ use crate::grid::{CellBox, Domain, Grid, Periodic};
 use crate::io::{PieceChunk, Pieces};
 use crate::particles::Particles;
 
-/// Particles of a chunk, where there are not so many that the list would grow too long.
+/// Particles of a chunk, unless that would make the list too long.
 const FEWEST: usize = 1 << 12;
 /// Chunks that are listed, beside one for the end of every piece.
 const MOST: usize = 1 << 16;

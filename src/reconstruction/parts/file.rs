@@ -133,8 +133,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens a part's file, whose vertices carry attributes of so many components, and reads all of
-    /// it to see that it is whole; `None` where there is none.
+    /// Opens the file of a part whose attributes have these components, and reads it to check that
+    /// it is complete; `None` if it does not exist.
     pub(super) fn open(
         path: &Path,
         mark: Mark,
@@ -157,7 +157,7 @@ impl PartFile {
         {
             return Err(PartsError::Foreign(path.to_owned()));
         }
-        let inconsistent = || damaged("its lists and meshes do not go together");
+        let inconsistent = || damaged("its lists do not match its meshes");
         let lists = [
             end.blocks.checked_mul(size_of::<ListedBlock>() as u64),
             end.bins.checked_mul(size_of::<OccupiedBin>() as u64),
@@ -196,7 +196,7 @@ fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec
 /// Reads all of a file, and returns its end, or says what is wrong with it.
 fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     let len = file.metadata()?.len();
-    let Some(before) = len.checked_sub(END) else { return Ok(Err("it is truncated")) };
+    let Some(before) = len.checked_sub(END) else { return Ok(Err("truncated")) };
     let (mut crc, mut left, mut buffer) = (Hasher::new(), before, vec![0; PIECE]);
     while left > 0 {
         let piece = &mut buffer[..left.min(PIECE as u64) as usize];
@@ -208,9 +208,9 @@ fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     file.read_exact(bytemuck::bytes_of_mut(&mut end))?;
     crc.update(&bytemuck::bytes_of(&end)[..END as usize - 4]);
     Ok(if end.magic != MAGIC {
-        Err("it is truncated, or no part of a mesh")
+        Err("truncated, or not a part of a mesh")
     } else if crc.finalize() != end.crc || end.bytes != before || end.nothing != 0 {
-        Err("its CRC is wrong")
+        Err("wrong CRC-32")
     } else {
         Ok(end)
     })

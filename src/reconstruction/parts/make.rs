@@ -147,7 +147,7 @@ impl Parts {
 }
 
 impl Meshed {
-    /// No block, of so many particles that were read.
+    /// A part without blocks, for `read` particles.
     fn nothing(plan: &Plan, read: usize) -> Self {
         let made =
             Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };

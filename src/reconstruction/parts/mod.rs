@@ -1,17 +1,16 @@
-//! One frame's mesh in parts, each made by a process of its own on any machine, and merged to the
-//! bytes of a single run.
+//! One frame's mesh in parts, each made by its own process on any machine, and merged to the bytes
+//! of a single run.
 //!
-//! Beside the output, in a folder named as it with `.meniscus-parts` appended, there are
-//! `plan.json` and the parts' files. The plan samples the whole frame once, measures what a single
-//! run would, and cuts the Morton curve of blocks into stretches of about equal work. A part
-//! samples the bins that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what
-//! filters reach, by the recipe), and meshes those blocks. It reads the chunks of the input that
-//! may hold particles of these bins: the plan lists all with the boxes that their particles are in.
-//! Whoever merges lists all parts' blocks one after the other, as a single run would have them in
-//! its scratch file, and goes on as that would: vertices are stitched by identity, so that nothing
-//! of the cuts is left.
+//! `plan.json` and the parts' files are in a folder beside the output, with `.meniscus-parts`
+//! appended to its name. The plan samples the whole frame once, measures what a single run would,
+//! and cuts the Morton curve of blocks into stretches of about equal work. A part samples the bins
+//! that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what filters reach, by
+//! the recipe), and meshes those blocks. It reads the chunks of the input that can contain
+//! particles of these bins: the plan lists all chunks with their bounding boxes. Merging lists the
+//! blocks of all parts in order, like the scratch file of a single run, and continues like a single
+//! run. Vertices are stitched by identity, so the cuts leave no trace.
 //!
-//! How they are used is in `parts.md`, a page of the docs.
+//! The guide for users is `parts.md`.
 
 mod chunks;
 mod file;
@@ -161,8 +160,8 @@ pub struct PartMade {
 }
 
 impl Reconstruction {
-    /// Asks for the mesh of a file of particles in so many parts, which are kept in a folder beside
-    /// the output until they are merged.
+    /// A request for the mesh of a particle file in `count` parts, which are in a folder beside the
+    /// output until they are merged.
     pub fn parts(
         &self,
         input: impl Into<PathBuf>,

@@ -197,8 +197,8 @@ fn block_of(bin: MortonKey) -> MortonKey {
     MortonKey::of(block_of_bin(bin.coord()))
 }
 
-/// How long the blocks take that hold any of some particles by bin, or that a surface may pass
-/// through in so many cells: in particles that are binned, in Morton order.
+/// Work of the blocks that contain particles, or through which a surface can pass, in the unit of
+/// one binned particle, in Morton order.
 fn work(
     bins: &[(MortonKey, usize)],
     passed: impl Iterator<Item = (MortonKey, usize)>,
@@ -218,8 +218,8 @@ fn work(
     work
 }
 
-/// The first block of each of so many parts, which take about as long as one another: the first has
-/// all before it, too.
+/// The first block of each of `parts`, which have about equal work. The first part also has all
+/// blocks before.
 fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);

@@ -50,7 +50,7 @@ pub(super) struct Plan {
     /// By what the surface is drawn.
     #[serde(flatten, with = "as_numbers")]
     pub(super) calibration: Option<Calibration>,
-    /// By what that was told, unless it was given.
+    /// The measurements behind the calibration, unless it was given.
     pub(super) measured: Option<Measured>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
@@ -64,7 +64,7 @@ pub(super) struct Plan {
     pub(super) chunks: Vec<Chunk>,
 }
 
-/// By what a calibration was told.
+/// The measurements behind a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Measured {
     plateau: Plateau,
@@ -106,7 +106,7 @@ impl Plan {
         let kept: Kept =
             serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
         if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
-            return Err(damaged("it is not as it was written".into()));
+            return Err(damaged("was modified after it was written".into()));
         }
         let Kept { plan, fingerprint } = kept;
         plan.validate().map_err(damaged)?;

@@ -318,16 +318,16 @@ impl fmt::Display for Report {
         ] {
             writeln!(f, "{promise}: {}", if kept { "yes" } else { "no" })?;
         }
-        line(f, "edges with one triangle only", &topology.boundary_edges)?;
-        line(f, "edges run along twice the same way", &topology.misoriented_edges)?;
+        line(f, "edges with only one triangle", &topology.boundary_edges)?;
+        line(f, "edges with two triangles in the same direction", &topology.misoriented_edges)?;
         line(f, "edges with more than two triangles", &topology.crowded_edges)?;
         line(f, "vertices with more than one fan of triangles", &topology.pinched_vertices)?;
-        line(f, "triangles that name a missing vertex", &topology.out_of_range)?;
-        line(f, "triangles that name a vertex twice", &topology.degenerate_triangles)?;
-        line(f, "triangles on the vertices of another", &topology.twin_triangles)?;
+        line(f, "triangles with a missing vertex", &topology.out_of_range)?;
+        line(f, "triangles with a repeated vertex", &topology.degenerate_triangles)?;
+        line(f, "triangles with the vertices of another one", &topology.twin_triangles)?;
         line(f, "vertices that are not finite", &self.non_finite_positions)?;
         line(f, "vertices without a triangle", &topology.unreferenced_vertices)?;
-        line(f, "vertices on the position of another", &self.duplicate_positions)
+        line(f, "vertices at the position of another one", &self.duplicate_positions)
     }
 }
 
@@ -354,7 +354,7 @@ pub struct Stars {
 }
 
 impl Stars {
-    /// Gathers the stars of so many vertices.
+    /// Gathers the stars of `vertices`.
     pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let sound = || triangles.iter().filter(|&&t| is_sound(t, vertices));
         let mut ends = vec![0; vertices];

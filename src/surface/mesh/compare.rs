@@ -1,4 +1,4 @@
-//! How far two surfaces lie apart.
+//! Distances between two surfaces.
 //!
 //! Each surface is sampled and every sample's distance to the other surface taken, exactly, to the
 //! nearest point on any of its triangles. Vertices count for the greatest distance only; means are
@@ -62,7 +62,7 @@ pub struct Distances {
     pub vertices: usize,
 }
 
-/// One of the two meshes that are compared.
+/// One of the two compared meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     /// The mesh that is compared to.
@@ -71,13 +71,13 @@ pub enum Side {
     Mesh,
 }
 
-/// Meshes between which there is no distance.
+/// Meshes that cannot be compared.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum CompareError {
     /// No triangle has an area.
     #[error("the {} has no triangle with an area", .0.name())]
     NoSurface(Side),
-    /// A coordinate is no number, or so great that its powers overflow.
+    /// A coordinate is not a number, or so large that its powers overflow.
     #[error("vertex {vertex} of the {} is not a point within 1e70 of the origin", side.name())]
     NotFinite {
         /// The mesh that the vertex belongs to.
@@ -105,7 +105,7 @@ impl Side {
     }
 }
 
-/// Measures how far `mesh` and `reference` lie apart, in both directions.
+/// Measures the distances between `mesh` and `reference`, in both directions.
 ///
 /// Triangles that name a missing vertex, or one twice, are left out. The reference need not be
 /// closed; the bias then speaks of the side that its triangles face.

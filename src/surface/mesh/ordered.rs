@@ -124,7 +124,7 @@ impl MeshSource for Ordered<'_> {
     }
 }
 
-/// Each group of so many values at its new place.
+/// Each group of `group` values at its new place.
 fn permuted<T: Copy + Default>(values: &[T], ranks: &[u32], group: usize) -> Vec<T> {
     let mut permuted = vec![T::default(); values.len()];
     for (values, &rank) in values.chunks_exact(group.max(1)).zip(ranks) {

@@ -178,8 +178,8 @@ pub struct Metered<'a> {
 }
 
 impl<'a> Metered<'a> {
-    /// Counts the pieces of a mesh whose reader asks for the vertices or the triangles of each so
-    /// many times.
+    /// Counts the pieces of a mesh whose reader reads the vertices or triangles of each several
+    /// times.
     pub fn new(
         mesh: &'a dyn MeshSource,
         readings: usize,

@@ -72,14 +72,14 @@ pub struct SpoolFile {
 }
 
 impl ListedBlock {
-    /// Bytes of its surface, whose vertices take so many without their tiles.
+    /// Bytes of its surface; `vertex_bytes` are those of a vertex without its tile.
     pub fn bytes(&self, vertex_bytes: u64) -> u64 {
         u64::from(self.tiles) * size_of::<Tile>() as u64 + u64::from(self.vertices) * vertex_bytes
     }
 }
 
-/// Bytes of a vertex without its tile: the samples of its edge, its normal, and attributes of so
-/// many components.
+/// Bytes of a vertex without its tile: the samples of its edge, its normal, and the components of
+/// its attributes.
 pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
     let attributes = components.iter().sum::<usize>() * size_of::<f32>();
@@ -89,14 +89,14 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
 /// Bytes of a vertex's share of a tile.
 pub const TILE_SHARE: u64 = 4;
 
-/// Bytes of the surface in so many blocks that have so many vertices together, each of so many
-/// bytes without its tile.
+/// Bytes of the surface in `blocks`, which together have `vertices` of `vertex_bytes` each, without
+/// tiles.
 pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
     vertices * vertex_bytes + blocks * u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
 
 impl Spool {
-    /// For surfaces with or without normals, and attributes of so many components each.
+    /// A spool for surfaces with or without normals, and attributes with these components.
     pub fn in_memory(normals: bool, components: Vec<usize>) -> Self {
         Self { index: Vec::new(), store: Store::Memory(Vec::new()), components, normals, bytes: 0 }
     }

@@ -116,7 +116,7 @@ impl Camera {
         Self { eye: target + axes.z_axis * distance, axes, focal, distance }
     }
 
-    /// An eye so many radii away from a ball, in a direction, of which the ball fills the picture.
+    /// An eye at a distance of `radii` from a ball, in a direction; the ball fills the picture.
     pub(super) fn far(middle: DVec3, radius: f64, radii: f64, back: DVec3, world: DMat3) -> Self {
         let distance = radius * radii;
         Self {

@@ -141,7 +141,7 @@ impl FromStr for ColourMap {
 /// Values that vertices are coloured by.
 pub(super) enum Values<'a> {
     None,
-    /// An attribute of so many components.
+    /// An attribute with its number of components.
     Attribute {
         index: usize,
         components: usize,

@@ -80,7 +80,7 @@ impl Image {
         }
     }
 
-    /// Images of one size side by side, in rows of so many; `None` of none.
+    /// Images of the same size in rows of `columns`; `None` without images.
     ///
     /// # Panics
     /// If their sizes differ.
@@ -143,8 +143,7 @@ pub struct Animation<'a> {
 }
 
 impl<'a> Animation<'a> {
-    /// Begins a file of `images` images like the first, so many of them a second, shown over and
-    /// over.
+    /// Begins a file of `images` images like the first, `fps` per second, which repeats forever.
     ///
     /// # Errors
     /// Those of `out`, and [`io::ErrorKind::InvalidInput`] for no image.

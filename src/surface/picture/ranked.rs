@@ -32,7 +32,7 @@ impl Entered {
         Self { first: range.start, words: zeroed_vec(range.len().div_ceil(64)) }
     }
 
-    /// Bytes of a set of a range of so many numbers, once it is ranked.
+    /// Bytes of a ranked set in a range of `numbers`.
     pub(super) fn bytes(numbers: u64) -> u64 {
         numbers.div_ceil(64) * (size_of::<u64>() + size_of::<u32>()) as u64
     }

@@ -332,7 +332,7 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     turn * (x * to_y - y * to_x) - lacks
 }
 
-/// A place along an axis of so many samples in halves of those.
+/// A place along an axis with `samples`, in half samples.
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
@@ -391,7 +391,7 @@ impl Corners {
     /// Bytes of one.
     pub(super) const BYTES: u64 = (size_of::<[Corner; VIEWS]>() + size_of::<u64>()) as u64;
 
-    /// None yet, with room for so many.
+    /// An empty list with room for `count`.
     pub(super) fn with_room(count: usize) -> Self {
         Self { at: empty_in_huge_pages(count), halves: empty_in_huge_pages(count) }
     }

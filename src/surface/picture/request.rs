@@ -1,4 +1,4 @@
-//! A request for pictures: how large, from where, in which colours.
+//! A request for pictures: size, camera and colours.
 
 use std::io;
 
@@ -14,17 +14,15 @@ use super::colour::Colour;
 
 const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 
-/// A box and a range of values that pictures have in common, so that those of a simulation can be
-/// compared.
+/// The bounding box and the range of values that pictures share, so that frames can be compared.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Scope {
-    /// The box that is seen whole; `None` where there is no vertex.
+    /// The box that is completely visible; `None` without vertices.
     pub bounds: Option<Bounds>,
-    /// The least and the greatest value of the attribute that is shown; of distances those that
-    /// hold 99 of 100 vertices.
+    /// The range of the attribute that is shown; for distances, the range of 99 of 100 vertices.
     pub range: Option<[f32; 2]>,
-    /// Whether there are values beyond the range, which the legend says.
+    /// Whether values are beyond the range, which the legend shows.
     pub beyond: bool,
 }
 
@@ -41,20 +39,19 @@ impl Scope {
     }
 }
 
-/// How much work a picture is worth.
+/// Quality of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Effort {
-    /// Four samples a pixel.
+    /// Four samples per pixel.
     #[default]
     Full,
-    /// For a glance, in about half of the time: one sample a pixel, a shadow half as sharp, and
-    /// light that goes straight through the fluid. A surface that was just made and has more than
-    /// two vertices a pixel is drawn of fewer and larger triangles.
+    /// A draft in about half of the time: one sample per pixel, softer shadows, and no refraction.
+    /// A surface with more than two vertices per pixel is drawn with fewer and larger triangles.
     Draft,
 }
 
-/// A request for pictures of meshes: how large, from where, in which colours.
+/// A request for pictures of meshes: size, camera and colours.
 ///
 /// ```
 /// use meniscus::{Reconstruction, picture::Picture};
@@ -81,7 +78,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The default: 1920 x 1080 pixels of water, seen whole from the front, to the right and above.
+    /// The default: 1920 x 1080 pixels of water, completely visible from the front, right and
+    /// above.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -94,7 +92,7 @@ impl Picture {
         self
     }
 
-    /// Sets where it is seen from.
+    /// Sets the camera.
     #[must_use]
     pub fn view(mut self, view: View) -> Self {
         self.view = Some(view);
@@ -108,7 +106,7 @@ impl Picture {
         self
     }
 
-    /// Puts a floor under the box, with the shadow that the fluid casts.
+    /// Shows a floor under the box, with the fluid's shadow.
     #[must_use]
     pub fn ground(mut self, shown: bool) -> Self {
         self.ground = shown;
@@ -129,29 +127,28 @@ impl Picture {
         self
     }
 
-    /// Sets the box that is seen and the range of values, in place of the mesh's own.
+    /// Sets the visible box and the range of values, instead of the mesh's own.
     #[must_use]
     pub fn scope(mut self, scope: Scope) -> Self {
         self.scope = Some(scope);
         self
     }
 
-    /// Sets how much work it is worth.
+    /// Sets the quality.
     #[must_use]
     pub fn effort(mut self, effort: Effort) -> Self {
         self.effort = effort;
         self
     }
 
-    /// Sets the bytes of memory that a picture may take, beside its mesh: as many as it needs
-    /// otherwise.
+    /// Limits the memory of a picture in bytes, without its mesh. There is no limit by default.
     #[must_use]
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
         self
     }
 
-    /// Refuses what no mesh can be drawn with.
+    /// Checks the size and the view.
     ///
     /// # Errors
     /// [`PictureError::Size`] and [`PictureError::View`].
@@ -165,22 +162,22 @@ impl Picture {
             Some(View::From { azimuth, elevation, zoom })
                 if !finite(&[azimuth, elevation, zoom]) || zoom <= 0.0 =>
             {
-                Err(PictureError::View("angles must be finite, and a zoom positive"))
+                Err(PictureError::View("angles must be finite, and the zoom positive"))
             }
             Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
-                Err(PictureError::View("the eye and what it looks at must be two places"))
+                Err(PictureError::View("the eye and the point that it looks at must differ"))
             }
             _ => Ok(()),
         }
     }
 
-    /// Sets the bytes of memory, where nothing is said of them.
+    /// Sets the memory limit, unless it is set.
     pub(crate) fn memory_unless_said(mut self, bytes: u64) -> Self {
         self.memory = self.memory.or(Some(bytes));
         self
     }
 
-    /// Sets the axis that points up, where nothing is said of it.
+    /// Sets the axis that points up, unless it is set.
     pub(crate) fn up_unless_said(mut self, up: impl FnOnce() -> UpAxis) -> Self {
         self.up = self.up.or_else(|| Some(up()));
         self
@@ -203,11 +200,11 @@ impl Picture {
 pub(super) enum Memory {
     /// Room for the whole mesh, whatever it takes.
     Whole,
-    /// No more than for batches of so many bytes.
+    /// At most batches of this many bytes.
     Batches(u64),
 }
 
-/// Memory that may be used, and what of it is taken.
+/// The memory limit, and the part of it that is used.
 pub(super) struct Budget {
     used: u64,
     allowed: u64,
@@ -219,7 +216,7 @@ impl Budget {
         Self { used, allowed }
     }
 
-    /// Makes sure that so many bytes more may be used.
+    /// Checks that `bytes` more may be used.
     pub(super) fn check(&self, bytes: u64) -> Result<(), PictureError> {
         let Self { used, allowed } = *self;
         let needed = used + bytes;
@@ -227,47 +224,50 @@ impl Budget {
     }
 }
 
-/// Pixels along an edge, at the most.
+/// Maximum number of pixels per side.
 pub(super) const MOST_PIXELS: usize = 1 << 15;
 
 /// A picture that cannot be drawn.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PictureError {
-    /// A size that no picture can have.
-    #[error("a picture of {0} x {1} pixels: 1 to {MOST_PIXELS} can be along an edge")]
+    /// An invalid size.
+    #[error(
+        "the size of a picture must be from 1 to {MOST_PIXELS} pixels per side, got {0} x \
+             {1}"
+    )]
     Size(usize, usize),
-    /// A view that shows nothing.
+    /// An invalid view.
     #[error("{0}")]
     View(&'static str),
-    /// A colour map that is not known.
-    #[error("no colour map {name:?}; there are: {known}")]
+    /// An unknown colour map.
+    #[error("no colour map {name:?}; available: {known}")]
     Map {
-        /// The name that was asked for.
+        /// The requested name.
         name: String,
-        /// The names of those that there are.
+        /// The available names.
         known: String,
     },
     /// An attribute that the vertices do not have.
-    #[error("no attribute {name:?} on the vertices; there are: {known}")]
+    #[error("no attribute {name:?} on the vertices; available: {known}")]
     NoAttribute {
-        /// The attribute that was asked for.
+        /// The requested attribute.
         name: String,
-        /// The names of those that there are.
+        /// The available names.
         known: String,
     },
-    /// A mesh from which there is no distance.
+    /// A reference mesh without a surface.
     #[error("{0}")]
     Reference(CompareError),
-    /// More memory than may be used.
-    #[error("a picture of this mesh takes {needed} bytes of memory; {allowed} may be used")]
+    /// A picture that exceeds the memory limit.
+    #[error("a picture of this mesh needs {needed} bytes of memory, but the limit is {allowed}")]
     Memory {
-        /// Bytes that it takes.
+        /// Bytes that it needs.
         needed: u64,
-        /// Bytes that may be used.
+        /// The limit in bytes.
         allowed: u64,
     },
-    /// A mesh that cannot be read from where it is kept.
+    /// A mesh that cannot be read from its scratch file.
     #[error("{0}")]
     Io(#[from] io::Error),
 }

@@ -36,7 +36,7 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// The numbers for a picture of so many rows.
+    /// The numbers for a picture with `rows`.
     pub(super) fn new(effort: Effort, rows: usize) -> Self {
         let of_sun = if rows <= SMALL { SUN_SAMPLES / 2 } else { SUN_SAMPLES };
         match effort {

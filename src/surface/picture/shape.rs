@@ -91,8 +91,7 @@ impl<'a> Shape<'a> {
         let outline = mesh.outline();
         let [vertices, triangles] = [outline.vertices, outline.triangles];
         if u32::try_from(vertices.max(triangles)).is_err() {
-            let what =
-                format!("a picture is drawn of no more than {} vertices and triangles", u32::MAX);
+            let what = format!("a picture can show at most {} vertices and triangles", u32::MAX);
             return Err(io::Error::new(io::ErrorKind::InvalidInput, what).into());
         }
         let keep = matches!(memory, Memory::Whole);

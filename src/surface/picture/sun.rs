@@ -26,7 +26,7 @@ pub(super) struct Sun {
 }
 
 impl Sun {
-    /// The view of a box, in so many samples along an edge; nothing is drawn yet.
+    /// An empty view of a box, with `samples` along an edge.
     pub(super) fn new([lo, hi]: Bounds, world: DMat3, samples: usize) -> Self {
         let (middle, radius) = ball([lo, hi]);
         let back = world * SUN.normalize().as_dvec3();
@@ -73,7 +73,7 @@ pub(super) struct Sunlight {
 }
 
 impl Sunlight {
-    /// Bytes of one of so many samples along an edge.
+    /// Bytes of a view with `samples` along an edge.
     pub(super) fn bytes(samples: usize) -> u64 {
         (samples * samples * 2 * size_of::<f32>()) as u64
     }

@@ -17,8 +17,7 @@ use super::surface::{Outside, Topology};
 
 /// The share of the distance that a sample may take: the rest is for what lies between samples.
 const SAMPLE_SHARE: f32 = 0.93;
-/// Samples along an edge are this far apart at the most, in cells. Around one that takes more than
-/// its share of doubt there are more, so many either way.
+/// Maximum distance of samples along an edge, in cells. There are more around an uncertain one.
 const SAMPLE_STEP: f32 = 0.5;
 const DOUBT_SHARE: f32 = 0.4;
 const FINE: i32 = 4;

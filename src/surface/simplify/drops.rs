@@ -47,8 +47,8 @@ impl TooSmall {
     }
 }
 
-/// The components of `surface` whose volume is less than so many cells, air enclosed by fluid
-/// included, and the drops of less than `drop`: their vertices, and how many there are.
+/// The components of `surface` below a volume in cells, including enclosed air, and the drops below
+/// `drop`: their vertices, and their numbers.
 ///
 /// # Errors
 /// Where scratch files cannot be read, and where the caller has asked for an early end.
@@ -256,7 +256,7 @@ pub struct VertexSet {
 }
 
 impl VertexSet {
-    /// None of so many.
+    /// An empty set of `vertices`.
     pub fn none_of(vertices: u64) -> Self {
         Self { words: vec![0; vertices.div_ceil(64) as usize], before: Vec::new() }
     }

@@ -10,7 +10,7 @@
 //! normals and attributes. Chunks know nothing of threads or memory, and nothing is held but the
 //! chunks in work, a bit a vertex, and what the budget allows of the triangles.
 //!
-//! What it gains is said in `guide.md`, a page of the docs.
+//! The guide for users is `guide.md`.
 
 mod collapse;
 mod drops;
@@ -40,10 +40,11 @@ use surface::Outside;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass a vertex stays in about every square of so many cells: without them triangles
-/// on flat ground would reach from a seam beyond the chunk that is to simplify it in the second.
+/// In the first pass, a vertex stays in about every square of this many cells. Without them,
+/// triangles on flat ground would extend from a seam beyond the chunk that simplifies it in the
+/// second pass.
 const PIN_SPACING: i32 = 16;
-/// The second pass simplifies triangles that come within so many cells of a seam of the first.
+/// The second pass simplifies triangles within this many cells of a seam of the first.
 const BAND: i32 = 4;
 /// The share of the stage in which components are measured.
 const MEASURING: f64 = 0.1;

@@ -12,10 +12,10 @@ const NEXT: [usize; 3] = [1, 2, 0];
 const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// How many triangles a search looks at before it gives up.
 const PATIENCE: usize = 32;
-/// A search goes on from a triangle whose squared distance is at most so many times the least so
-/// far.
+/// A search continues from a triangle whose squared distance is at most this many times the
+/// smallest one found.
 const DETOUR: f32 = 1.5;
-/// Nor does one walk farther than so many triangles for a cell.
+/// Maximum number of triangles that a search visits per cell of distance.
 const STEPS_A_CELL: f32 = 8.0;
 
 /// Triangles, each directed edge at most once.

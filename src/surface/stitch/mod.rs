@@ -34,7 +34,8 @@ pub use numbers::writing_bytes;
 pub enum WholeMeshError {
     /// 32 bits cannot number its vertices.
     #[error(
-        "the surface has {0} vertices, more than an indexed mesh in memory holds; use a larger cell size"
+        "the surface has {0} vertices, more than an indexed mesh in memory can have; use a \
+         larger cell size"
     )]
     TooManyVertices(u64),
     /// Surfaces were spooled to a file that cannot be read.

@@ -24,8 +24,8 @@ const TRIANGLES_A_VERTEX: u64 = 2;
 /// four blocks' records.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 
-/// Bytes that threads take while each numbers and writes the triangles of a block, of so many
-/// vertices together.
+/// Bytes for `threads` that each number and write the triangles of a block, with `vertices`
+/// together.
 pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
     threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES

@@ -102,7 +102,7 @@ fn a_face_beyond_the_vertices_is_named() {
         };
         let fault = ply::read_mesh(&bad).unwrap_err();
         assert!(matches!(fault, ReadFault::Malformed { .. }), "{encoding}: {fault}");
-        assert!(fault.to_string().contains("face 0 names vertex"), "{encoding}: {fault}");
+        assert!(fault.to_string().contains("face 0 refers to vertex"), "{encoding}: {fault}");
     }
     for ascii in [true, false] {
         let file = |cells: [f64; 8]| {
@@ -113,7 +113,10 @@ fn a_face_beyond_the_vertices_is_named() {
         };
         file([3., 0., 1., 2., 3., 0., 1., 2.]).unwrap();
         let fault = file([3., 0., 1., 2., 3., 0., 1., 3.]).unwrap_err();
-        assert!(fault.to_string().contains("face 1 names vertex 3, the file has 3"), "{fault}");
+        assert!(
+            fault.to_string().contains("face 1 refers to vertex 3, but the file has 3"),
+            "{fault}"
+        );
         let fault = file([3., 0., 1., 2., -3., 0., 1., 2.]).unwrap_err();
         assert!(fault.to_string().contains("cell 1"), "{fault}");
         let fault = file([3., 0., 1., 2., 4., 0., 1., 2.]).unwrap_err();

@@ -101,7 +101,7 @@ fn vtk_files_that_disagree_with_themselves_are_refused_with_the_reason() {
         ),
         (format!("{points}POINT_DATA 1\nFIELD f 1\na 1 1 variant\n1\n"), "\"variant\""),
         (format!("{points}CELLS 1 2\n1 0\n"), "1 CELLS, but 0 CELL_TYPES"),
-        (format!("{points}NONSENSE\n"), "line 7: \"NONSENSE\" is no section"),
+        (format!("{points}NONSENSE\n"), "line 7: \"NONSENSE\" is not a section"),
         (format!("{points}METADATA\nINFORMATION 0\n"), "do not end with an empty line"),
         ("# vtk DataFile Version x\n".into(), "line 1"),
         ("# vtk DataFile Version 3.0\nt\nTEXT\n".into(), "line 3: expected ASCII or BINARY"),
@@ -300,9 +300,9 @@ fn cells_that_are_not_as_announced_are_refused() {
                 assert!(fault.contains(says), "{fault} instead of {says}");
             };
             let flags = [1.; 6];
-            says(&[5., 4., 3., 2., 1., 6.], &flags, "", "", "cell 5 of 6 names point 6 of 6");
-            says(&[5., 4., 3., 2., 1., -1.], &flags, "", "", "cell 5 of 6 names point -1 of 6");
-            says(&order, &[1.; 5], "", "", "vtkGhostType is not of one number for each of 6 cells");
+            says(&[5., 4., 3., 2., 1., 6.], &flags, "", "", "cell 5 of 6 refers to point 6 of 6");
+            says(&[5., 4., 3., 2., 1., -1.], &flags, "", "", "cell 5 of 6 refers to point -1 of 6");
+            says(&order, &[1.; 5], "", "", "vtkGhostType must have one number for each of 6 cells");
             let keyword = if types.is_some() { "CELLS" } else { "VERTICES" };
             match version {
                 "5.1" => {
@@ -318,7 +318,7 @@ fn cells_that_are_not_as_announced_are_refused() {
                             file.replacen(from.as_str(), to, 1)
                         });
                     let fault = VTK.particles(file.as_bytes()).unwrap_err().to_string();
-                    assert!(fault.contains("6 cells name 5 points"), "{fault}");
+                    assert!(fault.contains("6 cells refer to 5 points"), "{fault}");
                 }
                 _ if types.is_none() => {
                     says(

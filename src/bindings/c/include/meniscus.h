@@ -476,7 +476,7 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 // MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are
 // done: the message says of the first.
 //
-// Pointers are NULL or point to what they say.
+// Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_convert(const char *const *inputs,
                                 size_t input_count,
                                 const char *output,
@@ -492,7 +492,7 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 // do; MENISCUS_STATUS_INPUT for particles that are not finite or too far away, have no surface, or
 // are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
 //
-// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
+// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
                                     const struct MeniscusOptions *options,
                                     struct MeniscusMesh **mesh);
@@ -502,7 +502,7 @@ MeniscusStatus meniscus_reconstruct(const struct MeniscusParticles *particles,
 // `path`: any file that the program reads; one of several steps has a number behind a colon.
 // Otherwise as meniscus_reconstruct.
 //
-// Pointers are NULL or point to what they say.
+// Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_reconstruct_file(const char *path,
                                          const struct MeniscusOptions *options,
                                          struct MeniscusMesh **mesh);
@@ -512,14 +512,14 @@ MeniscusStatus meniscus_reconstruct_file(const char *path,
 // `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails.
 // Otherwise as meniscus_reconstruct. The particles are not needed any more afterwards.
 //
-// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
+// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_sample(const struct MeniscusParticles *particles,
                                const struct MeniscusOptions *options,
                                struct MeniscusFrame **frame);
 
 // Samples the particles in a file once, or opens a packed frame.
 //
-// Pointers are NULL or point to what they say.
+// Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_sample_file(const char *path,
                                     const struct MeniscusOptions *options,
                                     struct MeniscusFrame **frame);
@@ -531,7 +531,7 @@ MeniscusStatus meniscus_sample_file(const char *path,
 // are sampled may be as it was, and is refused otherwise (MENISCUS_STATUS_REQUEST). Memory,
 // threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
 //
-// Pointers are NULL or point to what they say.
+// Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
                                       const struct MeniscusOptions *options,
                                       struct MeniscusMesh **mesh);
@@ -542,7 +542,7 @@ MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
 // `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
 // size.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_frame_pack(const struct MeniscusFrame *frame,
                                    const char *path,
                                    int32_t overwrite,
@@ -571,7 +571,7 @@ void meniscus_frame_free(struct MeniscusFrame *frame);
 // later. `simulation`: where to put the handle, to be freed by meniscus_simulation_free; NULL
 // where it fails.
 //
-// Pointers are NULL or point to what they say.
+// Pointers are NULL or point to the described data.
 MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options, struct MeniscusSimulation **simulation);
 
 // Reconstructs the surface of the next frame.
@@ -580,7 +580,7 @@ MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options, st
 // meniscus_reconstruct does; the next frame may do better than one that fails.
 // MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
 //
-// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
+// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_simulation_frame(struct MeniscusSimulation *simulation,
                                          const struct MeniscusParticles *particles,
                                          struct MeniscusMesh **mesh);
@@ -638,14 +638,14 @@ uint64_t meniscus_mesh_attribute_components(const struct MeniscusMesh *mesh, siz
 // `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to
 // float moves vertices that are far from the origin.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_positions_f32(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
 // Copies the vertices' positions as double: 3 numbers a vertex.
 //
 // `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_positions_f64(const struct MeniscusMesh *mesh, double *out, uint64_t capacity);
 
 // Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from
@@ -654,7 +654,7 @@ MeniscusStatus meniscus_mesh_positions_f64(const struct MeniscusMesh *mesh, doub
 // `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
 // MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_triangles_u32(const struct MeniscusMesh *mesh, uint32_t *out, uint64_t capacity);
 
 // Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from
@@ -662,7 +662,7 @@ MeniscusStatus meniscus_mesh_triangles_u32(const struct MeniscusMesh *mesh, uint
 //
 // `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_triangles_u64(const struct MeniscusMesh *mesh, uint64_t *out, uint64_t capacity);
 
 // Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST
@@ -670,7 +670,7 @@ MeniscusStatus meniscus_mesh_triangles_u64(const struct MeniscusMesh *mesh, uint
 //
 // `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_normals(const struct MeniscusMesh *mesh, float *out, uint64_t capacity);
 
 // Returns 1 if an attribute by its number from 0 is of whole numbers, which
@@ -684,7 +684,7 @@ int32_t meniscus_mesh_attribute_is_whole(const struct MeniscusMesh *mesh, size_t
 //
 // `capacity`: the numbers that `out` has room for, at least the vertices times the components.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_attribute(const struct MeniscusMesh *mesh, size_t index, float *out, uint64_t capacity);
 
 // Copies an attribute of whole numbers, such as identifiers, by its number from 0: all components
@@ -693,7 +693,7 @@ MeniscusStatus meniscus_mesh_attribute(const struct MeniscusMesh *mesh, size_t i
 // Numbers are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the numbers that `out` has
 // room for, at least the vertices times the components.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_attribute_whole(const struct MeniscusMesh *mesh,
                                              size_t index,
                                              int64_t *out,
@@ -737,7 +737,7 @@ MeniscusStatus meniscus_mesh_check(const struct MeniscusMesh *mesh, struct Menis
 // size. The axis that points up and the compression are those of the options that the mesh was
 // made by.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
                                    const char *path,
                                    int32_t overwrite,
@@ -750,7 +750,7 @@ MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
 // `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the
 // whole text takes, without the NUL: 0 where there is no warning.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_mesh_format_warnings(const struct MeniscusMesh *mesh,
                                              const char *path,
                                              char *text,
@@ -782,18 +782,18 @@ void meniscus_options_free(struct MeniscusOptions *options);
 // the key, the value and the type that is expected, and the option keeps its value. A call that
 // uses the options refuses numbers out of range, and options that exclude each other.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_options_set(struct MeniscusOptions *options, const char *key, const char *value);
 
 // Sets an option from a number. A switch is 0 or 1. Otherwise as meniscus_options_set.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_options_set_number(struct MeniscusOptions *options, const char *key, double value);
 
 // Sets an option from several numbers: 3 for a point, 6 for a box, its lowest corner first.
 // -INFINITY and INFINITY leave an axis of a box open. Otherwise as meniscus_options_set.
 //
-// Pointers are NULL or as is said; `values` points to `count` numbers.
+// Pointers are NULL or valid as described; `values` points to `count` numbers.
 MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
                                             const char *key,
                                             const double *values,
@@ -838,7 +838,7 @@ const char *meniscus_options_help(size_t index);
 // `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be
 // replaced.
 //
-// Pointers are NULL or as is said.
+// Pointers are NULL or valid as described.
 MeniscusStatus meniscus_check_output(const char *path, const struct MeniscusOptions *options, int32_t overwrite);
 
 // Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what

@@ -204,7 +204,7 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
 /// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are
 /// done: the message says of the first.
 ///
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_convert(
     inputs: *const *const c_char,

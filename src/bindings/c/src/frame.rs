@@ -54,7 +54,7 @@ pub unsafe fn making<T>(
 /// Does something with particles in memory, while the callback listens.
 ///
 /// # Safety
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 unsafe fn of_particles<T>(
     particles: *const MeniscusParticles,
     options: *const MeniscusOptions,
@@ -70,7 +70,7 @@ unsafe fn of_particles<T>(
 /// Does something with a file, while the callback listens.
 ///
 /// # Safety
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 unsafe fn of_file<T>(
     file: *const c_char,
     options: *const MeniscusOptions,
@@ -94,7 +94,7 @@ unsafe fn of_file<T>(
 /// do; MENISCUS_STATUS_INPUT for particles that are not finite or too far away, have no surface, or
 /// are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
 ///
-/// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
+/// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_reconstruct(
     particles: *const MeniscusParticles,
@@ -114,7 +114,7 @@ pub unsafe extern "C" fn meniscus_reconstruct(
 /// `path`: any file that the program reads; one of several steps has a number behind a colon.
 /// Otherwise as meniscus_reconstruct.
 ///
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_reconstruct_file(
     path: *const c_char,
@@ -132,7 +132,7 @@ pub unsafe extern "C" fn meniscus_reconstruct_file(
 /// `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails.
 /// Otherwise as meniscus_reconstruct. The particles are not needed any more afterwards.
 ///
-/// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
+/// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_sample(
     particles: *const MeniscusParticles,
@@ -149,7 +149,7 @@ pub unsafe extern "C" fn meniscus_sample(
 
 /// Samples the particles in a file once, or opens a packed frame.
 ///
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_sample_file(
     path: *const c_char,
@@ -179,7 +179,7 @@ unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
 /// are sampled may be as it was, and is refused otherwise (MENISCUS_STATUS_REQUEST). Memory,
 /// threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
 ///
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_surface(
     frame: *const MeniscusFrame,
@@ -207,7 +207,7 @@ pub unsafe extern "C" fn meniscus_frame_surface(
 /// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
 /// size.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_frame_pack(
     frame: *const MeniscusFrame,

@@ -27,7 +27,7 @@ pub struct MeniscusSimulation {
 /// later. `simulation`: where to put the handle, to be freed by meniscus_simulation_free; NULL
 /// where it fails.
 ///
-/// Pointers are NULL or point to what they say.
+/// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_new(
     options: *const MeniscusOptions,
@@ -51,7 +51,7 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 /// meniscus_reconstruct does; the next frame may do better than one that fails.
 /// MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
 ///
-/// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
+/// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_frame(
     simulation: *mut MeniscusSimulation,

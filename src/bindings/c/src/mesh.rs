@@ -290,7 +290,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_components(
 /// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to
 /// float moves vertices that are far from the origin.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_positions_f32(
     mesh: *const MeniscusMesh,
@@ -305,7 +305,7 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f32(
 ///
 /// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     mesh: *const MeniscusMesh,
@@ -322,7 +322,7 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f64(
 /// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
 /// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
     mesh: *const MeniscusMesh,
@@ -348,7 +348,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
 ///
 /// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     mesh: *const MeniscusMesh,
@@ -364,7 +364,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
 ///
 /// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_normals(
     mesh: *const MeniscusMesh,
@@ -409,7 +409,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
 ///
 /// `capacity`: the numbers that `out` has room for, at least the vertices times the components.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute(
     mesh: *const MeniscusMesh,
@@ -432,7 +432,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
 /// Numbers are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the numbers that `out` has
 /// room for, at least the vertices times the components.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
     mesh: *const MeniscusMesh,
@@ -554,7 +554,7 @@ pub unsafe extern "C" fn meniscus_mesh_check(
 /// size. The axis that points up and the compression are those of the options that the mesh was
 /// made by.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_write(
     mesh: *const MeniscusMesh,
@@ -582,7 +582,7 @@ pub unsafe extern "C" fn meniscus_mesh_write(
 /// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the
 /// whole text takes, without the NUL: 0 where there is no warning.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_format_warnings(
     mesh: *const MeniscusMesh,

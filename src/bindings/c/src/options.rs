@@ -161,7 +161,7 @@ fn range<S: Source<Error = String>>(value: &S) -> Result<(i64, i64), String> {
     let ends = text.split_once("..");
     let ends = ends.and_then(|(first, last)| Some((first.parse().ok()?, last.parse().ok()?)));
     ends.filter(|(first, last)| first <= last)
-        .ok_or_else(|| "expected two numbers in order, as 100..199".into())
+        .ok_or_else(|| "expected two increasing numbers, such as 100..199".into())
 }
 
 impl Frames {
@@ -379,7 +379,7 @@ pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
 /// the key, the value and the type that is expected, and the option keeps its value. A call that
 /// uses the options refuses numbers out of range, and options that exclude each other.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_set(
     options: *mut MeniscusOptions,
@@ -403,7 +403,7 @@ pub unsafe extern "C" fn meniscus_options_set(
 
 /// Sets an option from a number. A switch is 0 or 1. Otherwise as meniscus_options_set.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_set_number(
     options: *mut MeniscusOptions,
@@ -420,7 +420,7 @@ pub unsafe extern "C" fn meniscus_options_set_number(
 /// Sets an option from several numbers: 3 for a point, 6 for a box, its lowest corner first.
 /// -INFINITY and INFINITY leave an axis of a box open. Otherwise as meniscus_options_set.
 ///
-/// Pointers are NULL or as is said; `values` points to `count` numbers.
+/// Pointers are NULL or valid as described; `values` points to `count` numbers.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_options_set_numbers(
     options: *mut MeniscusOptions,
@@ -521,7 +521,7 @@ pub extern "C" fn meniscus_options_help(index: usize) -> *const c_char {
 /// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be
 /// replaced.
 ///
-/// Pointers are NULL or as is said.
+/// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_check_output(
     path: *const c_char,

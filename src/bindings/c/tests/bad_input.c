@@ -61,13 +61,13 @@ static void refuse_options(const char *message, const char *const *said, int lin
 #pragma GCC diagnostic ignored "-Woverride-init"
 
 static void options_are_refused(void) {
-  OPTION("spacing must be positive and finite, not -0.05", "spacing", "-0.05");
-  OPTION("spacing must be positive and finite, not NaN", "spacing", "nan");
-  OPTION("spacing must be positive and finite, not inf", "spacing", "inf");
-  OPTION("spacing must be positive and finite, not 0", "spacing", "0");
-  OPTION("radius must be positive and finite, not -1", "radius", "-1");
-  OPTION("radius and spacing exclude each other", "radius", "1", "spacing", "2");
-  OPTION("cell-size and cell exclude each other", "cell", "1", "cell-size", "2");
+  OPTION("spacing must be positive and finite, got -0.05", "spacing", "-0.05");
+  OPTION("spacing must be positive and finite, got NaN", "spacing", "nan");
+  OPTION("spacing must be positive and finite, got inf", "spacing", "inf");
+  OPTION("spacing must be positive and finite, got 0", "spacing", "0");
+  OPTION("radius must be positive and finite, got -1", "radius", "-1");
+  OPTION("radius cannot be used with spacing", "radius", "1", "spacing", "2");
+  OPTION("cell-size cannot be used with cell", "cell", "1", "cell-size", "2");
   OPTION("cell-size must be positive", "cell-size", "nan");
   OPTION("cell must be positive", "cell", "-0.5");
   OPTION("origin", "origin", "nan,0,0");
@@ -79,13 +79,13 @@ static void options_are_refused(void) {
   OPTION("smooth must be", "smooth", "nan");
   OPTION("sigma must be", "indicator", "counting", "sigma", "-1");
   OPTION("mu0 must be", "indicator", "counting", "mu0", "inf");
-  OPTION("mu0 has no meaning for indicator cloud", "mu0", "1");
+  OPTION("mu0 does not apply to indicator cloud", "mu0", "1");
   OPTION("iso must be", "indicator", "symmetry", "iso", "2");
-  OPTION("iso has no meaning for this method", "method", "zhu-bridson", "iso", "0.5");
+  OPTION("iso does not apply to this method", "method", "zhu-bridson", "iso", "0.5");
   OPTION("simplify must be", "simplify", "-1");
   OPTION("smallest-component must be", "smallest-component", "nan");
-  OPTION("memory of at least", "memory", "1");
-  OPTION("threads cannot be started: their number must be 1 to 1024", "threads", "4000000000");
+  OPTION("of memory is needed", "memory", "1");
+  OPTION("cannot start threads: their number must be from 1 to 1024", "threads", "4000000000");
   OPTION("device: the backend is cpu", "backend", "cpu", "device", "0");
   OPTION("backend: kernel methods run on the CPU", "backend", "vulkan", "method", "mueller");
   OPTION("backend: kernel methods run on the CPU", "device", "0", "method", "yu-turk");
@@ -118,7 +118,7 @@ static void keys_and_values_are_refused(void) {
   OPTION("start: expected a whole number, got \"1.5\"", "start", "1.5");
   OPTION("end: expected a whole number, got \"last\"", "end", "last");
   OPTION("together: expected true or false, got \"a,b\"", "together", "a,b");
-  OPTION("frames: expected two numbers in order, as 100..199, got \"5..3\"", "frames", "5..3");
+  OPTION("frames: expected two increasing numbers, such as 100..199, got \"5..3\"", "frames", "5..3");
   OPTION("device is not UTF-8", "device", "\xff");
   OPTION("where is not UTF-8", "where", "\xff");
   OPTION("attributes is not UTF-8", "attributes", "\xe9t\xe9");
@@ -241,7 +241,7 @@ static void files_are_refused(const char *folder) {
   WRITE(REQUEST, "exists already", meniscus_check_output(path, NULL, 0));
   OK(meniscus_check_output(path, NULL, 1));
   MeniscusOptions *heat = OPTIONS("attributes", "heat");
-  WRITE(REQUEST, ".obj cannot hold attributes", meniscus_check_output("new.obj", heat, 0));
+  WRITE(REQUEST, ".obj cannot store attributes", meniscus_check_output("new.obj", heat, 0));
   meniscus_options_free(heat);
   OK(meniscus_check_output("new.obj", NULL, 0));
   CHECK(access("new.obj", F_OK) != 0);
@@ -300,14 +300,14 @@ static void conversions_are_refused(const char *folder) {
     WRITE(kind, message, meniscus_convert(inputs, count, output, options, NULL)); \
     meniscus_options_free(options); \
   } while (0)
-  CONVERT(INPUT, "there are no frames", inputs, 1, output, "start", "0");
+  CONVERT(INPUT, "no frames found", inputs, 1, output, "start", "0");
   CONVERT(REQUEST, "input_count is 0", inputs, 0, output, "start", "0");
   CONVERT(REQUEST, "inputs is NULL", NULL, 1, output, "start", "0");
   CONVERT(REQUEST, "inputs[1] is NULL", inputs, 2, output, "start", "0");
   CONVERT(REQUEST, "output is NULL", inputs, 1, NULL, "start", "0");
   CONVERT(REQUEST, "one file for all frames", inputs, 1, "one.ply", "start", "0");
-  CONVERT(REQUEST, "there are no frames from 4 to 0", inputs, 1, output, "start", "4", "end", "0");
-  CONVERT(REQUEST, "there are no frames from -1 to -3", inputs, 1, output, "start", "-1", "end", "-3");
+  CONVERT(REQUEST, "the first frame (4) is after the last (0)", inputs, 1, output, "start", "4", "end", "0");
+  CONVERT(REQUEST, "the first frame (-1) is after the last (-3)", inputs, 1, output, "start", "-1", "end", "-3");
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "-1");
   CONVERT(REQUEST, "fps must be", inputs, 1, output, "fps", "nan");
   CONVERT(REQUEST, "watch must be a number of seconds", inputs, 1, output, "watch", "nan");

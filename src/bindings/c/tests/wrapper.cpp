@@ -82,7 +82,7 @@ static void test(const std::string &folder) {
     CHECK(failure(call, message) == MENISCUS_STATUS_REQUEST);
   };
   refused([&] { meniscus::reconstruct(particles, options); },
-          "spacing must be positive and finite, not -1");
+          "spacing must be positive and finite, got -1");
   refused([&] { options.set("spacng", 1); }, "no option has the key \"spacng\"");
   refused([&] { options.set("normals", "yes"); }, "normals: expected true or false, got \"yes\"");
   refused([&] { options.set("origin", std::vector<double>{1}); }, "origin: expected 3 numbers");

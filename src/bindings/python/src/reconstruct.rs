@@ -10,75 +10,74 @@ use crate::work::{Work, with_progress};
 
 /// Reconstructs the surface of particles: a closed, oriented, 2-manifold triangle mesh.
 ///
-/// Keywords are the options of ``meniscus reconstruct``, whose ``--help`` says more of each. None
-/// is needed: what is not said is estimated, or the default. Lengths are in the unit of the
-/// positions.
+/// Keywords are the options of ``meniscus reconstruct``, whose ``--help`` describes them in detail.
+/// All are optional: by default they are estimated or have fixed values. Lengths are in the unit of
+/// the positions.
 ///
 /// Parameters
 /// ----------
 /// positions : array of shape (N, 3), float32 or float64
-///     NumPy's, or any that shares its memory by DLPack, the array interface or the buffer protocol; with any strides, also read-only. It
-///     is read where it is, and never copied.
+///     A NumPy array, or any object that shares its memory by DLPack, the array interface or the buffer protocol; with any strides, also
+///     read-only. It is read in place, and never copied.
 /// velocity : array of shape (N, 3), optional
-///     Velocities, which the vertices carry as ``attributes["velocity"]``.
+///     Velocities; the mesh has them as ``attributes["velocity"]``.
 /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
-///     Further values, which the vertices carry. What is called ``v`` or the like is ``velocity`` there. Of integers, such as identifiers,
-///     a vertex has those of the particle nearest to it; they have to fit 32 bits.
+///     Further values to interpolate to the vertices. ``v`` and similar names become ``velocity``. Integers, such as identifiers, are taken
+///     from the particle nearest to a vertex, and must fit into 32 bits.
 /// where : str or list of str, optional
-///     Conditions on ``attributes`` of the particles that are used, such as "Type=1" or "age<2.5 and z>0".
+///     Use only particles whose ``attributes`` satisfy conditions, such as "Type=1" or "age<2.5 and z>0".
 /// spacing, radius : float, optional
-///     Distance between neighbouring particles, or half of it. Estimated, if neither is given.
+///     Distance between neighbouring particles, or half of it. Estimated if neither is given.
 /// cell, cell_size : float, optional
-///     Edge of a cell in spacings (0.5 by default, renders want 0.25), or as a length.
+///     Edge of a cell in spacings (0.5 by default; use 0.25 for renders), or as a length.
 /// origin : three floats, optional
 ///     A corner of the grid's cells.
 /// domain : six floats or None, or two corners, or "auto", optional
-///     A tank, x0, y0, z0, x1, y1, z1, at whose walls the fluid ends exactly; None for a side without a wall. "auto" finds the walls.
+///     Walls of a tank, x0, y0, z0, x1, y1, z1, on which the surface ends exactly; None for an open side. "auto" finds the walls.
 /// periodic : six floats or None, or two corners, optional
-///     A box that repeats itself; None for both ends of an axis that is open.
+///     A periodic box; None for both ends of an open axis.
 /// periodic_mesh : "cut" or "overlap", optional
-///     Where the mesh ends at the faces of a periodic box.
+///     How the mesh ends at the faces of a periodic box.
 /// indicator : "cloud", "counting" or "symmetry", optional
-///     How a cell's share of fluid is told; "cloud" by default, the others are the paper's.
+///     How a cell's sample is computed; "cloud" by default, the others are the paper's.
 /// mu0 : float, optional
-///     Mean number of particles in a full cell, for counting.
+///     Mean number of particles in cells that contain any, for counting.
 /// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
-///     Discrete indicator functions, or a kernel method to compare them with.
+///     Discrete indicator functions, or a kernel method for comparison.
 /// skip_invalid : bool, optional
-///     Leave out particles that are not finite or too far away, which are an error otherwise.
+///     Leave out particles that are not finite or too far away, instead of an error.
 /// smooth : float, optional
-///     Width of smoothing in spacings, 1.6 by default: more is calmer, 2 for the noise of FLIP.
+///     Smoothing width in spacings, 1.6 by default; more is calmer, 2 for noisy FLIP particles.
 /// sigma : float, optional
-///     Width of the Gaussian in cells, for the paper's indicators.
+///     Standard deviation of the Gaussian in cells, for counting and symmetry.
 /// iso : float or "auto", optional
-///     Isovalue between 0 and 1, for the paper's indicators and kernel methods.
+///     Isovalue between 0 and 1, for counting, symmetry and kernel methods.
 /// detail : bool, optional
-///     Recover details that smoothing loses, for the paper's indicators.
+///     Recover details that smoothing removes, for counting and symmetry.
 /// normals : bool, optional
-///     Make vertex normals, from the field's gradient.
+///     Add vertex normals, from the field's gradient.
 /// simplify : float, optional
-///     Use fewer triangles, none farther off than so many cells.
+///     Use fewer triangles; the surface moves no farther than this number of cells.
 /// smallest_component : float, optional
-///     Leave out components of less volume than so many cells.
+///     Leave out components with less than this volume in cells.
 /// smallest_drop : int, optional
-///     Leave out drops of fewer particles.
+///     Leave out drops with fewer particles.
 /// compress : bool, optional
 ///     Write .glb files quantized and compressed.
 /// up, particles_up : "y" or "z", optional
-///     The axis that points up in files, and in the particles.
+///     Axis that points up in mesh files, and in the particles.
 /// backend : "auto", "cpu" or "vulkan", optional
-///     Where it is computed: the same bytes everywhere.
+///     Backend; the mesh has the same bytes on all.
 /// device : str or int, optional
-///     The Vulkan device, by number, UUID or a part of its name.
+///     Vulkan device, by number, UUID or part of its name.
 /// threads : int, optional
 ///     Threads to use; all cores by default.
 /// memory : int in bytes or a str such as "512MiB", optional
-///     Memory that may be used; the rest goes through scratch files. Three quarters of what is available by default.
+///     Memory limit; larger frames use scratch files. The default is three quarters of the available memory.
 /// scratch : str or os.PathLike, optional
-///     Folder for scratch files; the system's for temporary files by default.
+///     Folder for scratch files; by default the system's temporary folder.
 /// progress : callable, optional
-///     Is called with the name of a stage and the share of it that is done, from 0 to 1, on the caller's thread. What it raises ends the
-///     work.
+///     Called on the caller's thread with the name of a stage and its progress from 0 to 1. An exception cancels the work.
 ///
 /// Returns
 /// -------
@@ -87,16 +86,15 @@ use crate::work::{Work, with_progress};
 /// Raises
 /// ------
 /// TypeError
-///     For an array of another kind, or one on a device.
+///     For an array of another type, or one on a device.
 /// meniscus.InputError
-///     For numbers out of range, arrays of another shape, particles that have no surface, or none at all; a ValueError, as all of another
-///     shape are.
+///     For numbers out of range, arrays of another shape, and particles without a surface. It is a ValueError.
 /// meniscus.FileError
-///     For scratch files that fail; an OSError.
+///     For scratch files that fail. It is an OSError.
 /// meniscus.DeviceError
-///     For a device that was asked for, and cannot be used.
+///     For a requested device that cannot be used.
 /// KeyboardInterrupt
-///     On Ctrl-C, soon after.
+///     On Ctrl-C.
 #[pyfunction]
 #[pyo3(
     signature = (positions, *, velocity=None, attributes=None, progress=None, **keywords),

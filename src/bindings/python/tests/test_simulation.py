@@ -148,7 +148,7 @@ def test_frames_are_listed_by_their_numbers(dambreak: Path, tmp_path: Path) -> N
     assert meniscus.list_frames(str(dambreak / "*.bgeo")) == meniscus.list_frames([path for _, path in listed]) == listed
     with pytest.raises(meniscus.InputError, match="several simulations"):
         meniscus.list_frames(dambreak)
-    with pytest.raises(meniscus.FileError, match="there are no frames"):
+    with pytest.raises(meniscus.FileError, match="no frames found"):
         meniscus.list_frames(tmp_path)
     with pytest.raises(TypeError, match="a path or a list of paths is needed"):
         meniscus.list_frames(7)  # type: ignore[arg-type]

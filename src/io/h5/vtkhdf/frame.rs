@@ -47,8 +47,8 @@ impl Frame {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for every partition, each with so many behind it that are taken
-    /// too.
+    /// The entries of a data set for every partition, each with the given number of entries after
+    /// it.
     pub fn of_parts(
         &self,
         file: &File,
@@ -78,7 +78,7 @@ impl Frame {
                 arrays.push(array.part(first, rows)?);
             }
         }
-        let no_points = || malformed(0, "the Points have not three components");
+        let no_points = || malformed(0, "Points must have three components");
         Table::of_arrays(arrays, "Points").ok_or_else(no_points)
     }
 

@@ -51,7 +51,7 @@ pub(super) fn left(
     };
 
     let points = frame.points(file, root)?;
-    // Whoever reads the points refuses more of them than the file can hold.
+    // Reading the points rejects more of them than the file can contain.
     if sum(&points)? > file.limit {
         return Ok(None);
     }
@@ -64,8 +64,10 @@ pub(super) fn left(
     };
     let all = [sum(&vertices)?, sum(&ids)?, sum(&others)?];
     if sum(&all)? > file.limit {
-        let what =
-            format!("{} cells with {} points are beyond all reason for this file", all[0], all[1]);
+        let what = format!(
+            "{} cells with {} points are too many for the size of this file",
+            all[0], all[1]
+        );
         return Err(ReadFault::Compression(what));
     }
 
@@ -102,7 +104,7 @@ pub(super) fn left(
     }
     let all_taken = |flags: &&Numbers| frame.step.is_some() || flags.at == flags.array.rows;
     if let Some(Numbers { array, at, .. }) = arrays.flags.iter().find(|flags| !all_taken(flags)) {
-        let what = format!("array {} is not of one number for each of {at} cells", array.name);
+        let what = format!("array {} must have one number for each of {at} cells", array.name);
         return Err(malformed(0, what));
     }
     Ok(Some(left))
@@ -271,7 +273,7 @@ impl Numbers {
         self.at = self.at.saturating_add(rows);
     }
 
-    /// Passes so many numbers on, each with its place among them.
+    /// Passes `rows` numbers on, each with its index.
     fn each(&mut self, rows: u64, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
         let Array { name, rows: all, .. } = &self.array;
         let end = self.at.saturating_add(rows);

@@ -30,8 +30,8 @@ fn opened(file: &File) -> Result<(Group, String), ReadFault> {
     match kind.as_str() {
         POLY_DATA | "UnstructuredGrid" => Ok((root, kind)),
         _ => {
-            let what = "points are read from PolyData and UnstructuredGrid";
-            Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")))
+            let what = "supported: PolyData and UnstructuredGrid";
+            Err(ReadFault::Unsupported(format!("data set of type {kind:?}; {what}")))
         }
     }
 }
@@ -42,7 +42,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     let steps = step_count(&root)?.unwrap_or(0);
     if steps.saturating_mul(8) > file.limit {
         return Err(ReadFault::Compression(format!(
-            "{steps} steps are beyond all reason for this file"
+            "{steps} steps are too many for the size of this file"
         )));
     }
     Ok((0..steps).collect())
@@ -100,17 +100,21 @@ pub fn has_faces(file: &File) -> Result<bool, ReadFault> {
 pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
     let (root, kind) = opened(&file)?;
     if kind != POLY_DATA {
-        return Err(ReadFault::Unsupported(format!("an {kind}; a mesh is {POLY_DATA}")));
+        return Err(ReadFault::Unsupported(format!("an {kind}; meshes must be {POLY_DATA}")));
     }
     let frame = Frame::of(&file, &root, None)?;
     if frame.step.is_some() {
-        return Err(ReadFault::Unsupported("steps in time; a mesh is one frame".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "several time steps; a mesh must be a single frame".to_owned(),
+        ));
     }
     let points = frame.points(&file, &root)?;
     if let Some(strips) = sub_group(&root, "Strips")?
         && sum(&frame.of_parts(&file, &strips, "NumberOfCells", 0)?)? > 0
     {
-        return Err(ReadFault::Unsupported("triangle strips; save them as triangles".to_owned()));
+        return Err(ReadFault::Unsupported(
+            "triangle strips are not supported; save them as triangles".to_owned(),
+        ));
     }
     let mut triangles = Triangles::new(usize::try_from(sum(&points)?).unwrap_or(usize::MAX))?;
     if let Some(polygons) = sub_group(&root, "Polygons")? {
@@ -140,10 +144,7 @@ fn add_polygons(
     let (mut at, mut corner, mut base, mut face) = (0usize, 0usize, 0i64, 0);
     for ((cells, ids), points) in cells.into_iter().zip(ids).zip(points) {
         let short = || {
-            malformed(
-                0,
-                format!("{cells} polygons with {ids} corners are announced, and not there"),
-            )
+            malformed(0, format!("{cells} polygons with {ids} corners are announced, but missing"))
         };
         let end = |start: usize, count: u64| start.checked_add(usize::try_from(count).ok()?);
         let ends = end(at, cells).and_then(|last| offsets.get(at..=last)).ok_or_else(short)?;
@@ -162,7 +163,7 @@ fn add_polygons(
             {
                 return Err(malformed(
                     0,
-                    format!("polygon {face} names point {wrong} of {points}"),
+                    format!("polygon {face} refers to point {wrong} of {points}"),
                 ));
             }
             let moved: Vec<i64> = polygon.iter().map(|corner| corner + base).collect();

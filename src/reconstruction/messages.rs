@@ -1,0 +1,391 @@
+//! A list of every error and warning with example values, in `tests/messages.txt`.
+//!
+//! A change of a message shows in that file. Set `MENISCUS_UPDATE=1` to write it.
+
+use std::fmt::{Display, Write as _};
+use std::io;
+use std::path::PathBuf;
+
+use ash::vk;
+
+use super::warning::{Emptiness, Warning};
+use super::{Doubt, Mistake, SpacingSource};
+use crate::baselines::{KernelMethod, TooManyCells};
+use crate::brick::{BinError, Census};
+use crate::error::{
+    ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, OverBudget,
+    PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, SelectionFault, Setting,
+    SimulationError, TooFine, Unfit, UnitError, Unread, Untold, VulkanError, WholeMeshError,
+    WriteError, WriteFault,
+};
+use crate::field::calibration::NoMeanCount;
+use crate::field::indicator::IndicatorKind;
+use crate::field::walls::Past;
+use crate::frame::{Coincident, Shortfall};
+use crate::grid::units::Isovalue;
+use crate::io::LeftOut;
+use crate::io::output::MeshFormat;
+use crate::particles::mixture::Mixture;
+use crate::particles::occurring::{Occurring, Value};
+use crate::particles::{AttributeInfo, AttributeKind};
+use crate::surface::mesh::compare::Side;
+use crate::surface::simplify::TooSmall;
+
+fn section<T: Display>(text: &mut String, name: &str, examples: &[(&str, T)]) {
+    let _ = writeln!(text, "\n{name}");
+    for (variant, example) in examples {
+        let _ = writeln!(text, "  {variant}: {example}");
+    }
+}
+
+/// Prints examples of an enum. A variant without an example does not compile.
+macro_rules! examples {
+    ($text:ident, $type:ident: $(
+        $variant:ident $(($($value:expr),*))? $({ $($field:tt)* })?
+    ),* $(,)?) => {{
+        #[allow(unreachable_patterns, reason = "some variants have several examples")]
+        let _all = |value: &$type| match value { $($type::$variant { .. } => ()),* };
+        section(&mut $text, stringify!($type), &[
+            $((stringify!($variant), $type::$variant $(($($value),*))? $({ $($field)* })?)),*
+        ]);
+    }};
+}
+
+fn full_disk() -> io::Error {
+    io::Error::from(io::ErrorKind::StorageFull)
+}
+
+fn path(text: &str) -> PathBuf {
+    text.into()
+}
+
+fn names() -> Vec<String> {
+    ["velocity", "density"].map(str::to_owned).to_vec()
+}
+
+#[test]
+fn every_message_is_as_the_list_has_it() {
+    let listed = format!("{}{}{}", requests(), files(), frames());
+    let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/messages.txt");
+    if std::env::var_os("MENISCUS_UPDATE").is_some() {
+        std::fs::write(&file, &listed).unwrap();
+    }
+    let kept = std::fs::read_to_string(&file).unwrap_or_default();
+    for (number, (now, before)) in listed.lines().zip(kept.lines()).enumerate() {
+        assert_eq!(now, before, "line {} of {}", number + 1, file.display());
+    }
+    assert_eq!(listed.lines().count(), kept.lines().count(), "{}", file.display());
+}
+
+fn requests() -> String {
+    let mut text = "Every error and warning of the library, with example values.\n".to_owned();
+    examples!(text, Error:
+        Request("thickness must be at least 1".into()),
+        Unfit(Unfit { setting: Setting::named("smooth"), with: Conflict::Packing }),
+        TwoPurposes { path: path("a.ply"), other: path("a.ply") },
+        TwoPurposes { path: path("a.ply"), other: path("link.ply") },
+        Cancelled,
+        Unit(UnitError::Isovalue(1.5)),
+        Domain(DomainError::Thin { axis: 'x' }),
+        Periodic(PeriodicError::Open),
+        Read(ReadError::new("frame_1.vtk", ReadFault::Empty)),
+        Selection(SelectionFault::Types),
+        Vulkan(VulkanError::NoDevice),
+        Write(WriteError::new("mesh.ply".as_ref(), full_disk())),
+        Frame { path: Some(path("frame_1.vtk")), fault: FrameError::NoSpacing },
+        Simulation(SimulationError::Step),
+        WholeMesh(WholeMeshError::TooManyVertices(1 << 32)),
+        Parts(PartsError::NoPlan(path("mesh.ply.meniscus-parts"))),
+        Mesh { path: path("mesh.ply"), fault: CompareError::NoSurface(Side::Mesh) },
+        Solid { path: path("ship.obj"), fault: SolidFault::Open { edges: 3 } },
+        Picture { path: Some(path("mesh.ply")), fault: PictureError::Size(0, 99) },
+        NoAttribute { path: Some(path("frame_1.vtk")), name: "heat".into(), known: names() },
+        NoAttribute { path: None, name: "heat".into(), known: Vec::new() },
+        LittleMemory { least: 16 << 20, simplifying: None },
+        LittleMemory { least: 72 << 20, simplifying: Some(2) },
+        Threads("Resource temporarily unavailable".into()),
+        NoSpacing {
+            path: Some(path("frame_1.vtk")),
+            particles: 7,
+            why: Untold::TooFew,
+            suggested: Some(0.05),
+        },
+    );
+    examples!(text, Untold: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
+    examples!(text, SolidFault:
+        Mesh(CompareError::NoSurface(Side::Mesh)), Open { edges: 3 }, Inconsistent { edges: 12 },
+    );
+    conflicts(&mut text);
+    examples!(text, UnitError:
+        Isovalue(1.5), Sigma(-1.0), MeanCount(0.0), Smooth(9.0), SheetStretch(0.5),
+        SolidOffset(5.0), Tolerance(0.0), Volume(f64::NAN), NotFinite { name: "origin", value: f64::INFINITY },
+        Length { name: "spacing", value: -0.05 },
+    );
+    examples!(text, DomainError: Corners, Thin { axis: 'x' }, TooFar);
+    examples!(text, PeriodicError:
+        Corners, Open, NoBox, Walled { axis: 'y' },
+        Narrow { axis: 'z', width: 1.0, reach: 0.55 }, TooFar,
+    );
+    examples!(text, VulkanError:
+        NoLoader("libvulkan.so.1: cannot open shared object file".into()),
+        NoValidation, NoDevice,
+        NotFound { wanted: "radeon".into(), known: "0 llvmpipe".into() },
+        Unfit { device: "old GPU".into(), lacks: "it does not support Vulkan 1.2" },
+        OutOfMemory { bytes: 1 << 30 },
+        Lost,
+        Call { call: "vkQueueSubmit", result: vk::Result::ERROR_UNKNOWN },
+    );
+    text
+}
+
+fn conflicts(text: &mut String) {
+    let mesh = || path("mesh.obj");
+    let both = [
+        ("radius", Conflict::Setting(Setting::named("spacing"))),
+        ("solid-offset", Conflict::Needs(Setting::named("solid"))),
+        ("solid", Conflict::Indicator(IndicatorKind::Counting)),
+        ("mu0", Conflict::Indicator(IndicatorKind::Symmetry)),
+        ("sigma", Conflict::Indicator(IndicatorKind::Cloud)),
+        ("iso", Conflict::Indicator(IndicatorKind::Cloud)),
+        ("smooth", Conflict::Indicator(IndicatorKind::Counting)),
+        ("detail", Conflict::Method(KernelMethod::ZhuBridson)),
+        ("format", Conflict::Packed(path("frame.mnf"))),
+        ("cell", Conflict::Packed(path("frame.mnf"))),
+        ("smooth", Conflict::Packing),
+        ("cell", Conflict::Sampled),
+        ("simplify", Conflict::OnDevice),
+        ("compress", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
+        ("up", Conflict::Format { path: path("mesh.glb"), format: MeshFormat::Obj }),
+        ("attributes", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
+    ];
+    let messages = both.map(|(setting, with)| {
+        let unfit = Unfit { setting: Setting::named(setting), with };
+        let conflict = match unfit.with {
+            Conflict::Setting(_) => "Setting",
+            Conflict::Needs(_) => "Needs",
+            Conflict::Indicator(_) => "Indicator",
+            Conflict::Method(_) => "Method",
+            Conflict::Packed(_) => "Packed",
+            Conflict::Packing => "Packing",
+            Conflict::Sampled => "Sampled",
+            Conflict::OnDevice => "OnDevice",
+            Conflict::Format { .. } => "Format",
+        };
+        (conflict, unfit)
+    });
+    section(text, "Unfit", &messages);
+}
+
+fn files() -> String {
+    let mut text = String::new();
+    examples!(text, ReadFault:
+        Io(io::ErrorKind::NotFound.into()),
+        Empty,
+        Scratch(full_disk()),
+        Compression("invalid checksum".into()),
+        Truncated { what: "the positions".into(), needed: 120_000, have: 91_204 },
+        Malformed { at: 57, what: "unknown byte order 3".into() },
+        Line { line: 12, what: "\"north\" is not a number (column x)".into() },
+        Changed,
+        Mesh { faces: 12 },
+        Twice { other: path("a.bgeo") },
+        ColourScale {
+            attribute: "Cd".into(),
+            scale: ColourScale::Bytes,
+            other: path("b.ply"),
+            of_other: ColourScale::Shares,
+        },
+        Selection(SelectionFault::Types),
+        Unsupported("HDF5 needs meniscus built with the feature hdf5".into()),
+        UnknownExtension { known: ".bgeo, .csv" },
+    );
+    examples!(text, SelectionFault:
+        NoAttribute { name: "heat".into(), known: names() },
+        Component { name: "velocity".into(), attribute: "velocity".into(), components: 3 },
+        Text { name: "Type".into(), value: "water".into() },
+        Order { name: "material".into() },
+        Types,
+        None {
+            of: 100,
+            conditions: "Type=7".into(),
+            values: vec![Occurring {
+                name: "Type".into(),
+                values: vec![(Value::Number(0.0), 60), (Value::Text("wall".into()), 40)],
+            }],
+        },
+        Unread(Unread::Changed),
+        Cancelled,
+    );
+    examples!(text, WriteFault:
+        Io(full_disk()), Exists, ExistsInSimulation, UnknownExtension { known: ".ply, .obj" },
+        Unsupported(".stl stores coordinates as f32, and these are out of its range".into()),
+    );
+    examples!(text, SimulationError:
+        NoFrames("sim/*.bgeo".into()),
+        NoFiles("sim/*.bgeo".into()),
+        NoFolder(path("sim")),
+        Unreadable { path: path("sim"), fault: io::ErrorKind::PermissionDenied.into() },
+        NoneWanted("sim/f_{}.bgeo".into()),
+        Rate { rate: 0.0, range: crate::error::FPS },
+        Wait(-1.0),
+        Steps("sim.h5part".into()),
+        Joined("sim/f_{}_{piece}.npy".into()),
+        Range { first: 5, last: 3 },
+        Step,
+        Names("f_1_2.csv: its numbers can be one decimal or two integers".into()),
+        Several { from: "sim".into(), families: "oil_{} (8), water_{} (8)".into() },
+        Io { path: path("mesh"), fault: full_disk() },
+        State { path: path("mesh/f.ply.meniscus/state.json"), what: "expected value".into() },
+        Busy(path("mesh/f.ply.meniscus")),
+        Settings { path: path("mesh/f.ply.meniscus"), differing: "smooth, cell".into() },
+    );
+    let plan = || path("m.ply.meniscus-parts/plan.json");
+    examples!(text, PartsError:
+        Count { asked: 5000, most: 1000 },
+        NoPart { part: 8, of: 8 },
+        NoFile(path("/dev/null")),
+        NoPlan(path("m.ply.meniscus-parts")),
+        Plan { path: plan(), what: "was modified after it was written".into() },
+        Settings { path: plan(), differing: "smooth".into() },
+        Changed { input: path("frame.bgeo"), plan: plan() },
+        Missing { folder: path("m.ply.meniscus-parts"), missing: vec![0, 1, 2, 7], of: 8 },
+        Damaged { path: path("m.ply.meniscus-parts/part_3"), what: "wrong CRC-32".into() },
+        Foreign(path("m.ply.meniscus-parts/part_3")),
+        Io { path: plan(), fault: full_disk() },
+    );
+    examples!(text, CompareError:
+        NoSurface(Side::Reference), NotFinite { side: Side::Mesh, vertex: 12 },
+    );
+    examples!(text, PictureError:
+        Size(0, 99),
+        View("the eye and the point that it looks at must differ"),
+        Map { name: "rainbow".into(), known: "viridis, turbo".into() },
+        NoAttribute { name: "heat".into(), known: "velocity".into() },
+        Reference(CompareError::NoSurface(Side::Reference)),
+        Memory { needed: 1 << 30, allowed: 1 << 20 },
+        Io(io::ErrorKind::UnexpectedEof.into()),
+    );
+    text
+}
+
+fn frames() -> String {
+    let mut text = String::new();
+    let census = Census { binned: 0, not_finite: 2, too_far: 1, outside: 5 };
+    let iso = Isovalue::new(0.4).unwrap();
+    let mean = NoMeanCount(UnitError::MeanCount(0.0));
+    let small = TooSmall { components: 3, drops: 1 };
+    let fine = TooFine::Finest { cell_size: 0.001, spacing: 0.05 };
+    let over = OverBudget { cell_size: 0.01, budget: 16 << 20, fitting_cell_size: 0.02 };
+    let far = BinError::TooFar { index: 7, position: [1e12, 0.0, 0.0], cell_size: 0.1 };
+    examples!(text, FrameError:
+        NoParticles(census), NoParticles(Census::default()), Bin(far), Unread(Unread::Changed),
+        Kind(KindFault::Scale { name: "Cd".into(), greatest: 200.0 }),
+        OverBudget(over), MeanCount(mean), TooFine(fine), NoSurface { iso }, NoDistanceSurface,
+        OtherIndicator, FewImages { needed: 40, there: 22 }, NoSpacing,
+        Kernels(TooManyCells(20.0)), NoKernelSurface,
+        NoRoom { folder: path("/tmp"), needed: 1 << 30, free: 1 << 20 },
+        WideAttributes { components: 300, needed: 1 << 30, budget: 1 << 20 },
+        NothingLeft(small), TooManyVertices, NoSpace { vertices: 100, triangles: 200 },
+        Vulkan(VulkanError::Lost), Cancelled,
+        Scratch { folder: path("/tmp"), fault: full_disk() },
+    );
+    examples!(text, BinError:
+        NotFinite { index: 7, position: [0.0, f64::NAN, 0.0] },
+        TooManyBins { limit: 1 << 26 },
+        OutsideBox { index: 7, position: [2.0, 0.0, 0.0], axis: 'x' },
+        TooFar { index: 7, position: [1e12, 0.0, 0.0], cell_size: 0.1 },
+    );
+    examples!(text, KindFault:
+        TooWide { name: "id".into(), value: 1 << 40, limits: [0, u32::MAX.into()] },
+        Scale { name: "Cd".into(), greatest: 200.0 },
+    );
+    examples!(text, TooFine:
+        Steps { cell_size: 0.01, plateau: 12.0, step_cells: 0.2, remedy: Remedy::Cells(0.1) },
+        Steps {
+            cell_size: 0.01, plateau: 12.0, step_cells: 0.2, remedy: Remedy::Origin([0.5; 3]),
+        },
+        Finest { cell_size: 0.001, spacing: 0.05 },
+        Symmetry { cell_size: 0.02, spacing: 0.05 },
+    );
+    warnings(&mut text);
+    text
+}
+
+fn warnings(all: &mut String) {
+    let mut text = String::new();
+    let unused = Coincident { particles: 90, most: 91, at: [0.0; 3], alone: true };
+    let some = Coincident { particles: 20, most: 2, at: [0.5; 3], alone: false };
+    let past = |moved| Past { axis: 'x', wall: 1.0, reach: 1.1, moved };
+    let format = MeshFormat::Stl;
+    let heat = || "heat".to_owned();
+    let block = LeftOut::Block { name: "walls".into(), holds: "a grid".into() };
+    let shortfall = Shortfall { share: 0.3, particles: 1000, spacing: 0.05 };
+    let (clouds, measured_on) = (true, None);
+    examples!(text, Warning:
+        Spacing(Doubt::Random { taken: 0.05 }),
+        Crowded { times: 8.5, spacing: 0.1 },
+        Coincident { found: unused, of: 1000 },
+        Coincident { found: some, of: 1000 },
+        Lacking { attribute: heat(), without: 3, of: 1000 },
+        MadeGood("the Vulkan device was lost; continuing on the CPU".into()),
+        OnCorners { mean: 0.02, origin: [0.5; 3] },
+        Bubbles { iso: 0.6, lowest: 0.55 },
+        PastWall(past(Some(1.1))),
+        PastWall(past(None)),
+        Lost { lost: 12, of: 1000, smoothed: true },
+        Shortfall { shortfall, clouds: false, measured_on: Some(1) },
+        Merged { vertices: 2, format },
+        Renamed { attribute: heat(), name: "heat_2".into(), format },
+        Coarse { format },
+        Turned(path("ship.obj")),
+        ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },
+        LeftOut(block),
+        NoneSelected(SelectionFault::Types),
+        Empty { why: Emptiness::Field, clouds, measured_on },
+        Empty { why: Emptiness::Distances, clouds, measured_on },
+        Empty { why: Emptiness::TooSmall(TooSmall { components: 3, drops: 1 }), clouds, measured_on },
+    );
+    let known = AttributeInfo { name: heat(), components: 1, kind: AttributeKind::Number };
+    examples!(text, LeftOut:
+        Attribute(known),
+        Block { name: "walls".into(), holds: "a grid".into() },
+        Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
+    );
+    let contradicted = |said, mistake, spray| Doubt::Contradicted {
+        said,
+        source: SpacingSource::Given,
+        found: 0.05,
+        mistake,
+        spray,
+    };
+    examples!(text, Doubt:
+        TwoResolutions { spacings: [0.05, 0.1], taken: 0.05 },
+        Contradicted {
+            said: 0.025,
+            source: SpacingSource::Given,
+            found: 0.05,
+            mistake: Some(Mistake::Radius),
+            spray: false,
+        },
+        Thin { taken: 0.05, counted: Some(0.1), nearest: 0.04 },
+        Thin { taken: 0.05, counted: None, nearest: 0.04 },
+        Random { taken: 0.05 },
+        Mixed(Mixture {
+            attribute: "Type".into(),
+            boundary: (Value::Number(1.0), 500),
+            fluid: (Value::Number(0.0), 1000),
+        }),
+        SinglePrecision { step: 0.03, spacing: 0.05 },
+    );
+    section(
+        &mut text,
+        "Mistake",
+        &[
+            ("Double", contradicted(0.1, Some(Mistake::Double), false)),
+            ("Unit", contradicted(50.0, Some(Mistake::Unit(1000.0)), false)),
+            ("Unit", contradicted(0.0005, Some(Mistake::Unit(0.01)), false)),
+            ("none", contradicted(0.07, None, true)),
+        ],
+    );
+    all.push_str(&text);
+}
