@@ -30,6 +30,7 @@ use crate::particles::occurring::{Occurring, Value};
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::compare::Side;
 use crate::surface::simplify::TooSmall;
+use crate::surface::solid::SolidFault;
 
 fn section<T: Display>(text: &mut String, name: &str, examples: &[(&str, T)]) {
     let _ = writeln!(text, "\n{name}");
