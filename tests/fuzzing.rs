@@ -2,7 +2,11 @@
 //! libFuzzer does for hours this does for seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as
 //! much, of the targets whose names contain `MENISCUS_FUZZ`.
 #![cfg(feature = "cli")]
-#![allow(clippy::unwrap_used)]
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "modules of others are here whole, of which this uses a part"
+)]
 
 #[path = "fuzz/mutate.rs"]
 mod mutate;

@@ -1,6 +1,10 @@
 //! What libFuzzer calls: the target that `MENISCUS_FUZZ` names. See `tools/fuzz`.
 #![cfg_attr(not(test), no_main)]
-#![allow(clippy::unwrap_used)]
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "modules of others are here whole, of which this uses a part"
+)]
 
 mod c;
 #[path = "targets/mod.rs"]
