@@ -12,7 +12,7 @@ var<immediate> push: BlendPush;
 @group(0) @binding(2) var<storage, read_write> shares: array<u32>;
 
 fn blended(drop: u32, sheet: u32, certain: u32) -> u32 {
-    if sheet == 0u {
+    if certain == 0u {
         return drop;
     }
     let of_drop = i32(min(drop, 32768u));

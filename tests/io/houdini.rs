@@ -438,7 +438,7 @@ fn a_file_that_changes_is_found_out() {
 fn other_files_are_refused_by_what_they_are() {
     for (bytes, words) in [
         (&b"PGEOMETRY V5\nNPoints 3"[..], "classic"),
-        (b"Point(1) = {0, 0, 0, 1.0};", "no geometry"),
+        (b"Point(1) = {0, 0, 0, 1.0};", "not a Houdini geometry"),
         (b"[1, 2, 3]", "key"),
     ] {
         let fault = read(bytes.to_vec()).unwrap_err().to_string();

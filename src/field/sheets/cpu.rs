@@ -69,8 +69,7 @@ pub fn sheets(numbers: &Numbers, density: &Block) -> Option<Sheeted<Block>> {
     any.then_some(Sheeted { shares, certainty })
 }
 
-/// Blends shares of drops with those of sheets, by how certain those are. Where there is no sheet
-/// drops are as they were.
+/// Blends shares of drops with those of sheets, by how certain those are.
 pub fn blend(drops: &Block, sheets: &Sheeted<Block>) -> Block {
     let cells = drops.cells().intersection(&sheets.certainty.cells());
     let mut shares = drops.part(cells);
@@ -81,7 +80,7 @@ pub fn blend(drops: &Block, sheets: &Sheeted<Block>) -> Block {
         let of_sheets = &sheets.shares.samples()[from..from + width];
         let shares = &mut shares.samples_mut()[to..to + width];
         for ((share, &sheet), &certain) in shares.iter_mut().zip(of_sheets).zip(certainty) {
-            if sheet > 0 {
+            if certain > 0 {
                 let drop = i32::from(*share).min(1 << 15);
                 let more = ((i32::from(sheet) - drop) * i32::from(certain)) >> BITS;
                 *share = (drop + more) as u16;

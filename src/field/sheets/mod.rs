@@ -21,8 +21,8 @@
 //!    its distance from one, |B - B^2|^2, is at most 0.06 in sheets, threads and at their rims, and
 //!    twice that in spray. Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45)
 //!    is one.
-//! 5. Blended. The certainty is averaged over neighbouring cells, 1:2:1 along each axis, so that no
-//!    crumbs of single cells remain at rims and in spray. By it shares of drops (see
+//! 5. Blended. The certainty is averaged under a Gaussian of 0.36 spacings, so that no crumbs of
+//!    single cells remain at rims and in spray. By it shares of drops (see
 //!    [`distance`](super::distance)) are blended with those of the sheet, which are as wide as cells
 //!    can carry and cross the level of a drop's surface at R.
 //!
@@ -55,6 +55,8 @@ pub const ONE: i32 = 1 << BITS;
 const WIDTH: f64 = 1.5;
 /// Where its Gaussian is cut off, in standard deviations.
 const CUT: f64 = 2.6;
+/// The standard deviation over which certainty is averaged, in spacings, and 1:2:1 at the least.
+const AVERAGE: f64 = 0.36;
 /// The width of a sheet's profile, in spacings, and at least so many of the cells that it is made
 /// in.
 const PROFILE: f64 = 0.45;
@@ -192,6 +194,7 @@ impl Sheets {
         let profile_joined = profile * profile + drops.spline * cell * cell;
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
         let least_size = (LEAST_CELLS * mesh_cell + LEAST_MORE).min(LEAST_MOST);
+        let average = (AVERAGE / cell).powi(2).max(0.5);
         let stretches =
             [0.5 * of_sheet(1.0).log2(), of_thread(1.0).log2() - THREADS_FARTHER.log2()];
         let gone = (stretch * GONE).log2();
@@ -226,7 +229,7 @@ impl Sheets {
         Some(Self {
             around: weights.gaining(gain),
             least: 3 * u32::from(amount) / 2,
-            average: Weights::of_variance(0.5, 1),
+            average: Weights::of_variance(average, (2.0 * average.sqrt()).round() as i32),
             numbers,
         })
     }
