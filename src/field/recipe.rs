@@ -230,11 +230,11 @@ pub fn joined<F: Fields>(
     let around = fields.blur(clouds.clone(), &drops.around)?;
     let shares = fields.quotient(clouds, around, drops.bits)?;
     let mut shares = fields.blur(shares, &drops.spread)?;
-    if let (Some(sheets), Some(density)) = (sheets, density) {
-        if let Some(Sheeted { shares: of_sheets, certainty }) = fields.sheets(sheets, density)? {
-            let certainty = fields.blur(certainty, &sheets.average)?;
-            shares = fields.blended(shares, Sheeted { shares: of_sheets, certainty })?;
-        }
+    if let (Some(by), Some(density)) = (sheets, density)
+        && let Some(Sheeted { shares: of_sheets, certainty }) = fields.sheets(by, density)?
+    {
+        let certainty = fields.blur(certainty, &by.average)?;
+        shares = fields.blended(shares, Sheeted { shares: of_sheets, certainty })?;
     }
     let shares = fields.refined(shares, *drops_level)?;
     fields.joined(bulk, near, shares, (drops, gate))

@@ -358,7 +358,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
             lo[lane] = if c < lo[lane] { c } else { lo[lane] };
             hi[lane] = if c > hi[lane] { c } else { hi[lane] };
             // NaN, where a coordinate is not finite.
-            zero[lane] += c - c;
+            zero[lane] += c * 0.0;
         }
     }
     if zero.iter().any(|&zero| zero != 0.0) {
