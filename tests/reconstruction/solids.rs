@@ -107,9 +107,9 @@ fn summed(errors: &[f64]) -> (f64, f64) {
 #[test]
 fn water_ends_on_a_ball_and_a_turned_box_and_its_level_goes_on_to_them() {
     let folder = TempDir::new().unwrap();
-    let solids: [(&str, Mesh, fn(DVec3) -> f64); 2] =
-        [("ball.obj", ball(), from_ball), ("box.obj", turned_box(), from_box)];
-    for (name, mesh, distance) in solids {
+    let distances: [fn(DVec3) -> f64; 2] = [from_ball, from_box];
+    let solids = [("ball.obj", ball()), ("box.obj", turned_box())];
+    for ((name, mesh), distance) in solids.into_iter().zip(distances) {
         let solid = written(&folder, name, &mesh);
         for (jitter, cell) in [(0.3, 0.25), (0.3, 0.5), (0.5, 0.5)] {
             let what = format!("{name}, jitter {jitter}, cells of {cell}");
@@ -135,7 +135,7 @@ fn water_ends_on_a_ball_and_a_turned_box_and_its_level_goes_on_to_them() {
             let near = of(&|p, d| is_level(p, d) && d < 4.0, &|p, _| p.y - level);
             let (bias, rms) = summed(&near);
             // Of the noise in water that is jittered by 0.5 the level far away has 0.07.
-            let most = if jitter < 0.4 { 0.1 } else { 0.14 };
+            let most = if jitter < 0.4 { 0.11 } else { 0.14 };
             assert!(bias.abs() < 0.05 && rms < most, "{what}: level beside it {bias}, {rms}");
         }
     }
