@@ -112,7 +112,7 @@ static void keys_and_values_are_refused(void) {
   OPTION("format: expected one of bgeo, ", "format", "doc");
   OPTION("backend: expected one of auto, cpu, vulkan, got \"gpu\"", "backend", "gpu");
   OPTION("origin: expected 3 numbers: x, y, z, got \"1,2\"", "origin", "1,2");
-  OPTION("domain: expected 6 numbers: ", "domain", "0,-,0,1,1,1");
+  OPTION("domain: expected auto or 6 numbers: ", "domain", "0,0,0,1,1");
   OPTION("memory: expected a number of bytes, or a size such as 512MiB", "memory", "much");
   OPTION("step: expected a whole number from 1, got \"0\"", "step", "0");
   OPTION("start: expected a whole number, got \"1.5\"", "start", "1.5");

@@ -387,7 +387,7 @@ static void *work(void *threads) {
     MeniscusOptions *wrong = meniscus_options_new();
     OK(meniscus_options_set_number(wrong, "spacing", -1.0 - count));
     char expected[16];
-    snprintf(expected, sizeof expected, "not -%u", 1 + count);
+    snprintf(expected, sizeof expected, "got -%u", 1 + count);
     CHECK(meniscus_reconstruct(&particles, wrong, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
     CHECK(strstr(meniscus_last_error(), expected));
     meniscus_options_free(wrong);

@@ -143,7 +143,7 @@ def test_no_format_of_the_programs_is_left_out() -> None:
     assert len(known) > 15
     tried = {Path(file.split("#")[0]).suffix[1:] for file in FILES} | set(WRITTEN) | {"xyz"}
     # Names of the same formats, or of lists of the same pieces.
-    alike = {"bhclassic": "bgeo", "geo": "bgeo", "sc": "bgeo", "hdf": "hdf5", "lammpstrj": "dump", "vtm": "pvtp", "vtpc": "pvtp", "vtpd": "pvtp"}
+    alike = {"bhclassic": "bgeo", "geo": "bgeo", "sc": "bgeo", "extxyz": "xyz", "h5md": "h5", "hdf": "hdf5", "lammpstrj": "dump", "vtm": "pvtp", "vtpc": "pvtp", "vtpd": "pvtp"}
     assert {alike.get(name, name) for name in known} == tried
 
 
