@@ -31,7 +31,7 @@ pub enum SimulationError {
     },
     /// A selection of frames of which none exists.
     #[error("{0}: no frame matches the selection")]
-    NoneWanted(String),
+    NoFrameSelected(String),
     /// An invalid frame rate.
     #[error("fps must be from {} to {} frames per second, got {rate:?}", range.start(), range.end())]
     Rate {
@@ -42,7 +42,7 @@ pub enum SimulationError {
     },
     /// An invalid timeout.
     #[error("watch must be a number of seconds, got {0}")]
-    Wait(f64),
+    Timeout(f64),
     /// Steps inside one file, which cannot be watched.
     #[error("{0}: cannot watch the steps inside one file")]
     Steps(String),

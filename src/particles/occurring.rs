@@ -13,7 +13,7 @@ const MOST: usize = 8;
 
 /// An attribute of few values.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Occurring {
+pub struct ValueCounts {
     /// The name of the attribute or label.
     pub name: String,
     /// The values, in order, each with the number of its particles.
@@ -40,7 +40,7 @@ impl std::fmt::Display for Value {
 }
 
 /// Finds the attributes of one number and the labels that have no more than a few values.
-pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<Occurring> {
+pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<ValueCounts> {
     let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
     let sources = scalars.map(|(index, info)| (Source::Attribute(index), &info.name));
     let labels = particles.labels().iter().enumerate();
@@ -48,7 +48,7 @@ pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<Occurring> {
     let found = sources.filter_map(|(source, name)| {
         let values = values_of(particles, source)?;
         let values = values.into_iter().map(|(_, value, count)| (value, count)).collect();
-        Some(Occurring { name: name.clone(), values })
+        Some(ValueCounts { name: name.clone(), values })
     });
     found.collect()
 }
@@ -152,6 +152,6 @@ mod tests {
         let quarter = count / 4;
         let values = [(-1.0, quarter), (0.0, 2 * quarter), (2.5, quarter)];
         let values = values.map(|(number, count)| (Value::Number(number), count)).to_vec();
-        assert_eq!(occurring(&cloud), [Occurring { name: "phase".into(), values }]);
+        assert_eq!(occurring(&cloud), [ValueCounts { name: "phase".into(), values }]);
     }
 }

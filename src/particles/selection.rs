@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::condition::{Comparison, Condition, Where};
-use super::occurring::{Occurring, occurring};
+use super::occurring::{ValueCounts, occurring};
 use super::sieve::{GROUP, Sieve};
 use super::{AttributeInfo, Label, Particles, Unread, attribute_called};
 
@@ -68,7 +68,7 @@ pub enum SelectionFault {
         /// The conditions.
         conditions: String,
         /// The values that occur, of attributes of few values that are in conditions.
-        values: Vec<Occurring>,
+        values: Vec<ValueCounts>,
     },
     /// Particles that could not be read.
     #[error("{0}")]
@@ -82,8 +82,8 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-fn occur(values: &[Occurring]) -> String {
-    let one = |of: &Occurring| {
+fn occur(values: &[ValueCounts]) -> String {
+    let one = |of: &ValueCounts| {
         let listed = of.values.iter().map(|(value, count)| format!("{value} ({count})"));
         format!("; {} is {}", of.name, listed.collect::<Vec<_>>().join(", "))
     };

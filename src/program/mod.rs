@@ -56,7 +56,7 @@ pub fn parsed(
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     match Arguments::of_command_line(&arguments).map_err(|error| error.to_string())?.command {
         Command::Reconstruct(options) => {
-            let request = options.request().map_err(|error| told(&error))?;
+            let request = options.request().map_err(|error| error_message(&error))?;
             Ok(Some((options.settings.clone(), request)))
         }
         _ => Ok(None),
@@ -65,8 +65,8 @@ pub fn parsed(
 
 /// The sentence that the program prints of an error: for tests.
 #[doc(hidden)]
-pub fn told(error: &Error) -> String {
-    advice::told(error)
+pub fn error_message(error: &Error) -> String {
+    advice::error_message(error)
 }
 
 fn execute(command: Command) -> Result<Verdict, Error> {

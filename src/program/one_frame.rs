@@ -17,7 +17,7 @@ use super::stats::{Made, record};
 /// Rejects a file that is both an input and an output, or two outputs.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(one, other) {
-        return Err(Error::TwoPurposes { path: other.to_owned(), other: one.to_owned() });
+        return Err(Error::SameFile { path: other.to_owned(), other: one.to_owned() });
     }
     Ok(())
 }

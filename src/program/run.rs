@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
-use meniscus::devices::{self, Backend, DeviceChoice, OnCpu};
+use meniscus::devices::{self, Backend, CpuReason, DeviceChoice};
 use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use super::notes::Notes;
@@ -106,8 +106,8 @@ impl RunOptions {
                 let (backend, on_cpu) = devices::fastest(budget, input_bytes, cache.as_deref());
                 if let Some(why) = on_cpu {
                     let advice = match why {
-                        OnCpu::LittleMemory(_) => "; use a larger --memory",
-                        OnCpu::NotConformant(_) => "; --backend vulkan uses it anyway",
+                        CpuReason::LittleMemory(_) => "; use a larger --memory",
+                        CpuReason::NotConformant(_) => "; --backend vulkan uses it anyway",
                         _ => "",
                     };
                     self.notes().detail(format!("using the CPU: {why}{advice}"));

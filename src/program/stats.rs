@@ -8,7 +8,7 @@ use meniscus::error::WriteError;
 use meniscus::{Error, FrameDone, FrameFailed, MethodName, Report, Timings, peak_memory};
 use serde_json::{Map, Value, json};
 
-use super::advice::told;
+use super::advice::error_message;
 use super::options::Options;
 
 /// A mesh that was made of a frame.
@@ -79,7 +79,7 @@ pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
 
 /// Writes the record of a frame that failed.
 pub fn of_failed(failed: &FrameFailed) -> Value {
-    json!({ "frame": failed.frame, "input": failed.input, "error": told(&failed.error) })
+    json!({ "frame": failed.frame, "input": failed.input, "error": error_message(&failed.error) })
 }
 
 /// Writes the record of a frame.

@@ -76,7 +76,7 @@ impl Reconstruction {
     /// use meniscus::{Reconstruction, Settings};
     ///
     /// let settings = Settings { spacing: Some(0.05), normals: true, ..Settings::default() };
-    /// assert_eq!(Reconstruction::by(settings.clone()).settings(), &settings);
+    /// assert_eq!(Reconstruction::new().with_settings(settings.clone()).settings(), &settings);
     /// ```
     pub fn by(settings: Settings) -> Self {
         Self::new().with_settings(settings)

@@ -15,7 +15,7 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use super::checked::Checked;
 use super::report::Report;
-use super::warning::{Emptiness, Warning, lost_warning, of_isovalue};
+use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
 
 /// A surface that was drawn, but for the threads that it was made by.
 pub(crate) struct Drawn {
@@ -58,13 +58,13 @@ impl Checked {
 
     /// Draws as [`draw`](Self::draw) does the surface of one of many frames: where there is none,
     /// the mesh is empty, vertices would have carried the attributes `infos`, and a warning says
-    /// why. `measured_on` is the frame that the calibration is of.
+    /// why. `calibration_frame` is the frame that the calibration is of.
     pub(crate) fn draw_or_empty(
         &self,
         engine: &Engine,
         known: Option<&Calibration>,
         infos: Vec<AttributeInfo>,
-        measured_on: Option<i64>,
+        calibration_frame: Option<i64>,
         timings: &mut Timings,
     ) -> Result<Drawn, FrameError> {
         let drawn = self.draw_whole(engine, known, timings).and_then(|(surface, report)| {
@@ -72,18 +72,23 @@ impl Checked {
             match self.reduce_of(engine, surface, report, timings) {
                 Err(FrameError::NothingLeft(all)) => {
                     let report = Report { too_small: Some(all), ..whole };
-                    Ok(self.empty(report, Emptiness::TooSmall(all), infos.clone(), measured_on))
+                    Ok(self.empty(
+                        report,
+                        EmptyReason::TooSmall(all),
+                        infos.clone(),
+                        calibration_frame,
+                    ))
                 }
                 drawn => drawn,
             }
         });
         match drawn {
             Err(fault) => {
-                let why = Emptiness::of(&fault).ok_or(fault)?;
+                let why = EmptyReason::of(&fault).ok_or(fault)?;
                 let mut report = Report::of(engine, &self.surfacing);
                 report.calibration = known.copied().filter(|_| report.indicator.is_some());
                 report.lost = engine.facts().census.binned as u64;
-                Ok(self.empty(report, why, infos, measured_on))
+                Ok(self.empty(report, why, infos, calibration_frame))
             }
             drawn => drawn,
         }
@@ -93,12 +98,12 @@ impl Checked {
     fn empty(
         &self,
         mut report: Report,
-        why: Emptiness,
+        why: EmptyReason,
         infos: Vec<AttributeInfo>,
-        measured_on: Option<i64>,
+        calibration_frame: Option<i64>,
     ) -> Drawn {
         let clouds = report.is_clouds();
-        report.warnings.push(Warning::Empty { why, clouds, measured_on });
+        report.warnings.push(Warning::Empty { why, clouds, calibration_frame });
         Drawn { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
     }
 
@@ -143,13 +148,14 @@ impl Checked {
         surface: &Stitched,
         shortfall: Option<Shortfall>,
     ) {
-        let doubt = report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
-        report.warnings.extend(doubt);
+        let bubbles =
+            report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
+        report.warnings.extend(bubbles);
         report.warnings.extend(self.doubts_about_solids(&report.facts));
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
         report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));
-        let warning = |shortfall| Warning::Shortfall { shortfall, clouds, measured_on: None };
+        let warning = |shortfall| Warning::Shortfall { shortfall, clouds, calibration_frame: None };
         report.warnings.extend(shortfall.map(warning));
         report.whole_triangles = surface.triangle_count();
     }

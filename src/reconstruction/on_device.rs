@@ -1,6 +1,6 @@
 //! Requests for particles that are on a device already, from the settings that all requests have.
 
-use crate::error::{Conflict, Error, Setting, Unfit};
+use crate::error::{Conflict, Error, Setting, SettingConflict};
 use crate::frame::Method;
 use crate::frame::resident::DeviceRequest;
 use crate::grid::units::positive_length;
@@ -35,16 +35,18 @@ impl Reconstruction {
     /// spacing or the cells' size has to be given, and the grid is that of the origin.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Domain`], [`Error::Unfit`] for settings that have no meaning
-    /// there, [`Error::Request`] where neither spacing nor cell size is given, and [`Error::Frame`]
-    /// for cells that are too fine for the spacing.
+    /// [`Error::Unit`], [`Error::Domain`], [`Error::SettingConflict`] for settings that have no
+    /// meaning there, [`Error::Request`] where neither spacing nor cell size is given, and
+    /// [`Error::Frame`] for cells that are too fine for the spacing.
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
         let settings = self.settings.without_default_method();
         refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
         if settings.domain == Some(Tank::Auto) {
-            return Err(
-                Unfit { setting: Setting::named("domain"), with: Conflict::OnDevice }.into()
-            );
+            return Err(SettingConflict {
+                setting: Setting::named("domain"),
+                with: Conflict::OnDevice,
+            }
+            .into());
         }
         let checked = self.checked()?;
         checked.refuse_of_indicator()?;

@@ -8,10 +8,10 @@ use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
-    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at,
-    show_all,
+    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, NoEstimate, Plane, Share, evidence,
+    look_at, show_all,
 };
-use crate::field::walls::{Ends, Past, bounds_held, common, holding};
+use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
@@ -23,7 +23,7 @@ use crate::particles::mixture::mixture;
 use super::cells::{CellSize, Cells, FoundWalls, Slab, Source};
 use super::lattice::on_sound_grid;
 use super::orientation::usual_up;
-use super::spacing::{Doubt, SpacingSource, is_suspicious};
+use super::spacing::{SpacingSource, SpacingWarning, is_suspicious};
 
 /// How particles are to be sampled, whatever they are.
 #[derive(Debug, Clone)]
@@ -170,7 +170,7 @@ impl SamplingRequest {
         particles: &(impl Particles + ?Sized),
         spacing: Option<f64>,
         grid: &Grid,
-    ) -> (Self, Vec<Past>) {
+    ) -> (Self, Vec<BeyondWall>) {
         let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
         let bounds = walls.and_then(|_| bounds_held(particles, grid));
         match (walls, bounds) {
@@ -246,8 +246,8 @@ impl SamplingRequest {
         read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
         let (mut cells, done) = self.cells_by(particles, from, read)?;
-        if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
-            cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
+        if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
+            cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
         let is_sought = match self.search {
             Search::Never => false,
@@ -362,7 +362,7 @@ impl SamplingRequest {
             origin: self.origin_for(middle, size),
             slab,
             walls: None,
-            doubts: Vec::new(),
+            warnings: Vec::new(),
         })
     }
 
@@ -396,7 +396,8 @@ impl SamplingRequest {
         evidence_at_hand: Option<Evidence>,
     ) -> Result<Cells, Error> {
         let all_is_well = look.as_ref().is_some_and(|look| {
-            let coarse = look.place.step.is_some_and(|step| Doubt::is_coarse(step, spacing));
+            let coarse =
+                look.place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
             look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
         });
         // A scene need not be that of the particles, and says nothing of a second resolution.
@@ -414,7 +415,7 @@ impl SamplingRequest {
         let mut cells = self.cells_of(spacing, source.clone(), middle, plane)?;
         if let Some(evidence) = &evidence {
             let at_scale = look.as_ref().map_or(&evidence.neighbours, |look| &look.neighbours);
-            cells.doubts = Doubt::of_given(spacing, &source, at_scale, evidence);
+            cells.warnings = SpacingWarning::of_given(spacing, &source, at_scale, evidence);
         }
         Ok(cells)
     }
@@ -435,7 +436,7 @@ impl SamplingRequest {
         }
         let place = evidence.as_ref().map(|evidence| evidence.place);
         let middle = place.map(|place| place.middle);
-        let estimate = evidence.as_ref().map_or(Err(Untold::TooFew), Evidence::estimate);
+        let estimate = evidence.as_ref().map_or(Err(NoEstimate::TooFew), Evidence::estimate);
         if let CellSize::Length(size) = self.cell_size()
             && let Method::Indicator { kind, mean } = self.method
         {
@@ -448,7 +449,14 @@ impl SamplingRequest {
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
                 let (slab, walls) = (None, None);
-                return Ok(Cells { size, spacing: None, origin, slab, walls, doubts: Vec::new() });
+                return Ok(Cells {
+                    size,
+                    spacing: None,
+                    origin,
+                    slab,
+                    walls,
+                    warnings: Vec::new(),
+                });
             }
         }
         let estimate = estimate.map_err(|why| Error::NoSpacing {
@@ -457,14 +465,14 @@ impl SamplingRequest {
             why,
             // Places on a coarse grid suggest nothing.
             suggested: match why {
-                Untold::SinglePrecision { .. } => None,
+                NoEstimate::SinglePrecision { .. } => None,
                 _ => evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
             },
         })?;
         let plane = place.and_then(|place| place.plane);
         let mut cells = self.cells_of(estimate.spacing, SpacingSource::Estimated, middle, plane)?;
-        cells.doubts =
-            evidence.map_or(Vec::new(), |evidence| Doubt::of_estimate(&estimate, &evidence));
+        cells.warnings = evidence
+            .map_or(Vec::new(), |evidence| SpacingWarning::of_estimate(&estimate, &evidence));
         Ok(cells)
     }
 

@@ -64,7 +64,7 @@ impl Checked {
         refuse_beyond_room(solid.bytes())?;
         self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
         let turned = solid.turned().iter();
-        self.turned = turned.map(|&number| Warning::Turned(paths[number].clone())).collect();
+        self.turned = turned.map(|&number| Warning::InvertedSolid(paths[number].clone())).collect();
         self.solid_files = paths.to_vec();
         self.surfacing.solid = Some(Arc::new(solid));
         Ok(self)

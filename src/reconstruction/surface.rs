@@ -131,7 +131,7 @@ impl Surface {
     /// To replace a file call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
-    /// [`Error::Write`], [`Error::Unfit`] for settings that the format cannot store, and
+    /// [`Error::Write`], [`Error::SettingConflict`] for settings that the format cannot store, and
     /// [`Error::Cancelled`] by the handle of the request.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(

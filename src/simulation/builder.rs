@@ -84,7 +84,7 @@ impl Simulation {
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
     /// several inputs and one output.
-    pub fn if_several(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+    pub fn detect(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
         let several = Inputs::of(inputs)?;
         if several.is_none() && is_foreign(output) {
             return Ok(None);
@@ -102,7 +102,7 @@ impl Simulation {
     /// # Errors
     /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
     /// the frames of a simulation and one output.
-    pub fn if_together(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+    pub fn detect_together(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
         if Naming::of(output)?.is_some() {
             return Ok(Some(Self::of_files(inputs, output).together()));
         }
@@ -233,7 +233,7 @@ impl Simulation {
             return Err(SimulationError::Rate { rate: fps, range: FPS }.into());
         }
         if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
-            return Err(SimulationError::Wait(seconds).into());
+            return Err(SimulationError::Timeout(seconds).into());
         }
         let Selection { start, end, step } = self.selection;
         if start > end {

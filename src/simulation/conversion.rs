@@ -81,7 +81,7 @@ impl Conversion<'_> {
             setup.state(store, frames, &resources)
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
-        let (number, fingerprint) = (state.frozen.frame, state.fingerprint());
+        let (number, fingerprint) = (state.shared.frame, state.fingerprint());
         self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
         let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());
         Ok(open.map(|file| (number, file)))
@@ -136,7 +136,7 @@ impl Conversion<'_> {
             .filter(|frame| !(options.resume && tally.lists(frame)))
             .collect();
         let watch = options.watch.map(|idle| Watch::new(idle, options.selection));
-        self.setup.tell(Event::Begins {
+        self.setup.send(Event::Started {
             frames: wanted.len(),
             done: wanted.len() - todo.len(),
             bytes: if watch.is_some() { 0 } else { todo.iter().map(|frame| frame.bytes()).sum() },
@@ -231,7 +231,7 @@ impl Conversion<'_> {
                         }
                         under_way += 1;
                         tally.total += 1;
-                        self.setup.tell(Event::Came { bytes: frame.bytes() });
+                        self.setup.send(Event::FrameAppeared { bytes: frame.bytes() });
                         // A frame between others that are done takes the number of the next.
                         let again = tally.has_made(&self.output(&frame));
                         let _ = to_lanes.send(Job { frame, particles: None, again });
@@ -246,7 +246,7 @@ impl Conversion<'_> {
 
     /// The frame that was measured for all, if it is there and has changed since.
     fn changed<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
-        self.settled.get()?.as_ref()?.state.frozen.changed_in(frames)
+        self.settled.get()?.as_ref()?.state.shared.changed_in(frames)
     }
 
     /// Whether no further frame is to be begun.
@@ -280,7 +280,7 @@ impl Conversion<'_> {
                     continue;
                 }
                 let number = frame.number;
-                let teller = self.setup.teller;
+                let events = self.setup.events;
                 let opened = self.checked_in(lane, &frame).and_then(|checked| {
                     let opened = self.open(&checked, &frame, particles, again)?;
                     Ok((checked, opened))
@@ -288,7 +288,7 @@ impl Conversion<'_> {
                 let Some(settled) = self.settled.wait() else { return };
                 let result = opened
                     .and_then(|(checked, opened)| self.convert(&checked, &frame, opened, settled));
-                teller.tell(Event::Stage { lane, frame: number, progress: None });
+                events.send(Event::Stage { lane, frame: number, progress: None });
                 if to_disk.send(Outcome { frame, result }).is_err() {
                     return;
                 }
@@ -301,7 +301,7 @@ impl Conversion<'_> {
     /// thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<Checked, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
-        let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
+        let (events, mut checked) = (self.setup.events.clone(), self.setup.checked.clone());
         let told = Mutex::new(Instant::now());
         let tell = move |progress: Progress| {
             let is_end = progress.done <= 0.0 || progress.done >= 1.0;
@@ -312,7 +312,7 @@ impl Conversion<'_> {
                 }
                 *told = Instant::now();
             }
-            teller.tell(Event::Stage { lane, frame, progress: Some(progress) });
+            events.send(Event::Stage { lane, frame, progress: Some(progress) });
         };
         checked.resources.control.progress = Some(Arc::new(tell));
         let is_of_all = solids.is_empty() || checked.surfacing.solid.is_some();

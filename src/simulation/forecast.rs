@@ -17,10 +17,10 @@ use crate::surface::mesh::source::MeshSource;
 use crate::system::timings::Timings;
 
 use super::frame_file::FrameFile;
-use super::frozen::Frozen;
 use super::gaps::{Gaps, gaps};
 use super::records::Records;
 use super::setup::Setup;
+use super::shared_calibration::SharedCalibration;
 use super::state::{State, Store};
 
 /// A forecast of a conversion, which prints as some lines for people.
@@ -40,7 +40,7 @@ pub struct Forecast {
     /// Numbers that are missing between others.
     pub missing: Gaps,
     /// The measurements that all frames would share.
-    pub frozen: Frozen,
+    pub shared: SharedCalibration,
     /// The forecast of the largest frame; `None` where frames are packed.
     pub largest: Option<Largest>,
 }
@@ -69,7 +69,7 @@ pub struct Largest {
 
 impl fmt::Display for Forecast {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { inputs, frames, wanted, done, output, missing, frozen, largest } = self;
+        let Self { inputs, frames, wanted, done, output, missing, shared, largest } = self;
         let output = output.display();
         write!(f, "would convert {wanted} of {frames} frames of {inputs} to {output}")?;
         if *done > 0 {
@@ -78,7 +78,7 @@ impl fmt::Display for Forecast {
         if missing.count() > 0 {
             write!(f, "\nmissing: {missing}")?;
         }
-        write!(f, "\n{frozen}")?;
+        write!(f, "\n{shared}")?;
         let Some(largest) = largest else { return Ok(()) };
         write!(
             f,
@@ -106,8 +106,8 @@ impl Setup<'_> {
         wanted: &[&FrameFile],
     ) -> Result<Forecast, Error> {
         let begun = Instant::now();
-        let frozen = match &kept {
-            Some(state) => state.frozen.clone(),
+        let shared = match &kept {
+            Some(state) => state.shared.clone(),
             None => self.freeze(frames, &self.checked.resources)?.0,
         };
         let records = Records::read(store.folder());
@@ -125,15 +125,15 @@ impl Setup<'_> {
             done,
             output: self.output(&frames[0]),
             missing: gaps(frames),
-            largest: self.largest(&frozen, wanted, done, begun)?,
-            frozen,
+            largest: self.largest(&shared, wanted, done, begun)?,
+            shared,
         })
     }
 
     /// Makes the largest frame: what the budget has to hold, and about what each frame takes.
     fn largest(
         &self,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         wanted: &[&FrameFile],
         done: usize,
         begun: Instant,
@@ -154,7 +154,7 @@ impl Setup<'_> {
         let carried =
             checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
-        let (sampling, _) = self.sampling(frozen, &file.particles, carried, resources.clone())?;
+        let (sampling, _) = self.sampling(shared, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
         let counted = Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None)
@@ -162,7 +162,7 @@ impl Setup<'_> {
         let (census, estimate) = (counted.census(), counted.estimate());
         let frame =
             Engine::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
-        let drawn = frame.calibrate(&checked.surfacing, frozen.calibration.as_ref(), &mut timings);
+        let drawn = frame.calibrate(&checked.surfacing, shared.calibration.as_ref(), &mut timings);
         let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
         let bytes = mesh_bytes(mesh.vertex_count(), mesh.triangle_count());
         let share = largest.bytes().max(1) as f64;

@@ -1,7 +1,9 @@
 //! Calibration of all frames on the first suitable one.
 
 use super::frame_file::FrameFile;
-use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
+use super::shared_calibration::{
+    Measured, SharedCalibration, Stamp, Trust, measure_in, measure_sampled,
+};
 use super::state::{State, Store};
 use crate::error::{Cause, Error};
 use crate::field::walls::Ends;
@@ -12,7 +14,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
 use crate::particles::{AttributeKind, Particles};
-use crate::reconstruction::{self, Doubt, FoundWalls, Search, Slab};
+use crate::reconstruction::{self, FoundWalls, Search, Slab, SpacingWarning};
 
 use super::event::Event;
 use super::setup::{POLL, Setup};
@@ -27,10 +29,10 @@ const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
 struct OneMeasured {
-    frozen: Frozen,
+    shared: SharedCalibration,
     trust: Trust,
     /// Doubts about its spacing.
-    doubts: Vec<Doubt>,
+    warnings: Vec<SpacingWarning>,
 }
 
 impl Setup<'_> {
@@ -42,12 +44,12 @@ impl Setup<'_> {
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
-        let (mut frozen, file) = self.freeze(frames, resources)?;
-        self.settle_colours(&mut frozen, frames, resources)?;
-        let measured = State::new(self.checked.settings.kept(), frozen);
+        let (mut shared, file) = self.freeze(frames, resources)?;
+        self.settle_colours(&mut shared, frames, resources)?;
+        let measured = State::new(self.checked.settings.kept(), shared);
         // Of jobs that measure at the same time the first is right.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
-        let file = file.filter(|_| state.frozen.frame == measured.frozen.frame);
+        let file = file.filter(|_| state.shared.frame == measured.shared.frame);
         Ok((state, file))
     }
 
@@ -57,13 +59,13 @@ impl Setup<'_> {
         &self,
         frames: &[FrameFile],
         resources: &Resources,
-    ) -> Result<(Frozen, Option<ParticleFile>), Error> {
+    ) -> Result<(SharedCalibration, Option<ParticleFile>), Error> {
         let (frame, mut measured, file) = self.freeze_one(frames, resources)?;
         if self.checked.sampling.search == Search::Walls && self.simulation.watch.is_none() {
-            measured.frozen.walls = self.common_walls(frames, &measured.frozen, resources)?;
+            measured.shared.walls = self.common_walls(frames, &measured.shared, resources)?;
         }
         self.tell_measured(&frame, &measured);
-        Ok((measured.frozen, file))
+        Ok((measured.shared, file))
     }
 
     /// The walls that some frames from all over the simulation show; frames that cannot be read show
@@ -71,11 +73,11 @@ impl Setup<'_> {
     fn common_walls(
         &self,
         frames: &[FrameFile],
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         resources: &Resources,
     ) -> Result<Option<FoundWalls>, Error> {
-        let Some(spacing) = frozen.spacing else { return Ok(None) };
-        let (grid, flat) = (frozen.grid()?, frozen.slab.map(|slab| slab.axis));
+        let Some(spacing) = shared.spacing else { return Ok(None) };
+        let (grid, flat) = (shared.grid()?, shared.slab.map(|slab| slab.axis));
         let numbers = (0..LOOKED_AT_FOR_WALLS as u128).map(|number| {
             let last = frames.len().saturating_sub(1) as u128;
             (number * last / (LOOKED_AT_FOR_WALLS as u128 - 1)) as usize
@@ -118,7 +120,7 @@ impl Setup<'_> {
                 looked_at += 1;
                 self.go_on()?;
                 let lattice = best.as_ref().filter(|(_, known)| known.trust == Trust::Lattice);
-                let lattice = lattice.map(|(_, known)| &known.frozen);
+                let lattice = lattice.map(|(_, known)| &known.shared);
                 match self.measure_on(&frame, lattice, resources) {
                     Ok((found, file)) if found.trust == Trust::Sound => {
                         return Ok((frame, found, file));
@@ -129,7 +131,7 @@ impl Setup<'_> {
                         let is_better = |(_, known): &(FrameFile, OneMeasured)| {
                             known.trust < found.trust
                                 || known.trust == found.trust
-                                    && known.frozen.spacing > found.frozen.spacing
+                                    && known.shared.spacing > found.shared.spacing
                         };
                         if best.as_ref().is_none_or(is_better) {
                             best = Some((frame, found));
@@ -172,7 +174,7 @@ impl Setup<'_> {
     /// frames.
     fn settle_colours(
         &self,
-        frozen: &mut Frozen,
+        shared: &mut SharedCalibration,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(), Error> {
@@ -181,7 +183,7 @@ impl Setup<'_> {
             let is_open = |known: &&mut SettledKind| {
                 known.stored.kind == AttributeKind::Colour && !known.is_evident
             };
-            let mut open: Vec<_> = frozen.kinds.iter_mut().filter(is_open).collect();
+            let mut open: Vec<_> = shared.kinds.iter_mut().filter(is_open).collect();
             let Some(frame) = frames.get(index).filter(|_| !open.is_empty()) else { break };
             self.go_on()?;
             // A frame that cannot be read fails when its turn comes.
@@ -213,9 +215,12 @@ impl Setup<'_> {
 
     /// Reports the calibration with its frame, and doubts about its spacing.
     fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
-        found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(Box::new(doubt.clone()))));
-        let frozen = Box::new(found.frozen.clone());
-        self.tell(Event::Measured { path: frame.path.clone(), frozen, trust: found.trust });
+        found
+            .warnings
+            .iter()
+            .for_each(|warning| self.send(Event::SpacingWarning(Box::new(warning.clone()))));
+        let shared = Box::new(found.shared.clone());
+        self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
 
     /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one
@@ -223,7 +228,7 @@ impl Setup<'_> {
     fn measure_on(
         &self,
         frame: &FrameFile,
-        lattice: Option<&Frozen>,
+        lattice: Option<&SharedCalibration>,
         resources: &Resources,
     ) -> Result<(OneMeasured, Option<ParticleFile>), Error> {
         let path = &frame.path;
@@ -237,8 +242,8 @@ impl Setup<'_> {
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let spacing = sampled.facts.spacing;
-            let frozen = frozen(frame.number, input, spacing, None, (None, None), measured);
-            return Ok((OneMeasured { frozen, trust: measured.trust, doubts: Vec::new() }, None));
+            let shared = shared(frame.number, input, spacing, None, (None, None), measured);
+            return Ok((OneMeasured { shared, trust: measured.trust, warnings: Vec::new() }, None));
         }
         let file = self.open_particles(frame, resources)?;
         let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
@@ -259,28 +264,28 @@ impl Setup<'_> {
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let tank = (cells.slab, cells.walls.clone());
-        let mut frozen = frozen(frame.number, input, cells.spacing(), source, tank, measured);
+        let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
         // A frame without one of these attributes fails by itself.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
-        frozen.kinds = settled_for_all(&file.particles, &carried);
+        shared.kinds = settled_for_all(&file.particles, &carried);
         if let Some(first) = lattice {
-            (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
+            (shared.spacing, shared.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
-        Ok((OneMeasured { frozen, trust: measured.trust, doubts: cells.doubts }, Some(file)))
+        Ok((OneMeasured { shared, trust: measured.trust, warnings: cells.warnings }, Some(file)))
     }
 }
 
-fn frozen(
+fn shared(
     frame: i64,
     input: Stamp,
     spacing: Option<f64>,
     spacing_source: Option<String>,
     (slab, walls): (Option<Slab>, Option<FoundWalls>),
     Measured { grid, calibration, .. }: Measured,
-) -> Frozen {
+) -> SharedCalibration {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
-    Frozen {
+    SharedCalibration {
         frame,
         input,
         spacing,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::brick::{Census, FrameFacts};
-use crate::error::{Error, Untold};
+use crate::error::{Error, NoEstimate};
 use crate::field::calibration::Calibration;
 use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::{Grid, Walls};
@@ -11,11 +11,12 @@ use crate::io::UpAxis;
 use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, Doubt, Drawn, Reconstruction, Report, SinglePrecision, Slab, Started, Surface, Warning,
+    self, Drawn, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning, Started, Surface,
+    Warning,
 };
 use crate::system::timings::Timings;
 
-use super::frozen::{Measured, Trust, measure_in};
+use super::shared_calibration::{Measured, Trust, measure_in};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
@@ -62,7 +63,7 @@ impl LiveSimulation {
     /// Starts a simulation with its threads.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
+    /// [`Error::Unit`], [`Error::SettingConflict`], [`Error::Domain`], [`Error::LittleMemory`] and
     /// [`Error::Threads`].
     pub fn new(request: &Reconstruction) -> Result<Self, Error> {
         let checked = request.checked()?;
@@ -84,12 +85,12 @@ impl LiveSimulation {
     /// let request = Reconstruction::new().spacing(1.0);
     /// let mut simulation = LiveSimulation::new(&request)?;
     /// let cancel = Cancel::new();
-    /// simulation.controlled_by(&request.cancel(cancel.clone()));
+    /// simulation.set_control(&request.cancel(cancel.clone()));
     /// cancel.cancel();
     /// assert!(simulation.frame(&[[0.0; 3]]).is_err());
     /// # Ok::<(), meniscus::Error>(())
     /// ```
-    pub fn controlled_by(&mut self, request: &Reconstruction) {
+    pub fn set_control(&mut self, request: &Reconstruction) {
         Arc::make_mut(&mut self.ready.checked).resources.control = request.control.clone();
     }
 
@@ -124,10 +125,10 @@ impl LiveSimulation {
         let Self { ready, known, settled } = self;
         let checked = &ready.checked;
         let mut timings = Timings::default();
-        let mut doubts = Vec::new();
+        let mut spacing_warnings = Vec::new();
         if !*settled {
             let found;
-            (found, doubts) = measured(ready, particles, known.as_ref())?;
+            (found, spacing_warnings) = measured(ready, particles, known.as_ref())?;
             *settled = found.trust == Trust::Sound;
             *known = Some(found);
             timings.done("measure");
@@ -143,7 +144,7 @@ impl LiveSimulation {
             ..
         }) = known.as_ref()
         else {
-            let (particles, why) = (particles.len(), Untold::TooFew);
+            let (particles, why) = (particles.len(), NoEstimate::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
@@ -159,8 +160,8 @@ impl LiveSimulation {
         let mut drawn =
             checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
-        let past = past.into_iter().map(Warning::PastWall);
-        let first = doubts.into_iter().map(Warning::Spacing).chain(past);
+        let past = past.into_iter().map(Warning::BeyondWall);
+        let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past);
         drawn.report.warnings.splice(0..0, first);
         Ok(drawn)
     }
@@ -202,7 +203,7 @@ fn measured(
     ready: &Started,
     particles: &(impl Particles + ?Sized),
     before: Option<&Known>,
-) -> Result<(Known, Vec<Doubt>), Error> {
+) -> Result<(Known, Vec<SpacingWarning>), Error> {
     let checked = &ready.checked;
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
@@ -215,5 +216,5 @@ fn measured(
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
     let walls = cells.found().copied();
-    Ok((Known { kinds, grid, method, spacing, slab, walls, calibration, trust }, cells.doubts))
+    Ok((Known { kinds, grid, method, spacing, slab, walls, calibration, trust }, cells.warnings))
 }

@@ -8,9 +8,9 @@ use std::sync::atomic::Ordering;
 use super::conversion::{Conversion, Settled};
 use super::event::{Event, LeftOut};
 use super::frame_file::FrameFile;
-use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::records::{Record, Records};
+use super::shared_calibration::{SharedCalibration, Stamp};
 use super::small_meshes::SmallMeshes;
 use crate::error::Error;
 use crate::frame::{Counted, Engine, FrameError, Resources};
@@ -24,8 +24,8 @@ use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    Checked, Doubt, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
-    Warning, coordinate_width, made_of, refuse_same_file,
+    Checked, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
+    SpacingWarning, Warning, coordinate_width, made_of, refuse_same_file,
 };
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::Bounded;
@@ -148,18 +148,18 @@ impl Conversion<'_> {
     ) -> Result<Filled, Error> {
         let simulation = self.setup.simulation;
         let path = &frame.path;
-        let frozen = &settled.state.frozen;
+        let shared = &settled.state.shared;
         let Opened { input, target, replaces, orientation, output, particles, mut timings } =
             opened;
         timings.skip();
         let ready = match particles {
-            Some(file) => self.sample(checked, path, file, frozen, &mut timings),
+            Some(file) => self.sample(checked, path, file, shared, &mut timings),
             None => self.unpack(checked, path, &mut timings),
         };
         let Ready { frame: sampled, mut left_out, mut warnings, infos, time, permit } = ready?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
-                let draw = || Self::surface(checked, path, sampled, frozen, infos, &mut timings);
+                let draw = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
                 let Drawn { mesh, precision, report } = permit.run(draw)?;
                 (mesh, precision, Some(report))
             }
@@ -274,7 +274,7 @@ impl Conversion<'_> {
         checked: &Checked,
         path: &Path,
         file: ParticleFile,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
         let Checked { settings, surfacing, resources, .. } = checked;
@@ -286,16 +286,17 @@ impl Conversion<'_> {
         let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
-        let infos = known_of(infos, &frozen.kinds);
+        let infos = known_of(infos, &shared.kinds);
         let (mut sampling, past) =
-            self.setup.sampling(frozen, &file.particles, carried, opening)?;
+            self.setup.sampling(shared, &file.particles, carried, opening)?;
         if let Some(spacing) =
-            frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
+            shared.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
         {
-            let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
-            doubts
-                .iter()
-                .for_each(|doubt| self.setup.tell(Event::Doubted(Box::new(doubt.clone()))));
+            let warnings =
+                SpacingWarning::of_known(spacing, &SpacingSource::State, &file.particles);
+            warnings.iter().for_each(|warning| {
+                self.setup.send(Event::SpacingWarning(Box::new(warning.clone())))
+            });
         }
         control.begin(Stage::Counting);
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
@@ -351,19 +352,20 @@ impl Conversion<'_> {
         checked: &Checked,
         path: &Path,
         sampled: &Engine,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         infos: Vec<AttributeInfo>,
         timings: &mut Timings,
     ) -> Result<Drawn, Error> {
-        let known = frozen.calibration.as_ref();
-        let measured_on = known.filter(|_| checked.surfacing.iso.is_none()).map(|_| frozen.frame);
-        let drawn = checked.draw_or_empty(sampled, known, infos, measured_on, timings);
+        let known = shared.calibration.as_ref();
+        let calibration_frame =
+            known.filter(|_| checked.surfacing.iso.is_none()).map(|_| shared.frame);
+        let drawn = checked.draw_or_empty(sampled, known, infos, calibration_frame, timings);
         let mut drawn = drawn.map_err(|fault| Error::from(fault).of_file(path))?;
         // The sum over all frames is reported at the end.
         drawn.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
         for warning in &mut drawn.report.warnings {
-            if let Warning::Shortfall { measured_on: by, .. } = warning {
-                *by = measured_on;
+            if let Warning::Shortfall { calibration_frame: by, .. } = warning {
+                *by = calibration_frame;
             }
         }
         Ok(drawn)

@@ -208,7 +208,7 @@ impl Pictures {
     ///
     /// # Errors
     /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`],
-    /// [`Error::Write`], [`Error::TwoPurposes`], [`Error::Threads`] and [`Error::Cancelled`].
+    /// [`Error::Write`], [`Error::SameFile`], [`Error::Threads`] and [`Error::Cancelled`].
     pub fn run(mut self, tell: impl FnMut(PictureDone<'_>) + Send) -> Result<(), Error> {
         self.picture.check().map_err(|fault| Error::Picture { path: None, fault })?;
         if !RATES.contains(&self.fps) {
@@ -329,7 +329,7 @@ impl Pictures {
     fn refuse_inputs(&self, frames: &[FrameFile], output: &Path) -> Result<(), Error> {
         match frames.iter().find(|frame| is_same_file(&frame.path, output)) {
             Some(frame) => {
-                Err(Error::TwoPurposes { path: output.to_owned(), other: frame.path.clone() })
+                Err(Error::SameFile { path: output.to_owned(), other: frame.path.clone() })
             }
             None => Ok(()),
         }
@@ -552,7 +552,7 @@ impl Simulation {
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
         if let Some(other) = self.beside.iter().find(|other| is_same_file(other, &path)) {
-            return Err(Error::TwoPurposes { path: other.clone(), other: path });
+            return Err(Error::SameFile { path: other.clone(), other: path });
         }
         let (inputs, naming) = self.names()?;
         let simulations = || inputs.simulations(None).ok();

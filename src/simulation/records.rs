@@ -21,7 +21,7 @@ use crate::io::whole::{Replace, WholeFile};
 use crate::system::held;
 
 use super::frame_file::FrameFile;
-use super::frozen::Stamp;
+use super::shared_calibration::Stamp;
 use crate::error::SimulationError;
 
 const MERGED: &str = "frames.jsonl";

@@ -17,7 +17,7 @@ use crate::system::cancel::Unfinished;
 use super::builder::Simulation;
 use super::conversion::{Conversion, Ran, convert};
 use super::event::{Event, Summary};
-use super::event::{Teller, hearing};
+use super::event::{EventSender, with_events};
 use super::forecast::Forecast;
 use super::frame_file::FrameFile;
 use super::inputs::{Inputs, Sequence};
@@ -52,7 +52,7 @@ impl Simulation {
     ///
     /// # Errors
     /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
-    /// [`Error::Simulation`], [`Error::TwoPurposes`], [`Error::Write`] as soon as nothing can be
+    /// [`Error::Simulation`], [`Error::SameFile`], [`Error::Write`] as soon as nothing can be
     /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| self.convert(begun))?;
@@ -95,7 +95,7 @@ impl Simulation {
         let _folders = prepare_folder(setup, &store)?;
         let kept = store.begin(found, true)?;
         if let Some(state) = &kept {
-            setup.tell(goes_on(&store, state));
+            setup.send(resumed(&store, state));
         }
         let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
         convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
@@ -112,7 +112,7 @@ impl Simulation {
             let Begun { setup, mut store, frames, found, .. } = begun;
             let _folders = prepare_folder(setup, &store)?;
             match store.begin(found, false)? {
-                Some(state) => setup.tell(goes_on(&store, &state)),
+                Some(state) => setup.send(resumed(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
             let wanted =
@@ -155,7 +155,7 @@ impl Simulation {
     /// Refuses what can be refused without an input.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`] and [`Error::Simulation`].
+    /// [`Error::Unit`], [`Error::SettingConflict`] and [`Error::Simulation`].
     pub fn check(&self) -> Result<(), Error> {
         self.prepare().map(drop)
     }
@@ -189,7 +189,7 @@ impl Simulation {
         &self,
         inputs: &Inputs,
         checked: &Checked,
-        teller: &Teller,
+        events: &EventSender,
     ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
         let look = || {
             let simulations = inputs.simulations(self.watch)?;
@@ -205,7 +205,7 @@ impl Simulation {
             simulations.len() < 2 && frames.iter().all(Vec::is_empty)
         };
         if let Some(idle) = self.watch.filter(|_| is_early(&found)) {
-            teller.tell(Event::Waiting { inputs: inputs.describe() });
+            events.send(Event::Waiting { inputs: inputs.describe() });
             while is_early(&found) && begun.elapsed().as_secs_f64() <= idle {
                 checked.go_on()?;
                 sleep(POLL);
@@ -223,17 +223,17 @@ impl Simulation {
         hear: impl FnMut(Event),
         act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
     ) -> Result<Vec<Each<T>>, Error> {
-        hearing(&self.request.control.cancel, hear, |teller| self.each_told(teller, &act))
+        with_events(&self.request.control.cancel, hear, |events| self.run_each(events, &act))
     }
 
-    fn each_told<T: Send>(
+    fn run_each<T: Send>(
         &self,
-        teller: &Teller,
+        events: &EventSender,
         act: &(impl Fn(Begun<'_>) -> Result<T, Error> + Sync),
     ) -> Result<Vec<Each<T>>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
         let ready = checked.clone().on_threads()?;
-        let found = || self.found(&inputs, &checked, teller);
+        let found = || self.found(&inputs, &checked, events);
         let (simulations, frames) = ready.threads.install(found)?;
         if simulations.is_empty() {
             return Err(inputs.no_frames().into());
@@ -254,12 +254,12 @@ impl Simulation {
             for (sequence, frames) in simulations.iter().zip(frames) {
                 let outputs = naming.outputs(sequence);
                 let setup =
-                    Setup { simulation: self, sequence, outputs, checked: &ready.checked, teller };
+                    Setup { simulation: self, sequence, outputs, checked: &ready.checked, events };
                 let result = match self.begin(&setup, frames).and_then(act) {
                     // What is wrong with one fluid's files does not concern the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
                         let error = Arc::new(error);
-                        setup.tell(Event::SimulationFailed(Arc::clone(&error)));
+                        setup.send(Event::SimulationFailed(Arc::clone(&error)));
                         Err(error)
                     }
                     result => Ok(result?),
@@ -286,7 +286,7 @@ impl Simulation {
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
-            return Err(SimulationError::NoneWanted(setup.sequence.describe()).into());
+            return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());
         }
         // Without a state, what is there is not of this conversion. Looked for before the state: a
         // state is there before the first output of its conversion is.
@@ -309,8 +309,8 @@ impl Simulation {
 }
 
 /// The event of a state that is gone on with.
-fn goes_on(store: &Store, state: &State) -> Event {
-    Event::GoesOn { state: store.state_path(), frozen: Box::new(state.frozen.clone()) }
+fn resumed(store: &Store, state: &State) -> Event {
+    Event::Resumed { state: store.state_path(), shared: Box::new(state.shared.clone()) }
 }
 
 /// Makes the folder of the outputs ready, and removes what killed processes have left there. What

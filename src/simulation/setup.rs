@@ -21,12 +21,12 @@ use crate::surface::simplify::BYTES_A_THREAD;
 
 use super::builder::Simulation;
 use super::event::Event;
-use super::event::Teller;
+use super::event::EventSender;
 use super::frame_file::FrameFile;
-use super::frozen::Frozen;
 use super::inputs::Sequence;
 use super::lanes::Division;
 use super::pattern::Pattern;
+use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
 use super::state::{Found, State, Store};
 
@@ -40,13 +40,13 @@ pub(super) struct Setup<'a> {
     /// The names of the meshes.
     pub(super) outputs: Pattern,
     pub(super) checked: &'a Checked,
-    pub(super) teller: &'a Teller,
+    pub(super) events: &'a EventSender,
 }
 
 impl Setup<'_> {
     /// Sends an event to the caller.
-    pub(super) fn tell(&self, event: Event) {
-        self.teller.tell(event);
+    pub(super) fn send(&self, event: Event) {
+        self.events.send(event);
     }
 
     /// Ends the work where the caller has asked for it.
@@ -76,20 +76,20 @@ impl Setup<'_> {
     /// emitter does, and the second does not.
     pub(super) fn sampling(
         &self,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         particles: &(impl Particles + ?Sized),
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<(Sampling, Vec<Warning>), Error> {
-        let (request, grid) = (&self.checked.sampling, frozen.grid()?);
-        let walls = frozen.walls.as_ref().map(|found| &found.walls);
-        let (request, past) = request.in_walls_around(walls, particles, frozen.spacing, &grid);
-        let method = request.method.calibrated(frozen.calibration.as_ref());
-        let slab = frozen.slab.filter(|slab| slab.holds(particles));
+        let (request, grid) = (&self.checked.sampling, shared.grid()?);
+        let walls = shared.walls.as_ref().map(|found| &found.walls);
+        let (request, past) = request.in_walls_around(walls, particles, shared.spacing, &grid);
+        let method = request.method.calibrated(shared.calibration.as_ref());
+        let slab = shared.slab.filter(|slab| slab.holds(particles));
         let request = request.in_slab(slab);
-        let sampling = request.sampling_on(grid, method, frozen.spacing, carried, resources)?;
-        let sampling = Sampling { kinds: frozen.kinds.clone(), ..sampling };
-        Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
+        let sampling = request.sampling_on(grid, method, shared.spacing, carried, resources)?;
+        let sampling = Sampling { kinds: shared.kinds.clone(), ..sampling };
+        Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
     }
 
     /// The division of the machine among `frames`.
@@ -124,7 +124,7 @@ impl Setup<'_> {
         series: &Series,
         store: &Store,
     ) -> Result<(), Error> {
-        let two_purposes = |path: &Path, other: &Path| Error::TwoPurposes {
+        let same_file = |path: &Path, other: &Path| Error::SameFile {
             path: path.to_owned(),
             other: other.to_owned(),
         };
@@ -144,7 +144,7 @@ impl Setup<'_> {
             }
             let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
-                return Err(two_purposes(&output, input));
+                return Err(same_file(&output, input));
             }
             if self.sequence.takes(&output) {
                 return Err(Error::Request(format!(
@@ -163,7 +163,7 @@ impl Setup<'_> {
             if let Some(other) =
                 taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))
             {
-                return Err(two_purposes(beside, &other));
+                return Err(same_file(beside, &other));
             }
         }
         Ok(())
@@ -180,9 +180,9 @@ impl Setup<'_> {
         };
         let mut differing = state.differing(&self.checked.settings.kept());
         let of_others = !differing.is_empty();
-        if state.frozen.changed_in(frames).is_some() {
+        if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
-            let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);
+            let _ = write!(differing, "{comma}input frame {}", state.shared.frame);
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {
@@ -197,7 +197,7 @@ impl Setup<'_> {
             };
         }
         if anew || self.simulation.resume && !of_others {
-            self.tell(Event::Anew { state: store.state_path(), differing });
+            self.send(Event::Restarted { state: store.state_path(), differing });
             return Ok(Found::Stale { text, of_others });
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
@@ -207,7 +207,7 @@ impl Setup<'_> {
     /// their own.
     fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
         let Method::Indicator { kind, .. } = self.checked.sampling.method else { return true };
-        let Some(known) = &state.frozen.calibration else { return false };
+        let Some(known) = &state.shared.calibration else { return false };
         let is_known = known.suits(kind) && (known.mean().is_some() || !kind.counts());
         is_known || frames.iter().all(|frame| is_packed(&frame.path))
     }

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::io::whole::{make_folder, replace_small};
 use crate::settings::{Kept, differing};
 
-use super::frozen::Frozen;
 use super::records::Log;
+use super::shared_calibration::SharedCalibration;
 use crate::error::SimulationError;
 
 /// The state of a simulation: all that its frames have in common.
@@ -23,13 +23,13 @@ pub struct State {
     /// The settings of the request.
     pub settings: Kept,
     /// The measurements.
-    pub frozen: Frozen,
+    pub shared: SharedCalibration,
 }
 
 impl State {
     /// By this version.
-    pub fn new(settings: Kept, frozen: Frozen) -> Self {
-        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, frozen }
+    pub fn new(settings: Kept, shared: SharedCalibration) -> Self {
+        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
     }
 
     /// A number that differs where anything does.
@@ -127,7 +127,7 @@ impl Store {
         let path = self.state_path();
         let state: State = serde_json::from_slice(text)
             .map_err(|e| SimulationError::State { path: path.clone(), what: e.to_string() })?;
-        match state.frozen.grid() {
+        match state.shared.grid() {
             Ok(_) => Ok(state),
             Err(fault) => Err(SimulationError::State { path, what: fault.to_string() }),
         }
@@ -223,10 +223,10 @@ mod tests {
     use crate::grid::units::{Isovalue, MeanCount};
     use crate::particles::AttributeInfo;
     use crate::particles::kind::{AttributeKind, SettledKind};
-    use crate::simulation::frozen::Stamp;
+    use crate::simulation::shared_calibration::Stamp;
 
-    fn frozen(calibration: Calibration) -> Frozen {
-        Frozen {
+    fn shared(calibration: Calibration) -> SharedCalibration {
+        SharedCalibration {
             frame: 1,
             input: Stamp { bytes: 1, modified: u64::MAX, files: 3 },
             spacing: Some(0.1 + 0.2),
@@ -254,14 +254,16 @@ mod tests {
             for calibration in
                 [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
-                let state = State::new(Kept::new(), frozen(calibration));
+                let state = State::new(Kept::new(), shared(calibration));
                 assert_eq!(store.add(&state).unwrap(), state);
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
                 assert_eq!(loaded.fingerprint(), state.fingerprint());
                 // Another process that measures at the same time uses the state that exists first.
-                let late =
-                    State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
+                let late = State {
+                    shared: SharedCalibration { frame: 7, ..state.shared.clone() },
+                    ..state.clone()
+                };
                 assert_eq!(store.add(&late).unwrap(), state);
                 let other = State {
                     settings: Kept::from_iter([("cell".to_owned(), 1.into())]),

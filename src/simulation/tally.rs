@@ -17,7 +17,7 @@ use crate::io::{WriteError, WriteFault};
 use rayon::prelude::*;
 
 use super::conversion::Conversion;
-use super::event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
+use super::event::{Event, FrameCounts, FrameDone, FrameFailed, LeftOut, Missing, Summary};
 use super::one_frame::Done;
 use super::setup::Setup;
 
@@ -126,7 +126,7 @@ impl<'a> Tally<'a> {
                     progress: self.tallied(frame),
                 };
                 self.listed.insert(frame.number, done.mesh.clone());
-                setup.tell(Event::Done(Box::new(done)));
+                setup.send(Event::Done(Box::new(done)));
                 if self.series_written.elapsed() > SERIES_PAUSE {
                     self.write_series()?;
                 }
@@ -138,14 +138,14 @@ impl<'a> Tally<'a> {
                 let input = frame.path.clone();
                 let failed = Arc::new(FrameFailed { frame: frame.number, input, error, progress });
                 self.failed.insert(frame.number, Arc::clone(&failed));
-                setup.tell(Event::Failed(failed));
+                setup.send(Event::Failed(failed));
             }
         }
         Ok(false)
     }
 
-    fn tallied(&self, frame: &FrameFile) -> Tallied {
-        Tallied {
+    fn tallied(&self, frame: &FrameFile) -> FrameCounts {
+        FrameCounts {
             done: self.done,
             total: self.total,
             failed: self.failed.len(),
@@ -201,7 +201,7 @@ impl<'a> Tally<'a> {
             smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),
             seconds: self.begun.elapsed().as_secs_f64(),
         };
-        self.conversion.setup.tell(Event::Ended(Box::new(summary.clone())));
+        self.conversion.setup.send(Event::Ended(Box::new(summary.clone())));
         self.fatal.map_or(Ok(summary), Err)
     }
 }

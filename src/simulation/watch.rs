@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::frame_file::{FrameFile, Selection};
-use super::frozen::Stamp;
+use super::shared_calibration::Stamp;
 
 /// A file that has not changed for so long is taken to be complete.
 const SETTLED: Duration = Duration::from_secs(1);

@@ -155,7 +155,7 @@ impl PartFile {
         if [end.plan, end.part, end.of] != [mark.plan, mark.part, mark.of]
             || end.first != mark.stretch.first.0
         {
-            return Err(PartsError::Foreign(path.to_owned()));
+            return Err(PartsError::OtherPlan(path.to_owned()));
         }
         let inconsistent = || damaged("its lists do not match its meshes");
         let lists = [

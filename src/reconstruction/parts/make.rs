@@ -19,7 +19,7 @@ use crate::system::timings::Timings;
 use super::chunks::Reading;
 use super::file::{Made, Mark, PartFile};
 use super::plan_file::Plan;
-use super::{Begun, PartMade, Parts, part_in, plan_file};
+use super::{Begun, PartDone, Parts, part_in, plan_file};
 
 /// Blocks of a part, and what a report adds up of it.
 struct Meshed {
@@ -37,7 +37,7 @@ impl Parts {
     /// # Errors
     /// [`Error::Parts`] where there is no plan, or one for something else, [`Error::Read`],
     /// [`Error::Frame`], and [`Error::Write`].
-    pub fn part(&self, part: u32) -> Result<PartMade, Error> {
+    pub fn part(&self, part: u32) -> Result<PartDone, Error> {
         let begun = self.begin()?;
         if part >= self.count {
             return Err(PartsError::NoPart { part, of: self.count }.into());
@@ -47,7 +47,7 @@ impl Parts {
         let path = part_in(&folder, part);
         let mark = mark(&plan, fingerprint, part, &checked);
         match PartFile::open(&path, mark, &components(&plan)) {
-            Ok(Some(there)) => return Ok(PartMade::of_file(path, &there)),
+            Ok(Some(there)) => return Ok(PartDone::of_file(path, &there)),
             Err(fault @ PartsError::Io { .. }) => return Err(fault.into()),
             Ok(None) | Err(_) => {}
         }
@@ -75,7 +75,7 @@ impl Parts {
         timings.done("write");
         let (blocks, triangles) =
             spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
-        Ok(PartMade { path, bytes, blocks, triangles, read, was_there: false, warnings, timings })
+        Ok(PartDone { path, bytes, blocks, triangles, read, reused: false, warnings, timings })
     }
 
     fn meshed(
@@ -140,7 +140,7 @@ impl Parts {
             let occupied = engine.occupied().within(mark.stretch).collect();
             let made =
                 Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
-            let warnings = engine.warnings().into_iter().map(Warning::MadeGood).collect();
+            let warnings = engine.warnings().into_iter().map(Warning::DeviceFallback).collect();
             Ok(Meshed { spool: Some(spool), made, read: reading.count(), warnings })
         })
     }
@@ -166,7 +166,7 @@ pub(super) fn components(plan: &Plan) -> Vec<usize> {
     plan.attributes.iter().map(|info| info.components).collect()
 }
 
-impl PartMade {
+impl PartDone {
     fn of_file(path: std::path::PathBuf, file: &PartFile) -> Self {
         let blocks = &file.meshes.blocks;
         Self {
@@ -175,7 +175,7 @@ impl PartMade {
             blocks: blocks.len(),
             triangles: blocks.iter().map(|block| u64::from(block.triangles)).sum(),
             read: 0,
-            was_there: true,
+            reused: true,
             warnings: Vec::new(),
             timings: Timings::default(),
         }

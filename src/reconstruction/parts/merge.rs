@@ -9,7 +9,7 @@ use crate::reconstruction::checked::{Checked, Started};
 use crate::reconstruction::draw::Drawn;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
-use crate::reconstruction::warning::{of_particles, with_doubts};
+use crate::reconstruction::warning::{of_particles, with_spacing_warnings};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
 use crate::surface::stitch::Stitched;
@@ -134,7 +134,7 @@ fn drawn(
     let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
     let warnings =
         of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
-    report.warnings = with_doubts(report.cells.as_ref(), warnings);
+    report.warnings = with_spacing_warnings(report.cells.as_ref(), warnings);
     report.lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();

@@ -22,7 +22,7 @@ mod plan_file;
 use std::path::{Path, PathBuf};
 
 use crate::brick::Census;
-use crate::error::{Conflict, Error, PartsError, Setting, Unfit};
+use crate::error::{Conflict, Error, PartsError, Setting, SettingConflict};
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::Method;
@@ -84,7 +84,7 @@ enum Again {
 /// A plan that was made, or was there.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct Planned {
+pub struct PartsPlan {
     /// The plan's file.
     pub path: PathBuf,
     /// The particles in the file.
@@ -122,13 +122,13 @@ pub struct PartShare {
     /// Particles that it keeps: those, and what decides their blocks from around.
     pub kept: u64,
     /// Needs of a machine that is like this; `None` where the plan was there.
-    pub takes: Option<PartTakes>,
+    pub needs: Option<PartNeeds>,
 }
 
 /// Bytes that a part takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct PartTakes {
+pub struct PartNeeds {
     /// Memory within the budget, at the peak.
     pub memory: u64,
     /// Memory that it would take if there were enough.
@@ -140,7 +140,7 @@ pub struct PartTakes {
 /// A part that was made, or was there.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct PartMade {
+pub struct PartDone {
     /// The part's file.
     pub path: PathBuf,
     /// The file's size.
@@ -152,7 +152,7 @@ pub struct PartMade {
     /// Particles that were read of the input: none where it was there.
     pub read: usize,
     /// Whether it was there already, whole, and made by the same plan.
-    pub was_there: bool,
+    pub reused: bool,
     /// Failures of the backend that were made good.
     pub warnings: Vec<Warning>,
     /// How long each stage took: nothing where it was there.
@@ -215,13 +215,13 @@ impl Parts {
         }
         if is_packed(&self.input) {
             let with = Conflict::Packed(self.input.clone());
-            return Err(Unfit { setting: Setting::named("parts"), with }.into());
+            return Err(SettingConflict { setting: Setting::named("parts"), with }.into());
         }
         let indicator = match checked.sampling.method {
             Method::Indicator { kind, .. } => kind,
             Method::Kernels(kernels) => {
                 let with = Conflict::Method(kernels);
-                return Err(Unfit { setting: Setting::named("parts"), with }.into());
+                return Err(SettingConflict { setting: Setting::named("parts"), with }.into());
             }
         };
         checked.refuse_of_indicator()?;

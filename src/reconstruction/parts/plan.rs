@@ -22,7 +22,7 @@ use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::plan_file::{Plan, Share, path_in};
-use super::{Again, Begun, PartShare, PartTakes, Parts, Planned, chunks};
+use super::{Again, Begun, PartNeeds, PartShare, Parts, PartsPlan, chunks};
 
 /// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and
 /// to sample a particle.
@@ -33,10 +33,10 @@ impl Parts {
     /// before.
     ///
     /// # Errors
-    /// [`Error::Parts`] for a plan that was made for something else, [`Error::Unfit`] for kernels
-    /// and packed frames, which are not made in parts, [`Error::Read`], and [`Error::Frame`] for
-    /// particles that cannot be sampled.
-    pub fn plan(&self) -> Result<Planned, Error> {
+    /// [`Error::Parts`] for a plan that was made for something else, [`Error::SettingConflict`] for
+    /// kernels and packed frames, which are not made in parts, [`Error::Read`], and
+    /// [`Error::Frame`] for particles that cannot be sampled.
+    pub fn plan(&self) -> Result<PartsPlan, Error> {
         let begun = self.begin()?;
         let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
             Some((plan, _)) => plan
@@ -46,7 +46,7 @@ impl Parts {
         });
         match (found, self.again) {
             (Ok(Some(plan)), Again::Refuse | Again::Differing) => {
-                return self.told(plan, None, &begun, Timings::default());
+                return self.describe(plan, None, &begun, Timings::default());
             }
             (Err(fault), Again::Refuse) => return Err(fault),
             _ => {}
@@ -54,23 +54,23 @@ impl Parts {
         let Begun { checked, folder, indicator } = begun;
         let ready = checked.clone().on_threads()?;
         let mut timings = Timings::default();
-        let (plan, takes) = self.measured(&ready, indicator, &mut timings)?;
+        let (plan, needs) = self.measured(&ready, indicator, &mut timings)?;
         let save = || {
             plan.save(&folder)?;
             sweep(&folder);
             Ok::<_, PartsError>(())
         };
         checked.resources.control.cancel.undisturbed(save)?;
-        self.told(plan, Some(takes), &Begun { checked, folder, indicator }, timings)
+        self.describe(plan, Some(needs), &Begun { checked, folder, indicator }, timings)
     }
 
-    fn told(
+    fn describe(
         &self,
         plan: Plan,
-        takes: Option<Vec<PartTakes>>,
+        needs: Option<Vec<PartNeeds>>,
         begun: &Begun,
         timings: Timings,
-    ) -> Result<Planned, Error> {
+    ) -> Result<PartsPlan, Error> {
         let path = path_in(&begun.folder);
         let no_calibration =
             || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
@@ -78,9 +78,9 @@ impl Parts {
         let share = |(part, share): (usize, &Share)| PartShare {
             particles: share.particles,
             kept: share.counted,
-            takes: takes.as_ref().map(|takes| takes[part]),
+            needs: needs.as_ref().map(|needs| needs[part]),
         };
-        Ok(Planned {
+        Ok(PartsPlan {
             parts: plan.parts.iter().enumerate().map(share).collect(),
             particles: plan.particles,
             moved_to: plan.moved.then_some(plan.origin),
@@ -102,7 +102,7 @@ impl Parts {
         ready: &Started,
         indicator: IndicatorKind,
         timings: &mut Timings,
-    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+    ) -> Result<(Plan, Vec<PartNeeds>), Error> {
         let (Started { checked, threads }, input) = (ready, &self.input);
         let stamp = || checked.settings.stamp(input);
         let before = stamp()?;
@@ -134,7 +134,7 @@ impl Parts {
         chosen: ChosenSampling,
         stamp: Stamp,
         timings: &mut Timings,
-    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+    ) -> Result<(Plan, Vec<PartNeeds>), Error> {
         let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
@@ -181,14 +181,14 @@ impl Parts {
             parts,
             chunks,
         };
-        let takes = (0..).zip(&shared).map(|(part, known)| {
+        let needs = (0..).zip(&shared).map(|(part, known)| {
             let bins = known.iter().map(|&bin| bins[bin as usize]);
             let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
-            PartTakes::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
+            PartNeeds::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
         });
-        let takes = takes.collect();
+        let needs = needs.collect();
         timings.done("share out");
-        Ok((plan, takes))
+        Ok((plan, needs))
     }
 }
 
@@ -269,7 +269,7 @@ fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) 
         .collect()
 }
 
-impl PartTakes {
+impl PartNeeds {
     fn of(estimate: &Estimate, budget: MemoryBudget, input_scratch: u64) -> Self {
         let plan = estimate.plan(budget);
         Self {

@@ -151,17 +151,17 @@ enum MeniscusEventKind
   // No frame has come yet, and one is waited for.
   MENISCUS_EVENT_KIND_WAITING = 1,
   // The spacing that a frame says, or looks like, may not be right.
-  MENISCUS_EVENT_KIND_DOUBTED = 2,
+  MENISCUS_EVENT_KIND_SPACING_WARNING = 2,
   // The state of an earlier run is made anew, because settings or its input changed.
-  MENISCUS_EVENT_KIND_ANEW = 3,
+  MENISCUS_EVENT_KIND_RESTARTED = 3,
   // The frames of an earlier run are gone on with.
-  MENISCUS_EVENT_KIND_GOES_ON = 4,
+  MENISCUS_EVENT_KIND_RESUMED = 4,
   // The measurements that all frames share are made.
   MENISCUS_EVENT_KIND_MEASURED = 5,
   // The frames that are to be made are known.
-  MENISCUS_EVENT_KIND_BEGINS = 6,
+  MENISCUS_EVENT_KIND_STARTED = 6,
   // A further frame has come.
-  MENISCUS_EVENT_KIND_CAME = 7,
+  MENISCUS_EVENT_KIND_FRAME_APPEARED = 7,
   // A frame is at a stage, or is over.
   MENISCUS_EVENT_KIND_STAGE = 8,
   // A frame is done: its mesh is whole, and under its name.

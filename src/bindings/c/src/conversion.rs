@@ -19,17 +19,17 @@ pub enum MeniscusEventKind {
     /// No frame has come yet, and one is waited for.
     Waiting = 1,
     /// The spacing that a frame says, or looks like, may not be right.
-    Doubted = 2,
+    SpacingWarning = 2,
     /// The state of an earlier run is made anew, because settings or its input changed.
-    Anew = 3,
+    Restarted = 3,
     /// The frames of an earlier run are gone on with.
-    GoesOn = 4,
+    Resumed = 4,
     /// The measurements that all frames share are made.
     Measured = 5,
     /// The frames that are to be made are known.
-    Begins = 6,
+    Started = 6,
     /// A further frame has come.
-    Came = 7,
+    FrameAppeared = 7,
     /// A frame is at a stage, or is over.
     Stage = 8,
     /// A frame is done: its mesh is whole, and under its name.
@@ -138,15 +138,15 @@ fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
     let mut warnings = Vec::new();
     let kind = match event {
         Event::Waiting { .. } => MeniscusEventKind::Waiting,
-        Event::Doubted(_) => MeniscusEventKind::Doubted,
-        Event::Anew { .. } => MeniscusEventKind::Anew,
-        Event::GoesOn { .. } => MeniscusEventKind::GoesOn,
+        Event::SpacingWarning(_) => MeniscusEventKind::SpacingWarning,
+        Event::Restarted { .. } => MeniscusEventKind::Restarted,
+        Event::Resumed { .. } => MeniscusEventKind::Resumed,
         Event::Measured { .. } => MeniscusEventKind::Measured,
-        Event::Begins { frames, done, .. } => {
+        Event::Started { frames, done, .. } => {
             (told.done, told.total) = (*done as u64, *frames as u64);
-            MeniscusEventKind::Begins
+            MeniscusEventKind::Started
         }
-        Event::Came { .. } => MeniscusEventKind::Came,
+        Event::FrameAppeared { .. } => MeniscusEventKind::FrameAppeared,
         Event::Stage { frame, progress, .. } => {
             told.frame = *frame;
             told.share = progress.map_or(0.0, |progress| progress.done);
@@ -172,7 +172,7 @@ fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
 }
 
 impl MeniscusEvent {
-    fn count(&mut self, progress: &meniscus::Tallied) {
+    fn count(&mut self, progress: &meniscus::FrameCounts) {
         (self.done, self.total) = (progress.done as u64, progress.total as u64);
         self.failed = progress.failed as u64;
     }
@@ -243,7 +243,7 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
         size: size_of::<MeniscusSummary>(),
         made: sum(&|one| one.made as u64),
         failed: sum(&|one| one.failed.len() as u64),
-        missing: sum(&|one| one.lacking() - one.failed.len() as u64),
+        missing: sum(&|one| one.incomplete_frames() - one.failed.len() as u64),
         particles: sum(&|one| one.left_out.census.binned as u64),
         lost: sum(&|one| one.left_out.lost),
         seconds: summaries.iter().map(|one| one.seconds).sum(),

@@ -70,7 +70,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
             return Err(Failure::request("the simulation is at work on another frame"));
         };
         let control = control.anew();
-        live.controlled_by(&control.of(Reconstruction::new()));
+        live.set_control(&control.of(Reconstruction::new()));
         let _listening = control.listen();
         Ok(MeniscusMesh::new(live.frame(&particles)?))
     };

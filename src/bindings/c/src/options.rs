@@ -272,7 +272,7 @@ impl Asked {
         let MeniscusOptions { settings, machine, frames, progress, event, cancel } = options;
         let control = Control::new(progress, cancel);
         let memory = machine.memory.map_or_else(default_memory, MemoryBudget);
-        let mut request = control.of(Reconstruction::by(settings)).memory(memory);
+        let mut request = control.of(Reconstruction::new().with_settings(settings)).memory(memory);
         if let Some(threads) = machine.threads {
             request = request.threads(threads);
         }

@@ -303,7 +303,7 @@ static int32_t note(void *user, const MeniscusEvent *event) {
 /// Before the first frame: after the first that is done, the others may be done as well.
 static int32_t stop(void *user, const MeniscusEvent *event) {
   (void)user;
-  return event->kind == MENISCUS_EVENT_KIND_BEGINS;
+  return event->kind == MENISCUS_EVENT_KIND_STARTED;
 }
 
 static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *folder) {
@@ -325,7 +325,7 @@ static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *fold
   CHECK(meniscus_convert(names, 4, output, options, &summary) == MENISCUS_STATUS_INCOMPLETE);
   CHECK(summary.made == 3 && summary.failed == 1 && strstr(meniscus_last_error(), "water_2.xyz"));
   CHECK(events[MENISCUS_EVENT_KIND_DONE] == 3 && events[MENISCUS_EVENT_KIND_FAILED] == 1);
-  CHECK(events[MENISCUS_EVENT_KIND_BEGINS] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
+  CHECK(events[MENISCUS_EVENT_KIND_STARTED] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
   CHECK(events[MENISCUS_EVENT_KIND_STAGE] > 3 && events[MENISCUS_EVENT_KIND_OTHER] == 0);
   OK(meniscus_options_on_event(options, stop, NULL));
   CHECK(meniscus_convert(names, 4, output, options, NULL) == MENISCUS_STATUS_CANCELLED);

@@ -29,7 +29,7 @@ fn is_of_file(error: &Error) -> bool {
 
 /// The exception that an error is.
 pub fn exception(error: Error) -> PyErr {
-    let text = error.told(&|setting| setting.name().to_owned());
+    let text = error.message_with(&|setting| setting.name().to_owned());
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
         _ if matches!(

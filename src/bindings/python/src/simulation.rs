@@ -204,7 +204,7 @@ impl Simulation {
         let live = &mut *live;
         let work = Work::new();
         let request = work.holds(self.request.clone(), progress.is_some());
-        live.controlled_by(&request);
+        live.set_control(&request);
         let water = arrays.water();
         let surface = with_progress(py, progress, work, || live.frame(&water))?;
         Mesh::new(py, surface, request)

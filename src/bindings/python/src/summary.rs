@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use meniscus::{Event as News, Summary as Ended, Tallied};
+use meniscus::{Event as News, FrameCounts, Summary as Ended};
 use pyo3::prelude::*;
 
 /// News of a conversion. ``str(event)`` is a line for people.
@@ -11,7 +11,8 @@ use pyo3::prelude::*;
 /// Attributes
 /// ----------
 /// kind : str
-///     "waiting", "doubted", "anew", "goes_on", "measured", "begins", "came", "stage", "done", "failed", "simulation_failed" or "ended".
+///     "waiting", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
+///     "stage", "done", "failed", "simulation_failed" or "ended".
 /// message : str
 ///     A line for people.
 /// frame : int or None
@@ -41,7 +42,7 @@ pub struct Event {
 impl Event {
     /// Takes what others are told, and what to warn of.
     pub fn of(news: &News) -> (Self, Vec<String>) {
-        let counted = |Tallied { done, total, failed, .. }: &Tallied| Self {
+        let counted = |FrameCounts { done, total, failed, .. }: &FrameCounts| Self {
             done: Some(*done),
             total: Some(*total),
             failed: Some(*failed),
@@ -50,17 +51,17 @@ impl Event {
         let mut warnings = Vec::new();
         let event = match news {
             News::Waiting { .. } => Self { kind: "waiting", ..Self::default() },
-            News::Doubted(doubt) => {
-                warnings.push(doubt.to_string());
-                Self { kind: "doubted", ..Self::default() }
+            News::SpacingWarning(warning) => {
+                warnings.push(warning.to_string());
+                Self { kind: "spacing_warning", ..Self::default() }
             }
-            News::Anew { .. } => Self { kind: "anew", ..Self::default() },
-            News::GoesOn { .. } => Self { kind: "goes_on", ..Self::default() },
+            News::Restarted { .. } => Self { kind: "restarted", ..Self::default() },
+            News::Resumed { .. } => Self { kind: "resumed", ..Self::default() },
             News::Measured { .. } => Self { kind: "measured", ..Self::default() },
-            News::Begins { frames, done, .. } => {
-                Self { kind: "begins", done: Some(*done), total: Some(*frames), ..Self::default() }
+            News::Started { frames, done, .. } => {
+                Self { kind: "started", done: Some(*done), total: Some(*frames), ..Self::default() }
             }
-            News::Came { .. } => Self { kind: "came", ..Self::default() },
+            News::FrameAppeared { .. } => Self { kind: "frame_appeared", ..Self::default() },
             News::Stage { frame, progress, .. } => Self {
                 kind: "stage",
                 frame: Some(*frame),

@@ -20,7 +20,7 @@ use super::frame_file::FrameFile;
 
 /// Measured on one frame, the same for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Frozen {
+pub struct SharedCalibration {
     /// The number of the frame that it was measured on.
     pub frame: i64,
     /// The stamp of that frame's file.
@@ -153,7 +153,7 @@ pub fn measure_sampled(
     Ok(Measured { grid: frame.facts.grid, calibration: Some(calibration), trust })
 }
 
-impl Frozen {
+impl SharedCalibration {
     /// The frame that was measured, if its file is there and has changed since. A frame at a time may
     /// have another number by now.
     pub(super) fn changed_in<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
