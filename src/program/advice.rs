@@ -1,5 +1,5 @@
-//! Advice for errors and warnings: the options that help. The library says what is wrong, but does
-//! not know the options.
+//! Adds advice to errors and warnings: options that help. The library describes the problem, but
+//! does not know the options of the program.
 
 use bytesize::ByteSize;
 use meniscus::error::{
@@ -55,7 +55,7 @@ fn in_options(error: &Error) -> Option<String> {
     })
 }
 
-/// Whether a file of unknown extension is read as particles.
+/// Whether the error is about the unknown extension of an input.
 fn is_of_unknown_particles(fault: &ReadFault) -> bool {
     matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
 }
@@ -134,7 +134,7 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
     }
 }
 
-/// The text of a doubt about a spacing, with advice.
+/// The text of a warning about a spacing, with advice.
 pub fn spacing_message(warning: &SpacingWarning) -> String {
     match warning {
         SpacingWarning::Contradicted { found, source: SpacingSource::Packed, .. } => {
@@ -261,7 +261,7 @@ mod tests {
         text.into()
     }
 
-    /// Errors for which there is advice, or which are told in the names of options.
+    /// Errors with advice, or with names of options in their text.
     fn errors() -> Vec<Error> {
         let frame = |fault| Error::Frame { path: Some(path("f_1.vtk")), fault };
         let spacing = |why| Error::NoSpacing { path: None, particles: 7, why, suggested: None };

@@ -36,7 +36,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let Options { format, r#where, .. } = options;
     let settings = Settings { format: *format, r#where: r#where.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
-    for file in files(&options.files, is_told)? {
+    for file in files(&options.files, is_listed)? {
         match info_with(&file, &settings) {
             Ok(info) if options.json => infos.push(info),
             Ok(info) => print(&describe(&info))?,
@@ -53,7 +53,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 }
 
 /// Whether `info` lists this file of a folder.
-fn is_told(file: &Path) -> bool {
+fn is_listed(file: &Path) -> bool {
     InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
 }
 

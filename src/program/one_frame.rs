@@ -51,7 +51,7 @@ pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // The folder of the output exists now.
+    // Preparing the output has created its folder.
     options.prepare_stats()?;
     let preview =
         options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;

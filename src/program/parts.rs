@@ -89,7 +89,7 @@ fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Erro
     Ok(Verdict::Good)
 }
 
-/// A line for each part: what it holds, and what it takes.
+/// A line for each part: its particles and its resources.
 fn listed(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
@@ -157,7 +157,7 @@ pub struct PartsOptions {
     merge: bool,
 }
 
-/// A step on the way to a mesh in parts.
+/// A step of a mesh in parts.
 pub enum Step {
     Plan,
     Part(u32),

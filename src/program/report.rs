@@ -1,4 +1,4 @@
-//! The report of a frame, for people.
+//! Prints the report of a frame.
 
 use std::path::PathBuf;
 
@@ -45,7 +45,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
     }
 }
 
-/// Prints the cells, the indicator, and the origin of a grid that was moved.
+/// Prints the cells, the indicator, and the new origin of a grid that was moved.
 pub fn report_cells(
     cells: &Cells,
     indicator: Option<IndicatorKind>,
@@ -172,8 +172,8 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Prints the warnings about a surface, with advice. Doubts about the spacing were printed when it
-/// was chosen.
+/// Prints the warnings about a surface, with advice. Warnings about the spacing were already
+/// printed when it was chosen.
 pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {

@@ -1,5 +1,5 @@
-//! From a sampled frame to its surface, simplified if it is to be, with whatever there is to know
-//! of it.
+//! Makes the surface of a sampled frame, simplifies it if requested, and collects its report and
+//! warnings.
 
 use crate::error::Error;
 use crate::field::calibration::Calibration;
@@ -17,14 +17,14 @@ use super::checked::Checked;
 use super::report::Report;
 use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
 
-/// A surface that was drawn, but for the threads that it was made by.
+/// A surface without the threads that made it.
 pub(crate) struct Drawn {
     pub(crate) mesh: Kept,
     pub(crate) precision: SinglePrecision,
     pub(crate) report: Report,
 }
 
-/// A mesh as it is kept: in memory, or in scratch files as far as it exceeds its share of that.
+/// A mesh in memory, or in scratch files if it exceeds its share of the memory.
 pub(crate) enum Kept {
     /// The mesh of a frame that has no surface.
     Empty(Mesh),
@@ -44,8 +44,8 @@ impl Kept {
 }
 
 impl Checked {
-    /// Draws the surface of a frame, by a calibration that is known or measured on it, and leaves
-    /// out what is to be.
+    /// Makes the surface of a frame with a given calibration, or one that is measured on it, and
+    /// removes components that are too small.
     pub(crate) fn draw(
         &self,
         engine: &Engine,
@@ -56,9 +56,9 @@ impl Checked {
         Ok(self.reduce_of(engine, surface, report, timings)?)
     }
 
-    /// Draws as [`draw`](Self::draw) does the surface of one of many frames: where there is none,
-    /// the mesh is empty, vertices would have carried the attributes `infos`, and a warning says
-    /// why. `calibration_frame` is the frame that the calibration is of.
+    /// Like [`draw`](Self::draw), for one of many frames. A frame without a surface gives an empty
+    /// mesh with the attributes `infos`, and a warning with the reason. `calibration_frame` is the
+    /// frame on which the calibration was measured.
     pub(crate) fn draw_or_empty(
         &self,
         engine: &Engine,
@@ -94,7 +94,7 @@ impl Checked {
         }
     }
 
-    /// A frame without a surface, and a warning that says why it has none.
+    /// A frame without a surface, with a warning that gives the reason.
     fn empty(
         &self,
         mut report: Report,
@@ -107,7 +107,7 @@ impl Checked {
         Drawn { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
     }
 
-    /// An empty mesh, which every program can load, and finds the attributes that it expects.
+    /// An empty mesh with the expected attributes, which every program can load.
     pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> Kept {
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
@@ -140,8 +140,8 @@ impl Checked {
         })
     }
 
-    /// Adds to a report what there is to doubt of a surface, of which it says already how many
-    /// particles are in none.
+    /// Adds warnings about a surface to its report, which already has the number of missing
+    /// particles.
     pub(super) fn judge(
         &self,
         report: &mut Report,
@@ -151,7 +151,7 @@ impl Checked {
         let bubbles =
             report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
         report.warnings.extend(bubbles);
-        report.warnings.extend(self.doubts_about_solids(&report.facts));
+        report.warnings.extend(self.solid_warnings(&report.facts));
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
         report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));
@@ -173,7 +173,7 @@ impl Checked {
         })
     }
 
-    /// Has a surface simplified, and components left out, where that was asked for.
+    /// Simplifies a surface and removes small components, if requested.
     pub(crate) fn reduce(
         &self,
         surface: Stitched,

@@ -64,7 +64,7 @@ impl Started {
 }
 
 impl Checked {
-    /// The particles in memory that satisfy the conditions, if there are conditions.
+    /// The particles in memory that satisfy the conditions; `None` without conditions.
     pub(crate) fn selected<'a, P: Particles + ?Sized>(
         &self,
         particles: &'a P,
@@ -91,7 +91,7 @@ impl Checked {
         Ok(Sampled { engine, cells: Some(cells), moved })
     }
 
-    /// Counts particles, unless a `plan` of them was made on the way, and samples their field.
+    /// Counts particles, unless `plan` already has their counts, and samples their field.
     pub(crate) fn engine(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -126,7 +126,7 @@ impl Frame {
     /// Makes the surface that was requested when the particles were sampled.
     ///
     /// # Errors
-    /// [`Error::Frame`] if there is none, or scratch files fail, and [`Error::Cancelled`].
+    /// [`Error::Frame`] if there is no surface, or scratch files fail, and [`Error::Cancelled`].
     pub fn surface(&self) -> Result<Surface, Error> {
         self.draw(&self.ready.checked, self.timings.clone())
     }

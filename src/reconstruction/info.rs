@@ -98,7 +98,7 @@ pub struct FrameInfo {
     pub file: PathBuf,
     /// The number of particles in the frame.
     pub particles: usize,
-    /// Cells that are not 0 by the particles of their own bin.
+    /// Cells that particles of their own bin make non-zero.
     pub cells: u64,
     /// Stored bricks.
     pub bricks: u64,
@@ -154,7 +154,7 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
 /// Like [`info`], with the format and the conditions of `settings`.
 ///
 /// # Errors
-/// [`Error::Read`], also if the file has no such type of particles.
+/// [`Error::Read`], also if the file lacks the requested type of particles.
 pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
     let (file, step) = file_and_step(path);

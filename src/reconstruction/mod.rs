@@ -1,6 +1,6 @@
 //! The facade: particles to a surface in one call, and the policy that chooses defaults.
 //!
-//! A frame is made in four ways, by the same steps:
+//! There are four ways to a frame's mesh, with the same steps:
 //!
 //! | | planned | sampled | drawn | written |
 //! |---|---|---|---|---|

@@ -22,7 +22,7 @@ use crate::settings::Settings;
 #[derive(Debug)]
 pub(crate) struct Held {
     unfinished: Unfinished,
-    /// Dropped after the file, which may be in them.
+    /// Dropped after the file, which may be inside.
     _folders: MadeFolders,
 }
 

@@ -16,7 +16,8 @@ use crate::surface::simplify::TooSmall;
 
 use super::{Cells, SpacingWarning};
 
-/// Density, relative to the spacing, from which on a warning is given: half the distance.
+/// Density relative to the spacing above which there is a warning: 8 corresponds to half the
+/// distance.
 const CROWDED: f64 = 8.0;
 
 /// Number of lost or coincident particles up to which there is no warning.
@@ -114,7 +115,7 @@ pub enum Warning {
     ThinSolid {
         /// The mesh of the solid.
         path: PathBuf,
-        /// How thick what the fluid ends at is, about.
+        /// Approximate thickness of the solid.
         thickness: f64,
         /// Edge of a cell.
         cell_size: f64,
@@ -279,8 +280,8 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     warnings
 }
 
-/// Warnings with the doubts about the spacing before them, which say more than that particles are
-/// crowded.
+/// Puts the warnings about the spacing before the others. A contradicted spacing replaces the
+/// warning about crowded particles, because it says more.
 pub(crate) fn with_spacing_warnings(
     cells: Option<&Cells>,
     mut warnings: Vec<Warning>,
@@ -299,8 +300,8 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
     (sampled.indicator.kind() == IndicatorKind::Symmetry).then(|| sampled.dif.mean_of_full())
 }
 
-/// Doubts about particles: by how many times as many there are as have room, by those in the same
-/// place, by how many lack a value of an attribute, and by the mean that symmetry makes of them.
+/// Warnings about particles: too dense, at the same position, without a value of an attribute, or
+/// with a low mean of the indicator symmetry.
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,

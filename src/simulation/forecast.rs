@@ -1,4 +1,4 @@
-//! Forecast of a conversion, found out on its largest frame.
+//! Forecast of a conversion, measured on its largest frame.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -23,47 +23,47 @@ use super::setup::Setup;
 use super::shared_calibration::SharedCalibration;
 use super::state::{State, Store};
 
-/// A forecast of a conversion, which prints as some lines for people.
+/// A forecast of a conversion. It displays as several lines of text.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Forecast {
-    /// The inputs, as they were asked for.
+    /// The inputs of the request.
     pub inputs: String,
-    /// Frames that there are.
+    /// Number of existing frames.
     pub frames: usize,
-    /// Frames that would be made.
+    /// Number of selected frames.
     pub wanted: usize,
-    /// Frames that are done already.
+    /// Number of frames that are already finished.
     pub done: usize,
-    /// The mesh of the first frame.
+    /// The mesh's file of the first frame.
     pub output: PathBuf,
-    /// Numbers that are missing between others.
+    /// Numbers of missing frames between others.
     pub missing: Gaps,
-    /// The measurements that all frames would share.
+    /// The calibration that all frames share.
     pub shared: SharedCalibration,
-    /// The forecast of the largest frame; `None` where frames are packed.
+    /// The forecast for the largest frame; `None` for packed frames.
     pub largest: Option<Largest>,
 }
 
-/// The largest frame of a conversion, and what it says of all.
+/// The largest frame of a conversion, and estimates for all frames.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Largest {
     /// The frame's number.
     pub frame: i64,
-    /// Particles of it.
+    /// Its number of particles.
     pub particles: usize,
-    /// Triangles of its mesh, before simplifying.
+    /// Number of triangles of its mesh, before simplifying.
     pub triangles: u64,
-    /// Bytes that it takes in memory.
+    /// Peak memory of the frame in bytes.
     pub memory: u64,
-    /// Bytes that may be used.
+    /// Memory limit in bytes.
     pub budget: u64,
-    /// Frames that would be made side by side.
+    /// Number of frames that would be made in parallel.
     pub side_by_side: usize,
-    /// Bytes that all meshes would take on disk, about.
+    /// Approximate size of all meshes on disk in bytes.
     pub disk: u64,
-    /// How long all frames would take in seconds, about.
+    /// Approximate time of all frames in seconds.
     pub seconds: f64,
 }
 
@@ -97,7 +97,7 @@ impl fmt::Display for Forecast {
 }
 
 impl Setup<'_> {
-    /// Finds out what a conversion would do and take.
+    /// Estimates the resources of a conversion.
     pub(super) fn forecast(
         &self,
         kept: Option<State>,
@@ -130,7 +130,7 @@ impl Setup<'_> {
         })
     }
 
-    /// Makes the largest frame: what the budget has to hold, and about what each frame takes.
+    /// Makes the largest frame, to measure the memory and time of a frame.
     fn largest(
         &self,
         shared: &SharedCalibration,

@@ -1,4 +1,4 @@
-//! Calibration of all frames on the first suitable one.
+//! Calibrates all frames on the first suitable one.
 
 use super::frame_file::FrameFile;
 use super::shared_calibration::{
@@ -20,24 +20,24 @@ use super::event::Event;
 use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
-/// Frames that are looked at for one that is deep enough to measure: of those that are there the
-/// first, and some from all over the rest.
+/// Number of frames that are tried for a calibration: the first of the existing frames, and some
+/// throughout the rest.
 const LOOKED_AT: usize = 64;
 
-/// Frames that are looked at for walls, from the first to the last.
+/// Number of frames, from the first to the last, in which walls are searched.
 const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
 struct OneMeasured {
     shared: SharedCalibration,
     trust: Trust,
-    /// Doubts about its spacing.
+    /// Warnings about its spacing.
     warnings: Vec<SpacingWarning>,
 }
 
 impl Setup<'_> {
-    /// Measures what all frames have in common, and keeps it; the frame that it was measured on may
-    /// still be open.
+    /// Measures what all frames share, and stores it. Returns the calibration frame too if it is
+    /// still open.
     pub(super) fn state(
         &self,
         store: &Store,
@@ -47,14 +47,14 @@ impl Setup<'_> {
         let (mut shared, file) = self.freeze(frames, resources)?;
         self.settle_colours(&mut shared, frames, resources)?;
         let measured = State::new(self.checked.settings.kept(), shared);
-        // Of jobs that measure at the same time the first is right.
+        // If several jobs measure at the same time, the first state is used by all.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
         let file = file.filter(|_| state.shared.frame == measured.shared.frame);
         Ok((state, file))
     }
 
-    /// Calibrates all frames on the first suitable one, whose particles may still be open, and
-    /// finds walls in some frames, if requested.
+    /// Calibrates all frames on the first suitable one, which may still be open, and finds walls in
+    /// some frames, if requested.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
@@ -64,12 +64,12 @@ impl Setup<'_> {
         if self.checked.sampling.search == Search::Walls && self.simulation.watch.is_none() {
             measured.shared.walls = self.common_walls(frames, &measured.shared, resources)?;
         }
-        self.tell_measured(&frame, &measured);
+        self.report_measured(&frame, &measured);
         Ok((measured.shared, file))
     }
 
-    /// The walls that some frames from all over the simulation show; frames that cannot be read show
-    /// nothing here, and fail later.
+    /// The walls that some frames throughout the simulation have in common. Frames that cannot be
+    /// read are ignored here, and fail later.
     fn common_walls(
         &self,
         frames: &[FrameFile],
@@ -126,8 +126,7 @@ impl Setup<'_> {
                         return Ok((frame, found, file));
                     }
                     Ok((found, _)) => {
-                        // Spray is farther apart than fluid, whose spacing would be estimated too
-                        // large by it.
+                        // Spray is farther apart than fluid, so its estimated spacing is too large.
                         let is_better = |(_, known): &(FrameFile, OneMeasured)| {
                             known.trust < found.trust
                                 || known.trust == found.trust
@@ -137,8 +136,8 @@ impl Setup<'_> {
                             best = Some((frame, found));
                         }
                     }
-                    // What is too fine for one frame, by its mu0 or where its lattice lies, need
-                    // not be for another.
+                    // Cells that are too fine for one frame, because of its mu0 or its lattice, may
+                    // suit another.
                     Err(error)
                         if error.cause() == Cause::Input
                             || matches!(
@@ -170,8 +169,8 @@ impl Setup<'_> {
         }
     }
 
-    /// Settles the scale of colours that the measured frame leaves in doubt, as black does, by other
-    /// frames.
+    /// Determines the scale of colours from other frames if the calibration frame does not show it,
+    /// for example because all its particles are black.
     fn settle_colours(
         &self,
         shared: &mut SharedCalibration,
@@ -186,7 +185,7 @@ impl Setup<'_> {
             let mut open: Vec<_> = shared.kinds.iter_mut().filter(is_open).collect();
             let Some(frame) = frames.get(index).filter(|_| !open.is_empty()) else { break };
             self.go_on()?;
-            // A frame that cannot be read fails when its turn comes.
+            // A frame that cannot be read fails when it is converted.
             let Ok(file) = self.open_particles(frame, resources) else { continue };
             let infos = file.particles.attributes();
             for known in &mut open {
@@ -199,7 +198,7 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// Opens the particles of a frame that is measured.
+    /// Opens the particles of a calibration frame.
     fn open_particles(
         &self,
         frame: &FrameFile,
@@ -213,8 +212,8 @@ impl Setup<'_> {
         frame.open(self.checked.settings.wanted(), unpacking)
     }
 
-    /// Reports the calibration with its frame, and doubts about its spacing.
-    fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
+    /// Reports the calibration with its frame, and warnings about its spacing.
+    fn report_measured(&self, frame: &FrameFile, found: &OneMeasured) {
         found
             .warnings
             .iter()
@@ -223,8 +222,8 @@ impl Setup<'_> {
         self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
 
-    /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one
-    /// did.
+    /// Measures one frame for all. If there was a lattice before, the grid and mu0 are the
+    /// lattice's.
     fn measure_on(
         &self,
         frame: &FrameFile,
@@ -265,7 +264,7 @@ impl Setup<'_> {
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let tank = (cells.slab, cells.walls.clone());
         let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
-        // A frame without one of these attributes fails by itself.
+        // A frame that lacks one of these attributes fails on its own.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
         shared.kinds = settled_for_all(&file.particles, &carried);

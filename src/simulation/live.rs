@@ -18,7 +18,7 @@ use crate::system::timings::Timings;
 
 use super::shared_calibration::{Measured, Trust, measure_in};
 
-/// A simulation whose frames come from memory, one after the other.
+/// A simulation whose frames come from memory, in order.
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 /// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
@@ -111,7 +111,7 @@ impl LiveSimulation {
         Ok(Surface::new(drawn, &self.ready.checked, &threads, UpAxis::Y))
     }
 
-    /// Draws a frame, or an empty mesh of a frame without particles.
+    /// Makes the surface of a frame, or an empty mesh for a frame without particles.
     fn drawn_or_empty(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
         match self.drawn(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
@@ -166,7 +166,7 @@ impl LiveSimulation {
         Ok(drawn)
     }
 
-    /// Facts of a frame without particles, on unit cells as long as nothing says of others.
+    /// Facts of a frame without particles. Cells have size 1 until the simulation has cells.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
         let request = &self.ready.checked.sampling;
         let (grid, spacing) = match &self.known {
@@ -180,7 +180,7 @@ impl LiveSimulation {
         Ok(FrameFacts { grid, domain: None, periodic: None, census, spacing })
     }
 
-    /// The mesh of a frame without a surface, with what vertices would carry.
+    /// The empty mesh of a frame without a surface, with the attributes of the others.
     fn empty(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -197,8 +197,8 @@ impl LiveSimulation {
     }
 }
 
-/// Measures a frame for all, on the grid of a lattice that came before, if one did. With it come
-/// doubts about its spacing.
+/// Measures a frame for all, on the grid of an earlier lattice if there was one. Also returns
+/// warnings about its spacing.
 fn measured(
     ready: &Started,
     particles: &(impl Particles + ?Sized),

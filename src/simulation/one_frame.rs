@@ -1,5 +1,5 @@
-//! One frame on its way: read and counted beside others, meshed beside them too where it fits, else
-//! alone.
+//! Converts one frame: reads and counts it in parallel with others, and meshes it in parallel if
+//! the memory allows, or alone.
 
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ use crate::surface::mesh::source::Bounded;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-/// A frame that was converted.
+/// A converted frame.
 pub(super) struct Done {
     pub(super) mesh: SeriesFrame,
     pub(super) time: Option<f64>,
@@ -42,19 +42,19 @@ pub(super) struct Done {
     pub(super) seconds: f64,
 }
 
-/// A frame whose mesh is written, but not known to be on disk.
+/// A frame whose mesh is written, but may not be on disk yet.
 pub(super) struct Filled {
     file: FilledFile,
     held: Held,
     target: PathBuf,
     replaces: Replaces,
     record: Record,
-    /// For the sheet, if one is drawn of a format that is not read again.
+    /// A small mesh for the contact sheet, if the format cannot be read again.
     small: Option<Mesh>,
     done: Done,
 }
 
-/// The files whose place a mesh may take.
+/// The files that a mesh may replace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Replaces {
     Nothing,
@@ -63,34 +63,34 @@ enum Replaces {
     Anything,
 }
 
-/// A frame that was opened, and the output that waits for its mesh.
+/// An open frame with its prepared output.
 pub(super) struct Opened {
     input: Stamp,
     target: PathBuf,
     replaces: Replaces,
     orientation: Orientation,
     output: Output,
-    /// `None` where it was sampled before.
+    /// `None` for a packed frame.
     particles: Option<ParticleFile>,
     timings: Timings,
 }
 
-/// A frame that waits to be meshed.
+/// A frame that is ready to be meshed.
 struct Ready<'a> {
-    /// `None` where there are no particles.
+    /// `None` without particles.
     frame: Option<Engine>,
     left_out: LeftOut,
-    /// Doubts about the input.
+    /// Warnings about the input.
     warnings: Vec<Warning>,
-    /// The attributes of its vertices.
+    /// The attributes of the vertices.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
     permit: Permit<'a>,
 }
 
 impl Conversion<'_> {
-    /// Makes sure that a frame's mesh can be written, in place of one that was made before if it is
-    /// made `again`, and opens the frame, unless its particles are open already.
+    /// Checks that a frame's mesh can be written, replacing an earlier mesh if it is made `again`,
+    /// and opens the frame, unless its particles are already open.
     pub(super) fn open(
         &self,
         checked: &Checked,
@@ -138,7 +138,7 @@ impl Conversion<'_> {
         Ok(Opened { input, target, replaces, orientation, output, particles, timings })
     }
 
-    /// Converts a frame with the threads of its lane, or where it has to be alone with all.
+    /// Converts a frame with the threads of its lane, or alone with all threads.
     pub(super) fn convert(
         &self,
         checked: &Checked,
@@ -216,14 +216,14 @@ impl Conversion<'_> {
         Ok(Filled { file, held, target, replaces, record, small, done })
     }
 
-    /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
+    /// Waits until the frame's mesh is on disk, renames it, and stores its record.
     pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
         let Filled { file, held, target, replaces, record, small, done } = filled;
         if replaces == Replaces::Own && self.is_foreign(&target, &record) {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
-            // Before the mesh: a small mesh is of the mesh that has a record, or of a later one.
+            // Stored before the mesh's record, so that a small mesh never is older than the record.
             self.small_meshes().keep(record.mesh.frame, small.as_ref())?;
         }
         file.keep()?;
@@ -232,9 +232,9 @@ impl Conversion<'_> {
         Ok(done)
     }
 
-    /// Whether a file stands in the place of a mesh that this conversion has not made: there is no
-    /// record of it. Where a process was killed between a mesh and its record, the mesh has the
-    /// bytes that it is made with again.
+    /// Whether a file at the place of the mesh is not from this conversion, because it has no
+    /// record. If a process was killed between writing a mesh and its record, the existing file has
+    /// the same bytes as the new mesh.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));
@@ -243,7 +243,7 @@ impl Conversion<'_> {
         target.symlink_metadata().is_ok() && !is_own()
     }
 
-    /// Reads a frame that was sampled before.
+    /// Reads a packed frame.
     fn unpack(
         &self,
         checked: &Checked,
@@ -332,9 +332,8 @@ impl Conversion<'_> {
         Ok(Ready { frame, left_out, warnings, infos, time: file.time, permit })
     }
 
-    /// The part of a lane's memory that is left for the frame, where as much as its surface takes
-    /// is needed beside it: for the triangles that are left, or for a writer that holds them all.
-    /// Solids of its own take of it as well.
+    /// The part of a lane's memory for the frame itself. The rest is for simplifying, for a writer
+    /// that holds the whole mesh, and for the frame's own solids.
     fn frame_budget(&self, checked: &Checked, lane: MemoryBudget) -> MemoryBudget {
         let Checked { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());
@@ -347,7 +346,7 @@ impl Conversion<'_> {
         }
     }
 
-    /// The mesh of a frame, empty if it has no surface, and a report on it.
+    /// The mesh of a frame, which may be empty, with its report.
     fn surface(
         checked: &Checked,
         path: &Path,

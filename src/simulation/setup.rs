@@ -1,4 +1,4 @@
-//! Setting up a conversion before any frame is read, and refusing what cannot work.
+//! Prepares a conversion before any frame is read, and rejects requests that cannot work.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -30,7 +30,7 @@ use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
 use super::state::{Found, State, Store};
 
-/// Between two looks at a simulation that runs.
+/// Time between two checks for new frames of a running simulation.
 pub(super) const POLL: Duration = Duration::from_millis(250);
 
 /// A simulation before any of its frames is read.
@@ -49,31 +49,31 @@ impl Setup<'_> {
         self.events.send(event);
     }
 
-    /// Ends the work where the caller has asked for it.
+    /// Returns an error if the work was cancelled.
     pub(super) fn go_on(&self) -> Result<(), Error> {
         self.checked.go_on()
     }
 
-    /// All frames that are there now.
+    /// All existing frames.
     pub(super) fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
         let solids = SolidNames::of(&self.checked.settings)?;
         Ok(solids.with_files(self.sequence.list()?))
     }
 
-    /// The mesh's file of a frame: its number padded as it is in the input's name, unless the
-    /// pattern says how.
+    /// The mesh's file of a frame. Its number has the digits of the input's name, unless the
+    /// pattern has a width.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.outputs.path(frame.number, &frame.digits)
     }
 
-    /// The frames of the simulation that are there now.
+    /// The existing selected frames.
     pub(super) fn frames(&self) -> Result<Vec<FrameFile>, Error> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The way to sample a frame by what all have in common, and the walls that its particles pass,
-    /// which are moved or left out. A slab is only for frames that lie in it: the first layer of an
-    /// emitter does, and the second does not.
+    /// The sampling of a frame with the shared calibration, and the walls that its particles
+    /// exceed, which are moved or removed. The slab is used only for frames in its plane: the first
+    /// layer of an emitter is in it, and the second is not.
     pub(super) fn sampling(
         &self,
         shared: &SharedCalibration,
@@ -100,13 +100,13 @@ impl Setup<'_> {
         Division::of(frames, *threads, resources.budget, chunk)
     }
 
-    /// The first mesh or listing of these frames that exists already.
+    /// The first existing mesh or list of these frames.
     pub(super) fn existing(&self, frames: &[FrameFile], series: &Series) -> Option<PathBuf> {
         let meshes = frames.iter().map(|frame| self.output(frame));
         meshes.chain(series.files()).find(|path| path.exists())
     }
 
-    /// The format that the outputs' names say, able to hold what is asked for.
+    /// The format of the outputs, which can store the requested attributes.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.output(first);
         let unknown =
@@ -116,8 +116,8 @@ impl Setup<'_> {
         Ok(format)
     }
 
-    /// Refuses outputs that are inputs, by whatever name, or would be taken for some, and inputs that
-    /// a frame has twice.
+    /// Rejects outputs that are inputs, under any name, or would become inputs, and inputs that a
+    /// frame has twice.
     pub(super) fn refuse_own_inputs(
         &self,
         frames: &[FrameFile],
@@ -169,8 +169,8 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// The state that is there, if it is of these settings and of these inputs. Where only an input
-    /// has changed it is made anew.
+    /// The existing state, if it has these settings and these inputs. If only an input has changed,
+    /// a new state is made.
     pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Found, Error> {
         let Some(text) = store.text()? else { return Ok(Found::Nothing) };
         let anew = self.simulation.overwrite;
@@ -203,8 +203,7 @@ impl Setup<'_> {
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }
 
-    /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of
-    /// their own.
+    /// Whether a state has a complete calibration. Packed frames have their own mu0.
     fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
         let Method::Indicator { kind, .. } = self.checked.sampling.method else { return true };
         let Some(known) = &state.shared.calibration else { return false };

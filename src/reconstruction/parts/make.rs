@@ -1,4 +1,4 @@
-//! Making a part: the bins that decide its blocks are sampled, and those blocks meshed.
+//! Makes a part: samples the bins that decide its blocks, and meshes those blocks.
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
@@ -21,22 +21,22 @@ use super::file::{Made, Mark, PartFile};
 use super::plan_file::Plan;
 use super::{Begun, PartDone, Parts, part_in, plan_file};
 
-/// Blocks of a part, and what a report adds up of it.
+/// The blocks of a part, with counts for the report.
 struct Meshed {
     spool: Option<Spool>,
     made: Made<'static>,
-    /// Particles that were read.
+    /// Number of particles that were read.
     read: usize,
     warnings: Vec<Warning>,
 }
 
 impl Parts {
-    /// Makes a part, numbered from 0, unless it is there already, whole, and made by the same plan.
-    /// Whatever else has its name is replaced.
+    /// Makes a part, numbered from 0, or reuses the part's file if it is complete and from the same
+    /// plan. Any other file at its path is replaced.
     ///
     /// # Errors
-    /// [`Error::Parts`] where there is no plan, or one for something else, [`Error::Read`],
-    /// [`Error::Frame`], and [`Error::Write`].
+    /// [`Error::Parts`] without a plan for this request, [`Error::Read`], [`Error::Frame`], and
+    /// [`Error::Write`].
     pub fn part(&self, part: u32) -> Result<PartDone, Error> {
         let begun = self.begin()?;
         if part >= self.count {
@@ -94,7 +94,7 @@ impl Parts {
                 let sight = sampling.sight(indicator, &checked.surfacing);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
-            // What is seen depends on whether attributes are carried, and on no more of them.
+            // The reach depends on whether there are attributes, but not on which.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
             let reading = Reading::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {
@@ -147,7 +147,7 @@ impl Parts {
 }
 
 impl Meshed {
-    /// A part without blocks, for `read` particles.
+    /// A part without blocks, after reading `read` particles.
     fn nothing(plan: &Plan, read: usize) -> Self {
         let made =
             Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
@@ -161,7 +161,7 @@ pub(super) fn mark(plan: &Plan, fingerprint: u32, part: u32, checked: &Checked) 
     Mark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }
 }
 
-/// Components of the attributes that vertices carry.
+/// Components of the vertex attributes.
 pub(super) fn components(plan: &Plan) -> Vec<usize> {
     plan.attributes.iter().map(|info| info.components).collect()
 }
@@ -182,8 +182,8 @@ impl PartDone {
     }
 }
 
-/// Whether attributes have the same names and components. The plan's kinds are settled by all
-/// particles, which a part does not read.
+/// Whether attributes have the same names and components. The kinds in the plan come from all
+/// particles, and a part does not read all.
 fn alike(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
     let same = |(a, b): (&AttributeInfo, &AttributeInfo)| {
         (&a.name, a.components, a.kind.is_whole()) == (&b.name, b.components, b.kind.is_whole())

@@ -1,4 +1,4 @@
-//! Planning: the frame is sampled once to measure it, and its blocks are shared out.
+//! Plans parts: samples the frame once to measure it, and divides its blocks.
 
 use rayon::prelude::*;
 
@@ -22,20 +22,19 @@ use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::plan_file::{Plan, Share, path_in};
-use super::{Again, Begun, PartNeeds, PartShare, Parts, PartsPlan, chunks};
+use super::{Begun, ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, chunks};
 
-/// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and
-/// to sample a particle.
+/// Number of cells near the surface whose field and mesh take as long as binning and sampling one
+/// particle.
 const CELLS_A_PARTICLE: u64 = 4;
 
 impl Parts {
-    /// Measures the frame and shares out its blocks, unless that was done for the same request
-    /// before.
+    /// Measures the frame and divides its blocks, or reuses the plan of the same request.
     ///
     /// # Errors
-    /// [`Error::Parts`] for a plan that was made for something else, [`Error::SettingConflict`] for
-    /// kernels and packed frames, which are not made in parts, [`Error::Read`], and
-    /// [`Error::Frame`] for particles that cannot be sampled.
+    /// [`Error::Parts`] for a plan of another request, [`Error::SettingConflict`] for kernel
+    /// methods and packed frames, which do not support parts, [`Error::Read`], and [`Error::Frame`]
+    /// for particles that cannot be sampled.
     pub fn plan(&self) -> Result<PartsPlan, Error> {
         let begun = self.begin()?;
         let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
@@ -44,11 +43,11 @@ impl Parts {
                 .map(|()| Some(plan)),
             None => Ok(None),
         });
-        match (found, self.again) {
-            (Ok(Some(plan)), Again::Refuse | Again::Differing) => {
+        match (found, self.existing) {
+            (Ok(Some(plan)), ExistingPlan::Refuse | ExistingPlan::ReplaceDiffering) => {
                 return self.describe(plan, None, &begun, Timings::default());
             }
-            (Err(fault), Again::Refuse) => return Err(fault),
+            (Err(fault), ExistingPlan::Refuse) => return Err(fault),
             _ => {}
         }
         let Begun { checked, folder, indicator } = begun;
@@ -96,7 +95,7 @@ impl Parts {
         })
     }
 
-    /// Measures the frame, and shares out its blocks; says what each part takes.
+    /// Measures the frame, divides its blocks, and estimates the resources of each part.
     fn measured(
         &self,
         ready: &Started,
@@ -138,7 +137,7 @@ impl Parts {
         let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
-        // Nothing here asks for attributes.
+        // Planning needs no attributes.
         let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
         let cut = chunks::cut(particles);
         let watched = chunks::watched(particles, &cut, &sampling.grid);
@@ -224,7 +223,7 @@ fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
     for &(block, work) in work {
-        // A block goes to the part that its middle lies in.
+        // A block belongs to the part that contains the middle of its work.
         let middle = 2 * before + u128::from(work);
         while (cuts.len() as u128) < u128::from(parts)
             && middle * u128::from(parts) >= 2 * all * cuts.len() as u128
@@ -237,12 +236,11 @@ fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     cuts
 }
 
-/// The part of a block.
 fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
     cuts.partition_point(|&first| first <= block) - 1
 }
 
-/// The numbers of the bins that each part has to know.
+/// The numbers of the bins that each part samples.
 fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: Sight) -> Vec<Vec<u32>> {
     let seen_by = |&(bin, _): &(MortonKey, usize)| {
         let mut parts: Vec<usize> =
@@ -294,13 +292,13 @@ mod tests {
         assert_eq!(first(2), [0, 12]);
         assert_eq!(first(3), [0, 9, 13]);
         assert_eq!(first(6), [0, 4, 9, 12, 13, 20]);
-        // Of more parts than blocks some are empty, and every block is in one.
+        // With more parts than blocks, some parts are empty, and every block is in one part.
         let many = cuts(&work, 20);
         assert_eq!(many.len(), 20);
         assert!(many.is_sorted() && many[0].0 == 0);
         let parts: Vec<usize> = work.iter().map(|&(block, _)| part_of(&many, block)).collect();
         assert!(parts.is_sorted_by(|a, b| a < b), "{parts:?}");
-        // One that takes longer than all others together is a part alone.
+        // A block with more work than all others is alone in its part.
         let heavy: Vec<_> =
             keys.into_iter().zip([1, 1, 100, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
         assert_eq!(cuts(&heavy, 3).iter().map(|key| key.0).collect::<Vec<_>>(), [0, 9, 12]);
