@@ -13,10 +13,17 @@ use super::{SpacingMistake, SpacingSource, SpacingWarning};
 use crate::baselines::{KernelMethod, TooManyCells};
 use crate::brick::{BinError, Census};
 use crate::error::{
+<<<<<<< HEAD
     ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, NoEstimate,
     OverBudget, PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy,
     SelectionFault, Setting, SettingConflict, SimulationError, TooFine, UnitError, Unread,
     VulkanError, WholeMeshError, WriteError, WriteFault,
+=======
+    ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, OverBudget,
+    PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, SelectionFault, Setting,
+    SimulationError, SizeFault, TooFine, Unfit, UnitError, Unread, Untold, VulkanError,
+    WholeMeshError, WriteError, WriteFault,
+>>>>>>> main
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
@@ -105,6 +112,10 @@ fn requests() -> String {
         Picture { path: Some(path("mesh.ply")), fault: PictureError::Size(0, 99) },
         NoAttribute { path: Some(path("frame_1.vtk")), name: "heat".into(), known: names() },
         NoAttribute { path: None, name: "heat".into(), known: Vec::new() },
+        Sizes {
+            path: Some(path("frame_1.vtk")),
+            fault: SizeFault::NoAttribute { name: "size".into(), known: names() },
+        },
         LittleMemory { least: 16 << 20, simplifying: None },
         LittleMemory { least: 72 << 20, simplifying: Some(2) },
         Threads("Resource temporarily unavailable".into()),
@@ -115,7 +126,17 @@ fn requests() -> String {
             suggested: Some(0.05),
         },
     );
+<<<<<<< HEAD
     examples!(text, NoEstimate: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
+=======
+    examples!(text, SizeFault:
+        NoAttribute { name: "size".into(), known: names() },
+        Components { name: "velocity".into(), components: 3 },
+        NoDensity { name: "mass".into(), known: names() },
+        NoSize { name: "radius".into() },
+    );
+    examples!(text, Untold: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
+>>>>>>> main
     examples!(text, SolidFault:
         Mesh(CompareError::NoSurface(Side::Mesh)), Open { edges: 3 }, Inconsistent { edges: 12 },
     );
@@ -156,6 +177,7 @@ fn conflicts(text: &mut String) {
         ("format", Conflict::Packed(path("frame.mnf"))),
         ("cell", Conflict::Packed(path("frame.mnf"))),
         ("smooth", Conflict::Packing),
+        ("size", Conflict::PackedSizes),
         ("cell", Conflict::Sampled),
         ("simplify", Conflict::OnDevice),
         ("compress", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
@@ -171,6 +193,7 @@ fn conflicts(text: &mut String) {
             Conflict::Method(_) => "Method",
             Conflict::Packed(_) => "Packed",
             Conflict::Packing => "Packing",
+            Conflict::PackedSizes => "PackedSizes",
             Conflict::Sampled => "Sampled",
             Conflict::OnDevice => "OnDevice",
             Conflict::Format { .. } => "Format",
@@ -383,6 +406,8 @@ fn warnings(all: &mut String) {
             boundary: (Value::Number(1.0), 500),
             fluid: (Value::Number(0.0), 1000),
         }),
+        Sizes { attribute: "radius".into(), invalid: 3, usual: 0.1, larger: 0, coarsest: 3.2 },
+        Sizes { attribute: "radius".into(), invalid: 3, usual: 0.1, larger: 2, coarsest: 3.2 },
         SinglePrecision { step: 0.03, spacing: 0.05 },
     );
     section(

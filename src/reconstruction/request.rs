@@ -17,8 +17,9 @@ use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
 use crate::io::UpAxis;
 use crate::io::scene::{spacing_beside, tank_beside};
-use crate::particles::Particles;
 use crate::particles::mixture::mixture;
+use crate::particles::sizes::{SizeChoice, SizeFault, Sizes};
+use crate::particles::{Particles, bounds};
 
 use super::cells::{CellSize, Cells, FoundWalls, Slab, Source};
 use super::lattice::on_sound_grid;
@@ -47,6 +48,8 @@ pub struct SamplingRequest {
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The particles' spacing, where the caller knows it.
     pub spacing: Option<f64>,
+    /// The attribute with the particles' sizes, where they have several.
+    pub size: SizeChoice,
     /// Edge of a cell; the [usual one](CellSize::usual) where it is not given.
     pub cell: Option<CellSize>,
 }
@@ -74,6 +77,7 @@ impl Default for SamplingRequest {
             up: None,
             periodic: None,
             spacing: None,
+            size: SizeChoice::Ignored,
             cell: None,
         }
     }
@@ -245,9 +249,18 @@ impl SamplingRequest {
         from: Source<'_>,
         read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
+<<<<<<< HEAD
         let (mut cells, done) = self.cells_by(particles, from, read)?;
         if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
+=======
+        let (mut cells, done) = match self.sizes(particles)? {
+            Some(sizes) => (self.cells_for_sizes(particles, sizes)?, None),
+            None => self.cells_by(particles, from, read)?,
+        };
+        if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
+            cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
+>>>>>>> main
         }
         let is_sought = match self.search {
             Search::Never => false,
@@ -261,6 +274,32 @@ impl SamplingRequest {
                 found.filter(|found| self.search == Search::Walls || !found.walls.is_open());
         }
         Ok((cells, done))
+    }
+
+    /// The sizes of the particles, if they have several.
+    fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<Sizes>, Error> {
+        let found = self.size.columns(particles.attributes()).and_then(|columns| match columns {
+            Some(columns) => Sizes::found(particles, &columns),
+            None => Ok(None),
+        });
+        match found {
+            // Nobody asked for that attribute.
+            Err(SizeFault::NoSize { .. }) if self.size == SizeChoice::Usual => Ok(None),
+            found => Ok(found?),
+        }
+    }
+
+    /// The cells by the smallest size.
+    fn cells_for_sizes(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        sizes: Sizes,
+    ) -> Result<Cells, Error> {
+        let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
+        let source = SpacingSource::Sizes(sizes.attribute.clone());
+        let cells = self.cells_of(sizes.finest, source, middle, None)?;
+        let doubts = Doubt::of_sizes(&sizes).into_iter().collect();
+        Ok(Cells { sizes: Some(sizes), doubts, ..cells })
     }
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
@@ -362,7 +401,12 @@ impl SamplingRequest {
             origin: self.origin_for(middle, size),
             slab,
             walls: None,
+<<<<<<< HEAD
             warnings: Vec::new(),
+=======
+            sizes: None,
+            doubts: Vec::new(),
+>>>>>>> main
         })
     }
 
@@ -448,14 +492,24 @@ impl SamplingRequest {
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
+<<<<<<< HEAD
                 let (slab, walls) = (None, None);
+=======
+>>>>>>> main
                 return Ok(Cells {
                     size,
                     spacing: None,
                     origin,
+<<<<<<< HEAD
                     slab,
                     walls,
                     warnings: Vec::new(),
+=======
+                    slab: None,
+                    walls: None,
+                    sizes: None,
+                    doubts: Vec::new(),
+>>>>>>> main
                 });
             }
         }
@@ -530,6 +584,7 @@ impl SamplingRequest {
         let request = self.in_walls(cells.found()).in_slab(cells.slab);
         let sampling =
             request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
+        let sampling = sampling.sized(cells.sizes.as_ref(), particles)?;
         if self.origin.is_some() {
             return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
         }
@@ -569,6 +624,7 @@ impl SamplingRequest {
             carried,
             kinds: Vec::new(),
             spacing,
+            sizes: None,
             resources,
         };
         if let Some((faces, surfacing)) = &self.periodic {

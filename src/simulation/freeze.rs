@@ -209,7 +209,7 @@ impl Setup<'_> {
             scratch: &resources.scratch,
             control: Some(&resources.control),
         };
-        frame.open(self.checked.settings.wanted(), unpacking)
+        frame.open(self.checked.wanted(), unpacking)
     }
 
     /// Reports the calibration with its frame, and warnings about its spacing.
@@ -263,8 +263,14 @@ impl Setup<'_> {
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let tank = (cells.slab, cells.walls.clone());
+<<<<<<< HEAD
         let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
         // A frame that lacks one of these attributes fails on its own.
+=======
+        let mut frozen = frozen(frame.number, input, cells.spacing(), source, tank, measured);
+        frozen.sizes = cells.sizes.clone();
+        // A frame without one of these attributes fails by itself.
+>>>>>>> main
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
         shared.kinds = settled_for_all(&file.particles, &carried);
@@ -293,6 +299,7 @@ fn shared(
         origin,
         slab,
         walls,
+        sizes: None,
         calibration,
         kinds: Vec::new(),
     }

@@ -9,6 +9,7 @@ use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::{Grid, Walls};
 use crate::io::UpAxis;
 use crate::particles::kind::{SettledKind, known_of, settled_for_all};
+use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
     self, Drawn, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning, Started, Surface,
@@ -55,6 +56,7 @@ struct Known {
     spacing: Option<f64>,
     slab: Option<Slab>,
     walls: Option<Walls>,
+    sizes: Option<Sizes>,
     calibration: Option<Calibration>,
     trust: Trust,
 }
@@ -139,6 +141,7 @@ impl LiveSimulation {
             spacing,
             slab,
             walls: ref known_walls,
+            ref sizes,
             calibration,
             ref kinds,
             ..
@@ -155,6 +158,7 @@ impl LiveSimulation {
             request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
         let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
+        let sampling = sampling.sized(sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: kinds.clone(), ..sampling };
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn =
@@ -216,5 +220,10 @@ fn measured(
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
     let walls = cells.found().copied();
+<<<<<<< HEAD
     Ok((Known { kinds, grid, method, spacing, slab, walls, calibration, trust }, cells.warnings))
+=======
+    let reconstruction::Cells { sizes, doubts, .. } = cells;
+    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, doubts))
+>>>>>>> main
 }

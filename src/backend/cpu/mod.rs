@@ -1,8 +1,10 @@
 //! The stages on the processor's cores.
 
 mod fields;
+mod sizes;
 
 pub use fields::field;
+pub use sizes::SizedField;
 
 use std::io;
 use std::ops::Range;

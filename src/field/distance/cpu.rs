@@ -260,8 +260,21 @@ fn mean(weights: [u32; 3], taps: [u16; 3], shift: u32) -> u16 {
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
+    if shift >= u16::BITS {
+        return wide_means(to, weights, [below, own, above], shift);
+    }
     for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
         *to = mean(weights, [below, own, above], shift);
+    }
+}
+
+/// The same, where products of samples and weights have more than 32 bits.
+fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
+    let product = |weight: u32, tap: u16| u64::from(weight) * u64::from(tap);
+    for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
+        let [a, b, c] = weights;
+        let sum = product(a, below) + product(b, own) + product(c, above) + (1 << (shift - 1));
+        *to = (sum >> shift) as u16;
     }
 }
 
@@ -323,6 +336,13 @@ pub fn outlying_part(near: &Block, cells: CellBox, gate: &Gate) -> CellBox {
     part
 }
 
+/// How far from a drop's middle a share is, for drops of such a standard deviation, in its units.
+#[inline(always)]
+pub fn away(share: u16, width: i32) -> i32 {
+    let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
+    ((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12
+}
+
 /// The field: the surface of the bulk, and where particles lie outside of the calm one near by as
 /// much of the drops as they do so. Drops need only be known where they do.
 ///
@@ -346,8 +366,7 @@ fn joined_row(bulk: &mut [u16], near: &[u16], shares: &[u16], drops: &Drops, gat
     let (radius, width, gate) = (drops.radius, drops.width, *gate);
     for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
         let weight = gate.of(near);
-        let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
-        let distance = radius - (((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12);
+        let distance = radius - away(share, width);
         let out = (distance + ZERO - i32::from(*bulk)).max(0);
         let with_drops = sample(i32::from(*bulk) - ZERO + ((out * weight as i32 + 2048) >> 12));
         *bulk = if weight == 0 { *bulk } else { with_drops };

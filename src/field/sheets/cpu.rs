@@ -70,7 +70,7 @@ pub fn sheets(numbers: &Numbers, density: &Block) -> Option<Sheeted<Block>> {
 }
 
 /// Blends shares of drops with those of sheets, by how certain those are.
-pub fn blend(drops: &Block, sheets: &Sheeted<Block>) -> Block {
+pub fn blend(drops: &Block, sheets: Sheeted<&Block>) -> Block {
     let cells = drops.cells().intersection(&sheets.certainty.cells());
     let mut shares = drops.part(cells);
     let width = cells.size().x as usize;
