@@ -1,16 +1,9 @@
 //! .stl: independent triangles with the coordinates of their corners; written in binary, read also
 //! in text.
 //!
-<<<<<<< HEAD
 //! The format has no shared vertices, so the reader merges corners with exactly equal coordinates.
 //! This is the only place where positions identify vertices: a mesh that touches itself is joined
 //! there after reading. Binary coordinates are f32, and there are no attributes.
-=======
-//! The format has no vertices that triangles could share, so the reader takes corners for one
-//! vertex whose coordinates are equal to the bit. Of the formats it is the only one in which
-//! positions name vertices: a mesh that touches itself comes back joined there. Coordinates are f32 in binary, and
-//! there is no place for anything else.
->>>>>>> main
 //!
 //! It is also the only format whose writer needs the positions of all vertices, 24 bytes each,
 //! unless they are in memory already.

@@ -164,19 +164,14 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
                 Condition { name: attribute.clone(), comparison: Comparison::Equal, values };
             format!("{warning}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
-<<<<<<< HEAD
-        SpacingWarning::TwoResolutions { .. } => {
-            format!("{warning}; use --spacing to choose another")
-        }
-        _ => format!("{warning}; use --spacing if you know it"),
-=======
-        Doubt::TwoResolutions { .. } => format!(
-            "{doubt}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
+        SpacingWarning::TwoResolutions { .. } => format!(
+            "{warning}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
              choose another"
         ),
-        Doubt::Sizes { .. } => format!("{doubt}; use --size none to treat all as one size"),
-        _ => format!("{doubt}; use --spacing if you know it"),
->>>>>>> main
+        SpacingWarning::Sizes { .. } => {
+            format!("{warning}; use --size none to treat all as one size")
+        }
+        _ => format!("{warning}; use --spacing if you know it"),
     }
 }
 

@@ -8,22 +8,17 @@ use crate::particles::sizes::SizeChoice;
 use crate::particles::{AttributeInfo, attribute_called, velocity_attribute};
 use crate::settings::{Settings, Where};
 
-<<<<<<< HEAD
-impl Settings {
-    /// The particles and attributes that must be read from an input.
-=======
 use super::checked::Checked;
 
 impl Checked {
-    /// Particles and attributes that have to be read of an input.
->>>>>>> main
+    /// The particles and attributes that must be read from an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
         self.settings.wanted(&self.sampling.size)
     }
 }
 
 impl Settings {
-    /// Particles and attributes that have to be read of an input.
+    /// The particles and attributes that must be read from an input, with those for `sizes`.
     pub(crate) fn wanted<'a>(&'a self, sizes: &'a SizeChoice) -> Wanted<'a> {
         let (names, conditions) = (self.attribute_names(), self.conditions());
         let attributes = WantedAttributes::Only { names, conditions, sizes };

@@ -174,17 +174,13 @@ impl Frame {
     /// Writes the frame's samples to a file, from which surfaces can be made later.
     ///
     /// # Errors
-<<<<<<< HEAD
-    /// [`Error::SettingConflict`] for kernel methods, which have no samples, [`Error::Write`] and
-=======
-    /// [`Error::Unfit`] for kernel methods and particles of several sizes, [`Error::Write`] and
->>>>>>> main
-    /// [`Error::Cancelled`].
+    /// [`Error::SettingConflict`] for kernel methods, which have no samples, and for particles of
+    /// several sizes, [`Error::Write`] and [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
         let Started { checked, threads } = &self.ready;
         if self.sampled.engine.has_sizes() {
             let setting = Setting::named("size");
-            return Err(Unfit { setting, with: Conflict::PackedSizes }.into());
+            return Err(SettingConflict { setting, with: Conflict::PackedSizes }.into());
         }
         let Some(sampled) = self.sampled.engine.dif() else {
             let with = Conflict::Packed(output.path().to_owned());

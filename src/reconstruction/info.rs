@@ -18,12 +18,8 @@ use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
-<<<<<<< HEAD
 use crate::particles::occurring::{ValueCounts, occurring};
-=======
-use crate::particles::occurring::{Occurring, occurring};
 use crate::particles::sizes::SizeChoice;
->>>>>>> main
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::VertexAttribute;
 use crate::surface::mesh::measure::measure;

@@ -13,17 +13,10 @@ use super::{SpacingMistake, SpacingSource, SpacingWarning};
 use crate::baselines::{KernelMethod, TooManyCells};
 use crate::brick::{BinError, Census};
 use crate::error::{
-<<<<<<< HEAD
     ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, NoEstimate,
     OverBudget, PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy,
-    SelectionFault, Setting, SettingConflict, SimulationError, TooFine, UnitError, Unread,
-    VulkanError, WholeMeshError, WriteError, WriteFault,
-=======
-    ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, OverBudget,
-    PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, SelectionFault, Setting,
-    SimulationError, SizeFault, TooFine, Unfit, UnitError, Unread, Untold, VulkanError,
-    WholeMeshError, WriteError, WriteFault,
->>>>>>> main
+    SelectionFault, Setting, SettingConflict, SimulationError, SizeFault, TooFine, UnitError,
+    Unread, VulkanError, WholeMeshError, WriteError, WriteFault,
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
@@ -126,17 +119,13 @@ fn requests() -> String {
             suggested: Some(0.05),
         },
     );
-<<<<<<< HEAD
-    examples!(text, NoEstimate: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
-=======
     examples!(text, SizeFault:
         NoAttribute { name: "size".into(), known: names() },
         Components { name: "velocity".into(), components: 3 },
         NoDensity { name: "mass".into(), known: names() },
         NoSize { name: "radius".into() },
     );
-    examples!(text, Untold: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
->>>>>>> main
+    examples!(text, NoEstimate: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
     examples!(text, SolidFault:
         Mesh(CompareError::NoSurface(Side::Mesh)), Open { edges: 3 }, Inconsistent { edges: 12 },
     );

@@ -10,14 +10,9 @@ use super::CellSize;
 use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
-<<<<<<< HEAD
 /// Settings that need the host, or a mesh that is simplified or written.
-const OF_HOST: [&str; 15] = [
-=======
-/// Settings that need a host, or a mesh that is simplified or written.
 const OF_HOST: [&str; 16] = [
     "size",
->>>>>>> main
     "method",
     "periodic",
     "periodic_mesh",

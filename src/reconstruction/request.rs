@@ -249,18 +249,12 @@ impl SamplingRequest {
         from: Source<'_>,
         read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
-<<<<<<< HEAD
-        let (mut cells, done) = self.cells_by(particles, from, read)?;
-        if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
-            cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
-=======
         let (mut cells, done) = match self.sizes(particles)? {
             Some(sizes) => (self.cells_for_sizes(particles, sizes)?, None),
             None => self.cells_by(particles, from, read)?,
         };
-        if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
-            cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
->>>>>>> main
+        if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
+            cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
         let is_sought = match self.search {
             Search::Never => false,
@@ -298,8 +292,8 @@ impl SamplingRequest {
         let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
         let source = SpacingSource::Sizes(sizes.attribute.clone());
         let cells = self.cells_of(sizes.finest, source, middle, None)?;
-        let doubts = Doubt::of_sizes(&sizes).into_iter().collect();
-        Ok(Cells { sizes: Some(sizes), doubts, ..cells })
+        let warnings = SpacingWarning::of_sizes(&sizes).into_iter().collect();
+        Ok(Cells { sizes: Some(sizes), warnings, ..cells })
     }
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
@@ -401,12 +395,8 @@ impl SamplingRequest {
             origin: self.origin_for(middle, size),
             slab,
             walls: None,
-<<<<<<< HEAD
-            warnings: Vec::new(),
-=======
             sizes: None,
-            doubts: Vec::new(),
->>>>>>> main
+            warnings: Vec::new(),
         })
     }
 
@@ -492,24 +482,14 @@ impl SamplingRequest {
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
-<<<<<<< HEAD
-                let (slab, walls) = (None, None);
-=======
->>>>>>> main
                 return Ok(Cells {
                     size,
                     spacing: None,
                     origin,
-<<<<<<< HEAD
-                    slab,
-                    walls,
-                    warnings: Vec::new(),
-=======
                     slab: None,
                     walls: None,
                     sizes: None,
-                    doubts: Vec::new(),
->>>>>>> main
+                    warnings: Vec::new(),
                 });
             }
         }

@@ -263,14 +263,9 @@ impl Setup<'_> {
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let tank = (cells.slab, cells.walls.clone());
-<<<<<<< HEAD
         let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
+        shared.sizes = cells.sizes.clone();
         // A frame that lacks one of these attributes fails on its own.
-=======
-        let mut frozen = frozen(frame.number, input, cells.spacing(), source, tank, measured);
-        frozen.sizes = cells.sizes.clone();
-        // A frame without one of these attributes fails by itself.
->>>>>>> main
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
         shared.kinds = settled_for_all(&file.particles, &carried);

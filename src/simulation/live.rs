@@ -220,10 +220,6 @@ fn measured(
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
     let walls = cells.found().copied();
-<<<<<<< HEAD
-    Ok((Known { kinds, grid, method, spacing, slab, walls, calibration, trust }, cells.warnings))
-=======
-    let reconstruction::Cells { sizes, doubts, .. } = cells;
-    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, doubts))
->>>>>>> main
+    let reconstruction::Cells { sizes, warnings, .. } = cells;
+    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, warnings))
 }

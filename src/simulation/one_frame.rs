@@ -287,26 +287,15 @@ impl Conversion<'_> {
         let infos = carried_infos(file.particles.attributes(), &carried);
         let infos = known_of(infos, &shared.kinds);
         let (mut sampling, past) =
-<<<<<<< HEAD
             self.setup.sampling(shared, &file.particles, carried, opening)?;
-        if let Some(spacing) =
-            shared.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
-        {
+        // Particles of several sizes have no single spacing to check.
+        let known = shared.spacing.filter(|_| shared.sizes.is_none());
+        if let Some(spacing) = known.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
             let warnings =
                 SpacingWarning::of_known(spacing, &SpacingSource::State, &file.particles);
             warnings.iter().for_each(|warning| {
                 self.setup.send(Event::SpacingWarning(Box::new(warning.clone())))
             });
-=======
-            self.setup.sampling(frozen, &file.particles, carried, opening)?;
-        // Particles of several sizes have no one spacing to check.
-        let known = frozen.spacing.filter(|_| frozen.sizes.is_none());
-        if let Some(spacing) = known.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
-            let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
-            doubts
-                .iter()
-                .for_each(|doubt| self.setup.tell(Event::Doubted(Box::new(doubt.clone()))));
->>>>>>> main
         }
         control.begin(Stage::Counting);
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);

@@ -87,16 +87,10 @@ impl Setup<'_> {
         let method = request.method.calibrated(shared.calibration.as_ref());
         let slab = shared.slab.filter(|slab| slab.holds(particles));
         let request = request.in_slab(slab);
-<<<<<<< HEAD
         let sampling = request.sampling_on(grid, method, shared.spacing, carried, resources)?;
+        let sampling = sampling.sized(shared.sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: shared.kinds.clone(), ..sampling };
         Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
-=======
-        let sampling = request.sampling_on(grid, method, frozen.spacing, carried, resources)?;
-        let sampling = sampling.sized(frozen.sizes.as_ref(), particles)?;
-        let sampling = Sampling { kinds: frozen.kinds.clone(), ..sampling };
-        Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
->>>>>>> main
     }
 
     /// The division of the machine among `frames`.

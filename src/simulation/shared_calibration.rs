@@ -37,14 +37,10 @@ pub struct SharedCalibration {
     /// The slab that is meshed if all particles lie in a plane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
-<<<<<<< HEAD:src/simulation/shared_calibration.rs
-    /// The walls of the tank, if they were searched.
-=======
-    /// The particles' sizes, where they have several.
+    /// The sizes of the particles, if there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sizes: Option<Sizes>,
-    /// The walls of the tank, where they were to be found.
->>>>>>> main:src/simulation/frozen.rs
+    /// The walls of the tank, if they were searched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
     /// The calibration; `None` for kernel methods.

@@ -222,12 +222,8 @@ mod tests {
     use crate::grid::units::{Isovalue, MeanCount};
     use crate::particles::AttributeInfo;
     use crate::particles::kind::{AttributeKind, SettledKind};
-<<<<<<< HEAD
-    use crate::simulation::shared_calibration::Stamp;
-=======
     use crate::particles::sizes::{Meaning, Sizes};
-    use crate::simulation::frozen::Stamp;
->>>>>>> main
+    use crate::simulation::shared_calibration::Stamp;
 
     fn shared(calibration: Calibration) -> SharedCalibration {
         SharedCalibration {

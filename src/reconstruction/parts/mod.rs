@@ -212,7 +212,7 @@ impl Parts {
         let mut checked = self.request.checked()?;
         if checked.settings.asks_for_sizes() {
             let with = Conflict::Setting(Setting::named("parts"));
-            return Err(Unfit { setting: Setting::named("size"), with }.into());
+            return Err(SettingConflict { setting: Setting::named("size"), with }.into());
         }
         checked.sampling.size = SizeChoice::Ignored;
         if !(1..=MOST_PARTS).contains(&self.count) {
