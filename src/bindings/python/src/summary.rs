@@ -1,12 +1,12 @@
-//! News of a conversion, and its end, for Python.
+//! Events of a conversion, and its summary, for Python.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use meniscus::{Event as News, FrameCounts, Summary as Ended};
+use meniscus::{Event as ConversionEvent, FrameCounts, Summary as Ended};
 use pyo3::prelude::*;
 
-/// News of a conversion. ``str(event)`` is a line for people.
+/// An event of a conversion. ``str(event)`` is a line of text.
 ///
 /// Attributes
 /// ----------
@@ -14,17 +14,18 @@ use pyo3::prelude::*;
 ///     "waiting", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
 ///     "stage", "done", "failed", "simulation_failed" or "ended".
 /// message : str
-///     A line for people.
+///     The event as a line of text.
 /// frame : int or None
 ///     The frame's number; negative before frame 0.
 /// output : pathlib.Path or None
-///     The mesh's file, of a frame that is done.
+///     The mesh's file, for a finished frame.
 /// stage : str or None
-///     "reading", "counting", "waiting", "sampling", "meshing", "simplifying" or "writing", of a frame that is at it.
+///     The frame's stage: "reading", "counting", "waiting", "sampling", "meshing", "simplifying" or
+///     "writing".
 /// share : float or None
-///     How much of that stage is done, from 0 to 1.
+///     The finished fraction of that stage, from 0 to 1.
 /// done, total, failed : int or None
-///     Frames that are done or have failed, that are to be made, and that have failed, where that is known.
+///     Frames that have finished or failed, all frames, and frames that have failed, if known.
 #[pyclass(frozen, get_all, module = "meniscus")]
 #[derive(Default)]
 pub struct Event {
@@ -40,8 +41,8 @@ pub struct Event {
 }
 
 impl Event {
-    /// Takes what others are told, and what to warn of.
-    pub fn of(news: &News) -> (Self, Vec<String>) {
+    /// Converts an event, and returns its warnings.
+    pub fn of(event: &ConversionEvent) -> (Self, Vec<String>) {
         let counted = |FrameCounts { done, total, failed, .. }: &FrameCounts| Self {
             done: Some(*done),
             total: Some(*total),
@@ -49,27 +50,29 @@ impl Event {
             ..Self::default()
         };
         let mut warnings = Vec::new();
-        let event = match news {
-            News::Waiting { .. } => Self { kind: "waiting", ..Self::default() },
-            News::SpacingWarning(warning) => {
+        let converted = match event {
+            ConversionEvent::Waiting { .. } => Self { kind: "waiting", ..Self::default() },
+            ConversionEvent::SpacingWarning(warning) => {
                 warnings.push(warning.to_string());
                 Self { kind: "spacing_warning", ..Self::default() }
             }
-            News::Restarted { .. } => Self { kind: "restarted", ..Self::default() },
-            News::Resumed { .. } => Self { kind: "resumed", ..Self::default() },
-            News::Measured { .. } => Self { kind: "measured", ..Self::default() },
-            News::Started { frames, done, .. } => {
+            ConversionEvent::Restarted { .. } => Self { kind: "restarted", ..Self::default() },
+            ConversionEvent::Resumed { .. } => Self { kind: "resumed", ..Self::default() },
+            ConversionEvent::Measured { .. } => Self { kind: "measured", ..Self::default() },
+            ConversionEvent::Started { frames, done, .. } => {
                 Self { kind: "started", done: Some(*done), total: Some(*frames), ..Self::default() }
             }
-            News::FrameAppeared { .. } => Self { kind: "frame_appeared", ..Self::default() },
-            News::Stage { frame, progress, .. } => Self {
+            ConversionEvent::FrameAppeared { .. } => {
+                Self { kind: "frame_appeared", ..Self::default() }
+            }
+            ConversionEvent::Stage { frame, progress, .. } => Self {
                 kind: "stage",
                 frame: Some(*frame),
                 stage: progress.map(|progress| progress.stage.name()),
                 share: progress.map(|progress| progress.done),
                 ..Self::default()
             },
-            News::Done(done) => {
+            ConversionEvent::Done(done) => {
                 warnings.extend(
                     done.warnings
                         .iter()
@@ -78,14 +81,16 @@ impl Event {
                 let (frame, output) = (Some(done.mesh.frame), Some(done.output.clone()));
                 Self { kind: "done", frame, output, ..counted(&done.progress) }
             }
-            News::Failed(failed) => {
+            ConversionEvent::Failed(failed) => {
                 Self { kind: "failed", frame: Some(failed.frame), ..counted(&failed.progress) }
             }
-            News::SimulationFailed(_) => Self { kind: "simulation_failed", ..Self::default() },
-            News::Ended(_) => Self { kind: "ended", ..Self::default() },
+            ConversionEvent::SimulationFailed(_) => {
+                Self { kind: "simulation_failed", ..Self::default() }
+            }
+            ConversionEvent::Ended(_) => Self { kind: "ended", ..Self::default() },
             _ => Self { kind: "other", ..Self::default() },
         };
-        (Self { message: news.to_string(), ..event }, warnings)
+        (Self { message: event.to_string(), ..converted }, warnings)
     }
 }
 
@@ -107,19 +112,19 @@ impl Event {
 /// folder : pathlib.Path
 ///     The folder of the meshes.
 /// made, failed : int
-///     Frames that were made, and that have failed.
+///     Frames that were made, and frames that failed.
 /// failures : dict of int to str
-///     Why each frame that has failed could not be made.
+///     The error of each failed frame.
 /// error : str or None
-///     Why no frame was made, of one of several simulations.
+///     The error that prevented this simulation, one of several.
 /// missing : list of str
-///     Frames that are missing between others, a line each.
+///     Frames that are missing between others, one line each.
 /// complete : bool
-///     Whether every frame is there.
+///     Whether no frame failed or is missing.
 /// lost : int
-///     Particles that are in no surface, of all frames together, at the least.
+///     Lower bound of the particles that are missing from all surfaces.
 /// seconds : float
-///     How long it took.
+///     Duration of the conversion.
 #[pyclass(frozen, get_all, module = "meniscus")]
 pub struct Summary {
     folder: PathBuf,
