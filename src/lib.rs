@@ -106,7 +106,7 @@
 //! # let ball: Vec<[f32; 3]> = (0..3375).map(|i| [i % 15, i / 15 % 15, i / 225].map(|c| c as f32)).collect();
 //! # let Ok(instance) = Instance::connect(false) else { return Ok(()) };
 //! # let Ok(device) = Device::open(&instance, &DeviceChoice::Best, &DeviceOptions::default()) else { return Ok(()) };
-//! // To use your own device and buffers, see `Device::adopt` and `Device::foreign_buffer`.
+//! // To use your own device and buffers, see `Device::adopt` and `Device::external_buffer`.
 //! let view = device.uploaded(&ball)?;
 //! let positions = DevicePositions { view, count: ball.len(), coordinate: Coordinate::Single };
 //!
@@ -246,10 +246,10 @@ pub mod files {
     pub use crate::io::stamp::is_same_file;
     pub use crate::io::whole::Replace;
     pub use crate::io::{LeftOut, ParticleFile, UpAxis};
-    pub use crate::particles::occurring::{Occurring, Value};
+    pub use crate::particles::occurring::{Value, ValueCounts};
     pub use crate::particles::{AttributeInfo, AttributeKind, Label, velocity_attribute};
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_by,
+        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_with,
         open_particles, usual_up,
     };
     pub use crate::simulation::{FrameFile, files, frames};
@@ -260,7 +260,7 @@ pub mod files {
 /// A [`Pipeline`](devices::Pipeline) meshes particles that are already on a device. Its
 /// [`DeviceRequest`](devices::DeviceRequest) comes from [`Reconstruction::on_device`].
 pub mod devices {
-    pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
+    pub use crate::backend::choice::{CpuReason, bytes_of, device, fastest};
     pub use crate::backend::{Backend, Work};
     pub use crate::brick::InvalidParticles;
     pub use crate::brick::vulkan::{Coordinate, DevicePositions};
@@ -268,8 +268,8 @@ pub mod devices {
     pub use crate::frame::{Detail, Normals, Surfacing};
     pub use crate::grid::units::{SheetStretch, Sigma, Smooth};
     pub use crate::vulkan::{
-        Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Foreign,
-        Instance, Moment, Timing, View,
+        Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions,
+        ExternalDevice, Instance, Moment, Timing, View,
     };
 }
 
@@ -349,7 +349,7 @@ pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
 pub use field::calibration::{Calibrated, Calibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
-pub use field::walls::Past;
+pub use field::walls::BeyondWall;
 pub use frame::{Coincident, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
 pub use grid::{Domain, Grid, Periodic, PeriodicMesh, Walls};
@@ -359,13 +359,14 @@ pub use particles::mixture::Mixture;
 pub use particles::sizes::{Meaning as SizeMeaning, Sizes};
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, Doubt, Emptiness, FoundWalls, Frame, Mistake, Needs, Opened, PartMade, PartShare,
-    PartTakes, Parts, Planned, Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
+    Cells, EmptyReason, FoundWalls, Frame, Needs, Opened, PartDone, PartNeeds, PartShare, Parts,
+    PartsPlan, Reconstruction, Report, Slab, SpacingMistake, SpacingSource, SpacingWarning,
+    Surface, Warning,
 };
 pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Tank, Where};
 pub use simulation::{
-    Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing,
-    Simulation, Summary, Tallied, Trust,
+    Event, Forecast, FrameCounts, FrameDone, FrameFailed, Largest, LeftOut, LiveSimulation,
+    Missing, SharedCalibration, Simulation, Summary, Trust,
 };
 pub use surface::simplify::TooSmall;
 pub use system::cancel::Cancel;

@@ -70,12 +70,12 @@ const SMALL: u64 = 12_000_000;
 const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 
 /// Formats whose files do not tell how much their particles are: compressed, or in several pieces.
-const UNTOLD: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
+const UNKNOWN_SIZE: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 
 /// Reasons to stay on the processor.
 #[derive(Debug)]
 #[non_exhaustive]
-pub enum OnCpu {
+pub enum CpuReason {
     /// Drivers may need this many bytes, more than the limit.
     LittleMemory(u64),
     /// The machine has no GPU.
@@ -90,7 +90,7 @@ pub enum OnCpu {
     Vulkan(VulkanError),
 }
 
-impl fmt::Display for OnCpu {
+impl fmt::Display for CpuReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::LittleMemory(needed) => {
@@ -126,7 +126,7 @@ pub fn fastest(
     budget: MemoryBudget,
     input_bytes: impl FnOnce() -> Option<u64>,
     cache: Option<&Path>,
-) -> (Backend, Option<OnCpu>) {
+) -> (Backend, Option<CpuReason>) {
     match fast_device(budget, input_bytes, cache) {
         Ok(backend) => (backend, None),
         Err(why) => (Backend::cpu(), Some(why)),
@@ -137,25 +137,25 @@ fn fast_device(
     budget: MemoryBudget,
     input_bytes: impl FnOnce() -> Option<u64>,
     cache: Option<&Path>,
-) -> Result<Backend, OnCpu> {
+) -> Result<Backend, CpuReason> {
     if budget < DRIVERS {
-        return Err(OnCpu::LittleMemory(DRIVERS.0));
+        return Err(CpuReason::LittleMemory(DRIVERS.0));
     }
     if !may_have_gpu(Path::new("/dev")) {
-        return Err(OnCpu::NoGpu);
+        return Err(CpuReason::NoGpu);
     }
     if let Some(bytes) = input_bytes().filter(|&bytes| bytes < SMALL) {
-        return Err(OnCpu::Small(bytes));
+        return Err(CpuReason::Small(bytes));
     }
-    let instance = Instance::connect(false).map_err(OnCpu::Vulkan)?;
-    let info = instance.choose(&DeviceChoice::Best).map_err(OnCpu::Vulkan)?;
+    let instance = Instance::connect(false).map_err(CpuReason::Vulkan)?;
+    let info = instance.choose(&DeviceChoice::Best).map_err(CpuReason::Vulkan)?;
     if info.kind != DeviceKind::Discrete {
-        return Err(OnCpu::NotDiscrete(info.name));
+        return Err(CpuReason::NotDiscrete(info.name));
     }
     if !info.is_conformant() {
-        return Err(OnCpu::NotConformant(info.name));
+        return Err(CpuReason::NotConformant(info.name));
     }
-    opened(&instance, &info, cache).map_err(OnCpu::Vulkan)
+    opened(&instance, &info, cache).map_err(CpuReason::Vulkan)
 }
 
 fn opened(
@@ -177,8 +177,8 @@ fn opened(
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     let bytes = |file: &Path| {
         let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
-        let told = UNTOLD.iter().all(|untold| extension != *untold);
-        std::fs::metadata(file).ok().filter(|_| told).map(|metadata| metadata.len())
+        let is_known = UNKNOWN_SIZE.iter().all(|unknown| extension != *unknown);
+        std::fs::metadata(file).ok().filter(|_| is_known).map(|metadata| metadata.len())
     };
     files.into_iter().map(bytes).sum()
 }

@@ -12,7 +12,7 @@ use thiserror::Error;
 pub use crate::brick::BinError;
 pub use crate::field::calibration::{Remedy, TooFine};
 pub use crate::field::indicator::IndicatorKind;
-pub use crate::field::spacing::Untold;
+pub use crate::field::spacing::NoEstimate;
 pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::units::{UnitError, shown, significant};
@@ -30,7 +30,7 @@ pub use crate::surface::solid::SolidFault;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
 pub use parts::PartsError;
-pub use setting::{Conflict, Unfit};
+pub use setting::{Conflict, SettingConflict};
 pub use simulation::{FPS, SimulationError};
 
 use crate::system::cancel::Cancelled;
@@ -47,10 +47,10 @@ pub enum Error {
     Request(String),
     /// A setting that does not apply to the request.
     #[error(transparent)]
-    Unfit(#[from] Unfit),
+    SettingConflict(#[from] SettingConflict),
     /// A file that is both an input and an output, or two outputs.
-    #[error("{}", two_purposes(path, other))]
-    TwoPurposes {
+    #[error("{}", same_file(path, other))]
+    SameFile {
         /// The file.
         path: PathBuf,
         /// The other name of the file in the request.
@@ -168,7 +168,7 @@ pub enum Error {
         /// The number of particles.
         particles: usize,
         /// The reason.
-        why: Untold,
+        why: NoEstimate,
         /// The spacing that the nearest neighbours suggest.
         suggested: Option<f64>,
     },
@@ -189,7 +189,7 @@ fn to_simplify(threads: Option<usize>) -> String {
     threads.map_or(String::new(), |threads| format!("to simplify with {threads} threads, "))
 }
 
-fn two_purposes(path: &Path, other: &Path) -> String {
+fn same_file(path: &Path, other: &Path) -> String {
     let path = path.display();
     match other.display() {
         other if other.to_string() == path.to_string() => {
@@ -243,9 +243,9 @@ impl From<SizeFault> for Error {
 impl Error {
     /// The message, with settings named by `name`: options for a program, keywords for a binding.
     #[must_use]
-    pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
+    pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
-            Self::Unfit(unfit) => unfit.told(name),
+            Self::SettingConflict(conflict) => conflict.message_with(name),
             // The message begins with the key.
             Self::Unit(unit) => match Setting::by_key(unit.name()) {
                 Some(setting) => unit.to_string().replacen(unit.name(), &name(setting), 1),
@@ -274,8 +274,8 @@ impl Error {
         match self {
             Self::Cancelled | Self::Frame { fault: FrameError::Cancelled, .. } => Cause::Cancelled,
             Self::Request(_)
-            | Self::Unfit(_)
-            | Self::TwoPurposes { .. }
+            | Self::SettingConflict(_)
+            | Self::SameFile { .. }
             | Self::Unit(_)
             | Self::Domain(_)
             | Self::Periodic(_)
@@ -347,7 +347,7 @@ impl Error {
                 PartsError::Changed { .. }
                 | PartsError::Missing { .. }
                 | PartsError::Damaged { .. }
-                | PartsError::Foreign(_),
+                | PartsError::OtherPlan(_),
             ) => Cause::Input,
             Self::Parts(PartsError::Io { .. }) => Cause::Output,
             Self::Parts(_) => Cause::Request,

@@ -74,7 +74,7 @@ pub enum PartsError {
     },
     /// A part of another plan.
     #[error("{}: belongs to another plan", .0.display())]
-    Foreign(PathBuf),
+    OtherPlan(PathBuf),
     /// A folder, plan or part that cannot be read or written.
     #[error("{}: {fault}", path.display())]
     Io {

@@ -42,16 +42,16 @@ pub enum Conflict {
 /// A given setting that does not apply.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct Unfit {
+pub struct SettingConflict {
     /// The setting.
     pub setting: Setting,
     /// The reason of the conflict.
     pub with: Conflict,
 }
 
-impl Unfit {
+impl SettingConflict {
     /// The message, with settings named by `name`.
-    pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
+    pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));
         match (&self.with, self.setting.name()) {
@@ -129,10 +129,10 @@ impl Unfit {
     }
 }
 
-impl fmt::Display for Unfit {
+impl fmt::Display for SettingConflict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.told(&Setting::key))
+        f.write_str(&self.message_with(&Setting::key))
     }
 }
 
-impl std::error::Error for Unfit {}
+impl std::error::Error for SettingConflict {}

@@ -29,9 +29,9 @@ pub enum SimulationError {
         #[source]
         fault: std::io::Error,
     },
-    /// A selection of frames of which none exists.
+    /// No existing frame matches the selection.
     #[error("{0}: no frame matches the selection")]
-    NoneWanted(String),
+    NoFrameSelected(String),
     /// An invalid frame rate.
     #[error("fps must be from {} to {} frames per second, got {rate:?}", range.start(), range.end())]
     Rate {
@@ -42,11 +42,11 @@ pub enum SimulationError {
     },
     /// An invalid timeout.
     #[error("watch must be a number of seconds, got {0}")]
-    Wait(f64),
+    Timeout(f64),
     /// Steps inside one file, which cannot be watched.
     #[error("{0}: cannot watch the steps inside one file")]
     Steps(String),
-    /// Frames in several files, which cannot be watched because no file tells when a frame is
+    /// Frames in several files. They cannot be watched, because no file shows that a frame is
     /// complete.
     #[error(
         "{0}: cannot watch frames that are in several files, because no file tells when a frame \

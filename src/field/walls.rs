@@ -93,7 +93,7 @@ pub struct Ends {
 
 /// Particles past a wall that was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Past {
+pub struct BeyondWall {
     /// x, y or z.
     pub axis: char,
     /// The coordinate of the wall.
@@ -412,7 +412,7 @@ impl Ends {
 /// The walls for particles within some bounds, none of which is left outside: a wall that they pass
 /// is moved to them where they are near, else its side is open. Says which walls these are.
 #[must_use]
-pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<Past>) {
+pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<BeyondWall>) {
     let (mut holding, mut past) = (*walls, Vec::new());
     for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
         let (Some(wall), reach) = (walls.0[axis][end], [bounds.lo, bounds.hi][end][axis]) else {
@@ -422,7 +422,7 @@ pub fn holding(walls: &Walls, bounds: &Bounds, spacing: f64) -> (Walls, Vec<Past
         if by > 0.0 {
             let moved = (by <= SAME * spacing).then_some(reach);
             holding.0[axis][end] = moved;
-            past.push(Past { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
+            past.push(BeyondWall { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
         }
     }
     (holding, past)

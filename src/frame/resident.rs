@@ -2,13 +2,13 @@
 //! of positions in, buffers of vertices and indices out.
 //!
 //! The device can be a caller's own ([`Device::adopt`]), and so can the buffer
-//! ([`Device::foreign_buffer`]): those two calls state what the caller must hold to, everything
+//! ([`Device::external_buffer`]): those two calls state what the caller must hold to, everything
 //! here is safe. The host sees where the DIF is not 0, to find the blocks that the surface can pass
 //! through, and of the frame that it calibrates on a part of it; neither the particles nor the
 //! mesh. The mesh is that of the other backends, with positions rounded to f32.
 //!
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
-//! [`Device::foreign_buffer`]: crate::vulkan::Device::foreign_buffer
+//! [`Device::external_buffer`]: crate::vulkan::Device::external_buffer
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinPipelines, DeviceBins, DeviceGrid, DevicePositions, bin};

@@ -1,8 +1,8 @@
-//! A folder of files that a file beside it names: it gets its name before the file does, so that
-//! nobody finds a name of what is missing.
+//! A folder of files that a list file beside it names. The folder is renamed to its final name
+//! before the list, so that a list never names missing files.
 //!
-//! Until then it is called like the file's temporary, and goes with that where the work is
-//! abandoned.
+//! Until then, its name is derived from the list's temporary file, and it is removed with that file
+//! if the work is abandoned.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
@@ -16,26 +16,26 @@ use crate::system::cancel::{BELONGINGS, belonging};
 
 use super::whole::counted_in;
 
-/// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
+/// A folder that is being filled. Without [`keep`](Self::keep), it is removed on drop.
 #[derive(Debug)]
 pub struct Folder {
     temporary: PathBuf,
-    /// Where a folder that is replaced waits to be removed.
+    /// The temporary name of a replaced folder until it is removed.
     replaced: PathBuf,
     place: PathBuf,
     stem: String,
     extension: &'static str,
-    /// Sums up the files so far.
+    /// Checksum of the files so far.
     sum: Hasher,
 }
 
 impl Folder {
-    /// Begins a folder beside the file at `place`, called like it but for the extension, for files
-    /// that end in `extension`.
+    /// Creates a folder beside the file at `place`, with its name but another extension, for files
+    /// with the extension `extension`.
     ///
     /// # Errors
-    /// Those of the system, [`io::ErrorKind::AlreadyExists`] and [`io::ErrorKind::InvalidInput`] as
-    /// [`check`](Self::check).
+    /// Errors of the system, and [`io::ErrorKind::AlreadyExists`] and
+    /// [`io::ErrorKind::InvalidInput`] as in [`check`](Self::check).
     pub fn begin(place: &Path, temporary: &Path, extension: &'static str) -> io::Result<Self> {
         let (place, stem) = named(place)?;
         let [temporary, replaced] = BELONGINGS.map(|ending| belonging(temporary, ending));
@@ -43,12 +43,13 @@ impl Folder {
         Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
     }
 
-    /// Makes sure that the folder beside the file at `place` is free, or holds nothing but files
-    /// that another one has put there, if they may be replaced.
+    /// Checks that the folder beside the file at `place` does not exist, or contains only files of
+    /// this kind, which may be replaced.
     ///
     /// # Errors
     /// [`io::ErrorKind::AlreadyExists`] for a folder that may not be replaced, and
-    /// [`io::ErrorKind::InvalidInput`] for one that holds other files, or a name that is no text.
+    /// [`io::ErrorKind::InvalidInput`] for a folder with other files, or a name that is not
+    /// Unicode.
     pub fn check(place: &Path, extension: &str, replaceable: bool) -> io::Result<()> {
         let (folder, stem) = named(place)?;
         let entries = match fs::read_dir(&folder) {
@@ -73,16 +74,16 @@ impl Folder {
         if empty || replaceable { Ok(()) } else { Err(ErrorKind::AlreadyExists.into()) }
     }
 
-    /// Name of file number `number`, relative to the folder's own.
+    /// Name of file number `number`, relative to the parent of the folder.
     pub fn name(&self, number: u64) -> String {
         let Self { stem, extension, .. } = self;
         format!("{stem}/{stem}_{number}.{extension}")
     }
 
-    /// Writes the next file, which has the number `number`, and waits until it is on disk.
+    /// Writes file number `number`, the next one, and waits until it is on disk.
     ///
     /// # Errors
-    /// Those of the system and of `content`.
+    /// Errors of the system and of `content`.
     pub fn write(
         &mut self,
         number: u64,
@@ -96,7 +97,7 @@ impl Folder {
         file.sync_all()
     }
 
-    /// Adds what the files hold to the sum of the file that names them.
+    /// Combines the checksum of the list with that of the files.
     pub fn sum_behind(&self, crc: u32, bytes: u64) -> u32 {
         let mut all = Hasher::new_with_initial_len(crc, bytes);
         all.combine(&self.sum);
@@ -109,8 +110,8 @@ impl Folder {
     /// stays.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be
-    /// replaced, and the system's own.
+    /// [`io::ErrorKind::AlreadyExists`] if a folder with this name was created meanwhile and may
+    /// not be replaced, and errors of the system.
     pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
         if !replaceable && named.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());
@@ -135,21 +136,20 @@ impl Folder {
     }
 }
 
-/// How often a folder may find its name taken once more by another.
+/// Maximum number of attempts if other processes keep creating the folder.
 const TRIES: u32 = 100;
 
-/// Takes what is not there for moved or removed already.
+/// Ignores errors about missing files, which were moved or removed already.
 fn unless_gone(done: io::Result<()>) -> io::Result<()> {
     done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
 }
 
-/// How long a turn is waited for, and how often it is asked for.
+/// Maximum wait for a lock, and the interval between attempts.
 const PATIENCE: Duration = Duration::from_secs(2);
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// A lock on the folder in which the file at `place` and the folder beside it get their names, so
-/// that both are of one job. Nothing where the system has no such lock, or somebody else holds on
-/// to it.
+/// Locks the parent folder, so that a list and its folder are renamed together by one job. `None`
+/// if the system has no such lock, or another process does not release it.
 pub fn turn(place: &Path) -> Option<File> {
     let folder =
         place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -200,7 +200,7 @@ fn is_piece(name: &str, stem: &str, extension: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// A folder of one file beside `m.list`, as the job `job` makes it.
+    /// A folder with one file beside `m.list`, as job `job` makes it.
     fn filled(within: &Path, job: &str) -> Folder {
         let mut folder = Folder::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();
         folder.write(0, |out| out.write_all(job.as_bytes())).unwrap();

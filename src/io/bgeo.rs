@@ -1,8 +1,7 @@
-//! Houdini's classic .bgeo ("BgeoV", version 5), as partio and SPlisHSPlasH write it.
+//! Reads Houdini's classic .bgeo ("BgeoV", version 5), as partio and SPlisHSPlasH write it.
 //!
-//! Everything is big endian. A header names the attributes, then come the points, one record each:
-//! x, y, z, w and the attributes, four bytes a number. What follows the points is of no use here
-//! and is not read.
+//! Everything is big endian. A header names the attributes. Then each point is one record: x, y, z,
+//! w and the attributes, four bytes per number. The rest of the file is not read.
 
 use crate::particles::AttributeInfo;
 
@@ -11,13 +10,13 @@ use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Width of every number of a point.
+/// Bytes of every number of a point.
 const NUMBER: u64 = 4;
 
-/// Reads the header and the attributes' names; the points stay where they are.
+/// Reads the header and the names of the attributes. The points are read later.
 ///
-/// A vector or a list of numbers becomes one attribute; indexed strings are passed over. The weight
-/// w is not divided by: it is 1 for every point that is not part of a curve.
+/// A vector or a list of numbers is one attribute; indexed strings are skipped. Positions are not
+/// divided by the weight w, which is 1 for all points outside of curves.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] for plain strings; [`ReadFault::Malformed`] and
@@ -76,7 +75,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 struct Definition {
     name: String,
     components: u16,
-    /// None for indices into strings.
+    /// `None` for indices into strings.
     scalar: Option<Scalar>,
 }
 

@@ -1,10 +1,10 @@
-//! DualSPHysics' .bi4 (JBinaryData): the fluid among the particles of one part, which may be in
-//! several files.
+//! Reads DualSPHysics' .bi4 (JBinaryData): the fluid particles of one part, which may be in several
+//! files.
 //!
 //! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays
-//! and items below it; each is preceded by the size of its definition. The root's values describe
-//! the case, its child `PART_xxxx` holds one array a quantity. Fixed, moving and floating particles
-//! lie in the same arrays: the fluid are those whose number comes after theirs.
+//! and child items, each preceded by the size of its definition. The root's values describe the
+//! case. Its child `PART_xxxx` has one array per quantity. Fixed, moving and floating particles are
+//! in the same arrays; fluid particles have higher numbers.
 
 use std::path::{Path, PathBuf};
 
@@ -21,15 +21,14 @@ use super::wanted::Wanted;
 use super::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
-/// Identifiers that are read at once.
+/// Number of identifiers per read.
 const IDS: usize = 1 << 15;
 
-/// Reads the part in `path`, whose bytes are the first of its pieces' if it is in several:
-/// `Part_p00_0000.bi4` stands beside `Part_p01_0000.bi4` and so on.
+/// Reads the part at `path`. `bytes` are those of its first piece: `Part_p00_0000.bi4` may have
+/// `Part_p01_0000.bi4` and further pieces beside it.
 ///
 /// # Errors
-/// As [`read_particles`], each with the piece that it concerns; a missing piece is
-/// [`ReadFault::Io`].
+/// Those of [`read_particles`], with the piece; a missing piece is [`ReadFault::Io`].
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -78,12 +77,12 @@ pub fn open_particles(
     })
 }
 
-/// Whether a file's name says that it is a piece of a part, and not the first.
+/// Whether a file's name is that of a piece other than the first.
 pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
 
-/// The other pieces of the part that `path` is the first piece of, as far as they are there.
+/// The existing other pieces of the part whose first piece is `path`.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
     first.map_or(Vec::new(), |name| {
@@ -98,7 +97,7 @@ fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFaul
     malformed(HEAD, format!("{} where {} was expected", words(said), words(expected)))
 }
 
-/// `Part_p00_0000.bi4`, taken apart.
+/// The components of a name such as `Part_p00_0000.bi4`.
 struct PieceName<'a> {
     folder: &'a Path,
     before: &'a str,
@@ -126,9 +125,9 @@ impl<'a> PieceName<'a> {
     }
 }
 
-/// Reads the tree and picks the fluid; the arrays stay where they are.
+/// Reads the tree, and selects the fluid. The arrays are read later.
 ///
-/// Every array of numbers with one entry a particle becomes an attribute, positions excepted.
+/// Every array of numbers with one entry per particle becomes an attribute, except positions.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] for the simulator's other files and for a piece of a part;
@@ -149,16 +148,16 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 /// The particles of one file.
 struct Piece {
     case: Case,
-    /// The arrays that have an entry for every particle.
+    /// The arrays with an entry for every particle.
     arrays: Vec<Array>,
-    /// The number of the array of positions, which has three components.
+    /// The index of the array of positions, which has three components.
     position: usize,
     fluid: Fluid,
     endian: Endian,
 }
 
 impl Piece {
-    /// The fluid; its arrays stay where they are.
+    /// The fluid particles as columns of the file.
     fn store(self, bytes: Bytes) -> ColumnStore {
         let Self { arrays, position, fluid, endian, .. } = self;
         let columns = |array: &Array| {
@@ -208,7 +207,7 @@ impl Piece {
     }
 }
 
-/// The rows of the arrays that are fluid: from `first` on, those of `rows`.
+/// The fluid rows of the arrays: `rows` rows from `first` on.
 struct Fluid {
     first: usize,
     rows: Rows,
@@ -253,7 +252,7 @@ fn number(bytes: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// The values of the file that are of use here: counts, pieces, spacing and time.
+/// The values of the file that are used: counts, pieces, spacing and time.
 #[derive(Default)]
 struct Case {
     /// CaseNfixed, CaseNmoving and CaseNfloat.
@@ -278,7 +277,7 @@ impl Case {
         )
     }
 
-    /// Notes the value called `name` if it is one of ours.
+    /// Stores the value called `name` if it is used.
     fn note(&mut self, name: &[u8], kind: Kind, value: &[u8], endian: Endian) {
         let whole =
             matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
@@ -301,7 +300,7 @@ impl Case {
     }
 }
 
-/// An array of the part, checked to lie within the file.
+/// An array of the part, which was checked to lie within the file.
 struct Array {
     name: String,
     /// Type and number of components.
@@ -313,10 +312,10 @@ struct Array {
 /// A type of value.
 #[derive(Clone, Copy)]
 struct Kind {
-    /// None for texts and truth values.
+    /// `None` for texts and booleans.
     scalar: Option<Scalar>,
     components: usize,
-    /// Bytes of a value; None where a length precedes it.
+    /// Bytes of a value; `None` if it has a length prefix.
     size: Option<u64>,
 }
 
@@ -348,7 +347,7 @@ impl Kind {
     }
 }
 
-/// The items of a file, laid flat: the values of all, and the arrays of its one part.
+/// The items of a file as a flat list: all values, and the arrays of its part.
 struct Tree {
     case: Case,
     arrays: Vec<Array>,
@@ -381,8 +380,8 @@ impl Tree {
         };
         let mut cursor = Cursor::new(bytes, HEAD, endian);
         let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };
-        // An item's children follow it directly, so a count of those to come is all that the tree
-        // needs.
+        // An item's children follow it directly, so the number of remaining items is sufficient
+        // state.
         let mut to_come: u64 = 1;
         while to_come > 0 {
             to_come = to_come - 1 + tree.item(&mut cursor, wide)?;
@@ -390,7 +389,7 @@ impl Tree {
         Ok(tree)
     }
 
-    /// Reads one item but not its children, whose number it returns.
+    /// Reads one item without its children, and returns their number.
     fn item(&mut self, cursor: &mut Cursor, wide: bool) -> Result<u64, ReadFault> {
         cursor.u32("an item's size")?;
         tag(cursor, b"\nITEM\n")?;
@@ -426,7 +425,7 @@ impl Tree {
 }
 
 impl Array {
-    /// None for an array that is not of numbers.
+    /// `None` for an array without numbers.
     fn read(cursor: &mut Cursor, wide: bool) -> Result<Option<Self>, ReadFault> {
         cursor.u32("an array's size")?;
         tag(cursor, b"\nARRAY")?;
@@ -454,7 +453,7 @@ impl Array {
     }
 }
 
-/// Bytes after their number.
+/// Bytes with a length prefix.
 fn text<'c>(cursor: &'c mut Cursor, what: &str) -> Result<&'c [u8], ReadFault> {
     let length = cursor.u32(what)?;
     cursor.take(what, length.into())

@@ -1,5 +1,5 @@
-//! The bytes of an input file: read by position where it lies on disk as it is; read whole,
-//! unpacked or decoded where they do not stay where they are, into memory or a scratch file.
+//! The bytes of an input file. Uncompressed binary files are read by position. Other files are
+//! read, unpacked or decoded as a whole into memory or a scratch file.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -19,45 +19,44 @@ use crate::system::reopened::{FileStamp, ReopenedFile, read_exact_at};
 use super::compression::{Compression, DICTIONARY};
 use super::{ReadError, ReadFault};
 
-/// Bytes that are unpacked at once.
+/// Bytes per unpacking step.
 const CHUNK: u64 = 1 << 18;
-/// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than
-/// this.
+/// Maximum compression ratio. Particles compress to a half or a tenth; only a malicious file
+/// exceeds this.
 const GREATEST_RATIO: u64 = 128;
 
-/// When a byte is read, the system may map this many bytes before it again.
+/// When a page is read, the system may map up to this many bytes before it.
 #[cfg(unix)]
 const FAULT_AROUND: usize = 64 << 10;
 
-/// Bytes that any file may unpack to.
+/// Size up to which every file may be unpacked.
 const ALWAYS_UNPACKED: u64 = 64 << 20;
 
-/// A file's bytes, read-only.
+/// The bytes of a file, read-only.
 #[derive(Debug)]
 pub enum Bytes {
-    /// In a file that lies on disk as it is: read by position, and never mapped.
+    /// In an uncompressed file, which is read by position, and never mapped.
     File(ReopenedFile),
-    /// Unpacked or read already.
+    /// Unpacked or read into memory or a scratch file.
     Kept(Kept),
 }
 
 /// Bytes that no other program changes.
 #[derive(Debug)]
 pub enum Kept {
-    /// A mapped scratch file; pages come and go with their use.
+    /// A mapped scratch file.
     Scratch(Arc<Mmap>),
     /// In memory.
     Owned(Vec<u8>),
 }
 
 impl Bytes {
-    /// All of it, read from the file if that is where it is: into memory, or into a scratch file.
-    /// What is decoded at length is decoded from there, where no other program changes it
-    /// meanwhile.
+    /// Reads all bytes of the file into memory or a scratch file. Decoding takes long, and this
+    /// prevents changes by other programs meanwhile.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that cannot be read as it was when
-    /// it was opened, and [`ReadFault::Scratch`].
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
+    /// and [`ReadFault::Scratch`].
     pub fn read_whole(self, unpacking: Unpacking) -> Result<Kept, ReadFault> {
         let file = match self {
             Self::File(file) => file,
@@ -85,12 +84,12 @@ impl Bytes {
             file.check()?;
             return read.and_then(|()| copied.finish());
         };
-        // What ends too early has changed.
+        // An unexpected end means that the file has changed.
         file.check()?;
         Ok(read?)
     }
 
-    /// Looks at them without reading all.
+    /// Views the bytes without reading all of them.
     pub fn view(&self) -> View<'_> {
         match self {
             Self::File(file) => View::File(file),
@@ -106,10 +105,10 @@ impl From<Vec<u8>> for Bytes {
 }
 
 impl Kept {
-    /// Maps all of a file that nobody else can reach, or that is trusted not to be shortened.
+    /// Maps a whole file that no other process can access, or that is trusted to keep its size.
     ///
     /// # Errors
-    /// Where the system refuses.
+    /// Errors of the system.
     pub fn map(file: &File) -> io::Result<Self> {
         // SAFETY: the map is never written through. Another program that shortens the file
         // meanwhile can end the run by a signal, as it can for every mapping reader.
@@ -124,7 +123,7 @@ impl Kept {
         }
     }
 
-    /// Bytes of memory that cannot be given back.
+    /// Bytes of memory that cannot be released.
     pub fn resident_bytes(&self) -> u64 {
         match self {
             Self::Scratch(_) => 0,
@@ -132,12 +131,12 @@ impl Kept {
         }
     }
 
-    /// Gives the memory of a range back; reading it again brings it back.
+    /// Releases the memory of a range; reading it again restores it.
     pub fn release(&self, range: Range<usize>) {
         self.slice().release(range);
     }
 
-    /// The bytes, with the map that gives their memory back.
+    /// The bytes, with the map that can release their memory.
     pub fn slice(&self) -> Slice<'_> {
         match self {
             Self::Scratch(map) => Slice { bytes: map, map: Some(map) },
@@ -145,7 +144,7 @@ impl Kept {
         }
     }
 
-    /// The bytes, as those of an input are looked at.
+    /// The bytes as a view.
     pub fn view(&self) -> View<'_> {
         View::Kept(self.slice())
     }
@@ -162,7 +161,7 @@ impl Deref for Kept {
     }
 }
 
-/// The file that was asked for last, and a result that holds as long as the file is the same.
+/// The last file, with a result that is valid while the file is unchanged.
 #[derive(Debug)]
 pub struct LastFile<T>(Mutex<Option<(PathBuf, FileStamp, T)>>);
 
@@ -173,7 +172,7 @@ impl<T> Default for LastFile<T> {
 }
 
 impl<T: Clone> LastFile<T> {
-    /// No file.
+    /// Starts without a file.
     pub const fn new() -> Self {
         Self(Mutex::new(None))
     }
@@ -182,25 +181,25 @@ impl<T: Clone> LastFile<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The result for a file that is as it was.
+    /// The result for an unchanged file.
     pub fn get(&self, path: &Path, stamp: FileStamp) -> Option<T> {
         let last = self.last();
         let (of, known, result) = last.as_ref()?;
         ((of.as_path(), *known) == (path, stamp)).then(|| result.clone())
     }
 
-    /// Keeps the result for a file in place of any other.
+    /// Stores the result for a file, and replaces any other.
     pub fn keep(&self, path: &Path, stamp: FileStamp, result: T) {
         *self.last() = Some((path.to_owned(), stamp, result));
     }
 
-    /// Keeps no result.
+    /// Removes the result.
     pub fn forget(&self) {
         *self.last() = None;
     }
 }
 
-/// Bytes in memory, or in a map that can give it back.
+/// Bytes in memory, or in a map that can release it.
 #[derive(Debug, Clone, Copy)]
 pub struct Slice<'a> {
     bytes: &'a [u8],
@@ -208,12 +207,12 @@ pub struct Slice<'a> {
 }
 
 impl<'a> Slice<'a> {
-    /// The bytes, for as long as they are there.
+    /// The bytes, with their own lifetime.
     pub fn bytes(self) -> &'a [u8] {
         self.bytes
     }
 
-    /// Gives the memory of a range back; reading it again brings it back.
+    /// Releases the memory of a range; reading it again restores it.
     pub fn release(self, range: Range<usize>) {
         #[cfg(unix)]
         if let Some(map) = self.map {
@@ -244,10 +243,10 @@ impl Deref for Slice<'_> {
     }
 }
 
-/// Bytes that are looked at here and there: kept, or read from their file by position.
+/// Random access to bytes in memory or in a file.
 #[derive(Debug, Clone, Copy)]
 pub enum View<'a> {
-    /// In a file.
+    /// In a file, read by position.
     File(&'a ReopenedFile),
     /// In memory, or mapped.
     Kept(Slice<'a>),
@@ -263,7 +262,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Whether there is none.
+    /// Whether there are no bytes.
     #[must_use]
     pub fn is_empty(self) -> bool {
         self.len() == 0
@@ -272,17 +271,17 @@ impl<'a> View<'a> {
     /// The bytes of a range.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] and [`ReadFault::Io`] where the file cannot be read as it was.
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read.
     ///
     /// # Panics
-    /// If the range exceeds them.
+    /// If the range exceeds the bytes.
     pub fn read(self, range: Range<usize>) -> Result<Cow<'a, [u8]>, ReadFault> {
         match self {
             Self::File(file) => {
                 assert!(range.end <= self.len(), "bytes to {} of {}", range.end, self.len());
                 let mut bytes = vec![0; range.len()];
                 if let Err(lost) = file.read_exact_at(range.start as u64, &mut bytes) {
-                    // What ends too early has changed.
+                    // An unexpected end means that the file has changed.
                     file.check()?;
                     return Err(lost.into());
                 }
@@ -292,10 +291,10 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The bytes of a text, which was read as a whole.
+    /// The bytes of a text file, which was read as a whole.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] where they are in a file: it was no text when that was asked.
+    /// [`ReadFault::Changed`] if they are in a file: the file was not text when this was checked.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -303,17 +302,17 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Gives the memory of a range back; reading it again brings it back.
+    /// Releases the memory of a range; reading it again restores it.
     pub fn release(self, range: Range<usize>) {
         if let Self::Kept(slice) = self {
             slice.release(range);
         }
     }
 
-    /// Makes sure that all that was read is of one file.
+    /// Checks that the file has not changed since it was opened.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] where it was written to since it was opened.
+    /// [`ReadFault::Changed`] if it has.
     pub fn check(self) -> Result<(), ReadFault> {
         match self {
             Self::File(file) => Ok(file.check()?),
@@ -328,20 +327,20 @@ impl<'a> From<&'a [u8]> for View<'a> {
     }
 }
 
-/// Bytes of which the memory is given back at once.
+/// Bytes after which memory is released.
 const WINDOW: u64 = 1 << 20;
 
-/// Reads bytes as a file is read, and gives back the memory of what was read.
+/// Reads bytes sequentially, and releases the memory of bytes that were read.
 #[derive(Debug)]
 pub struct Passing<'a> {
     bytes: View<'a>,
     at: u64,
-    /// From where on memory was not given back yet.
+    /// Start of the bytes whose memory is not released yet.
     held_from: u64,
 }
 
 impl<'a> Passing<'a> {
-    /// From byte `at` on.
+    /// Starts at byte `at`.
     pub fn new(bytes: View<'a>, at: usize) -> Self {
         Self { bytes, at: at as u64, held_from: at as u64 }
     }
@@ -399,21 +398,21 @@ impl Drop for Passing<'_> {
 /// The memory and scratch folder that unpacking or decoding an input may use.
 #[derive(Debug, Clone, Copy)]
 pub struct Unpacking<'a> {
-    /// Bytes of memory; what comes to more goes to a scratch file, and is mapped.
+    /// Bytes of memory; a larger result goes to a mapped scratch file.
     pub in_memory: u64,
     /// The folder for scratch files.
     pub scratch: &'a Path,
-    /// The caller's hold on the reading, if there is one.
+    /// Progress and cancellation for the caller, if any.
     pub control: Option<&'a Control>,
 }
 
 impl Unpacking<'static> {
-    /// Sets no limit: all is unpacked into memory.
+    /// No limit: everything is unpacked into memory.
     pub fn in_memory() -> Self {
         Self { in_memory: u64::MAX, scratch: Path::new("."), control: None }
     }
 
-    /// For a look at a file: what is large goes to a scratch file in the system's folder for them.
+    /// For inspecting a file: large results go to a scratch file in the system's temporary folder.
     pub fn for_a_look() -> Self {
         static FOLDER: LazyLock<PathBuf> = LazyLock::new(std::env::temp_dir);
         Self { in_memory: ALWAYS_UNPACKED, scratch: &FOLDER, control: None }
@@ -421,14 +420,14 @@ impl Unpacking<'static> {
 }
 
 impl Unpacking<'_> {
-    /// Ends the work where the caller has asked for it.
+    /// Returns an error if the work was cancelled.
     pub(super) fn go_on(&self) -> Result<(), ReadFault> {
         let Some(control) = self.control else { return Ok(()) };
         Ok(control.cancel.go_on().map_err(io::Error::from)?)
     }
 }
 
-/// Bytes of a packed file, of which the caller hears how many have been read.
+/// A reader of a packed file that reports its progress to the caller.
 struct MeteredBytes<'a, R> {
     bytes: R,
     meter: Option<Meter<'a>>,
@@ -452,36 +451,36 @@ impl<R: Read> Read for MeteredBytes<'_, R> {
     }
 }
 
-/// The bytes that have been unpacked or decoded so far.
+/// A buffer for unpacked or decoded bytes.
 #[derive(Debug)]
 pub struct Unpacked<'a> {
     unpacking: Unpacking<'a>,
     memory: Vec<u8>,
-    /// All there is, as soon as it is too much for the memory.
+    /// The scratch file with all bytes, if they exceed the memory.
     file: Option<File>,
     len: u64,
 }
 
 impl<'a> Unpacked<'a> {
-    /// Nothing.
+    /// An empty buffer.
     pub fn new(unpacking: Unpacking<'a>) -> Self {
         Self { unpacking, memory: Vec::new(), file: None, len: 0 }
     }
 
-    /// Bytes so far.
+    /// Number of bytes.
     pub fn len(&self) -> u64 {
         self.len
     }
 
-    /// Whether there is none.
+    /// Whether there are no bytes.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Adds `bytes`.
+    /// Appends `bytes`.
     ///
     /// # Errors
-    /// [`ReadFault::Scratch`] where the scratch file cannot be written.
+    /// [`ReadFault::Scratch`] if the scratch file cannot be written.
     pub fn push(&mut self, bytes: &[u8]) -> Result<(), ReadFault> {
         self.unpacking.go_on()?;
         self.len += bytes.len() as u64;
@@ -495,7 +494,7 @@ impl<'a> Unpacked<'a> {
             Some(file) => file.write_all(bytes).map_err(ReadFault::Scratch)?,
             None => {
                 if self.memory.capacity() < self.len as usize {
-                    // Twice as much, as ever, but not beyond the limit.
+                    // Doubles the capacity, within the limit.
                     let room = (2 * self.len).min(self.unpacking.in_memory) as usize;
                     self.memory.reserve_exact(room - self.memory.len());
                 }
@@ -505,10 +504,10 @@ impl<'a> Unpacked<'a> {
         Ok(())
     }
 
-    /// All of it.
+    /// Returns all bytes.
     ///
     /// # Errors
-    /// [`ReadFault::Scratch`] where the scratch file cannot be mapped.
+    /// [`ReadFault::Scratch`] if the scratch file cannot be mapped.
     pub fn finish(self) -> Result<Kept, ReadFault> {
         match self.file {
             Some(file) => Kept::map(&file).map_err(ReadFault::Scratch),
@@ -517,12 +516,12 @@ impl<'a> Unpacked<'a> {
     }
 }
 
-/// Opens `path`: to be read by position, or unpacked [`for_a_look`](Unpacking::for_a_look) when it
-/// is compressed by gzip, xz or zstd, whatever its extension says.
+/// Opens `path` for reading by position. If it is compressed by gzip, xz or zstd, with any
+/// extension, unpacks it with the limits of [`for_a_look`](Unpacking::for_a_look).
 ///
 /// # Errors
-/// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
-/// [`ReadFault::Compression`] for a damaged stream, or one that unpacks beyond all reason.
+/// [`ReadFault::Io`] for errors of the system, [`ReadFault::Empty`] for an empty file, and
+/// [`ReadFault::Compression`] for a damaged stream, or one whose compression ratio is too high.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     open_bytes_within(path, Unpacking::for_a_look())
 }
@@ -535,20 +534,20 @@ pub fn open_whole(path: &Path) -> Result<Kept, ReadError> {
         .map_err(|fault| ReadError::new(path, fault))
 }
 
-/// Opens `path` like [`open_bytes_within`] for one of several frames in it.
+/// Opens `path` like [`open_bytes_within`], for one of several frames in it.
 ///
-/// A compressed file is unpacked into a scratch file, which is kept until another one is opened
-/// here or this one has changed: its frames are read without unpacking those before. What is found
-/// in the bytes holds as long as the file has the stamp, where there is one.
+/// A compressed file is unpacked into a scratch file, which is kept until a different file is
+/// opened here or this one changes, so that later frames need no unpacking. Data derived from the
+/// bytes is valid for the returned stamp, if there is one.
 ///
 /// # Errors
-/// As [`open_bytes_within`].
+/// Those of [`open_bytes_within`].
 pub fn open_for_frame(
     path: &Path,
     unpacking: Unpacking,
 ) -> Result<(Bytes, Option<FileStamp>), ReadError> {
     static UNPACKED: LastFile<Arc<Mmap>> = LastFile::new();
-    /// Frames that are opened together wait for the one that unpacks.
+    /// Other frames of the file wait until it is unpacked.
     static TURN: Mutex<()> = Mutex::new(());
     let compressed = File::open(path)
         .and_then(|file| {
@@ -558,16 +557,16 @@ pub fn open_for_frame(
             read_exact_at(&file, 0, head)?;
             Ok(Compression::of(head).map(|_| stamp))
         })
-        // Whoever opens it again reports that.
+        // The next attempt to open it reports the error.
         .unwrap_or_default();
-    // Without a limit nothing goes to scratch files.
+    // Without a memory limit, no scratch file is used.
     let compressed = compressed.filter(|_| unpacking.in_memory < u64::MAX);
     let _turn = compressed.map(|_| TURN.lock().unwrap_or_else(PoisonError::into_inner));
     if let Some(stamp) = compressed {
         if let Some(map) = UNPACKED.get(path, stamp) {
             return Ok((Bytes::Kept(Kept::Scratch(map)), compressed));
         }
-        // No more than one scratch file is kept.
+        // At most one scratch file is kept.
         UNPACKED.forget();
         let unpacked = open_bytes_within(path, Unpacking { in_memory: 0, ..unpacking });
         let unchanged = path.metadata().is_ok_and(|now| FileStamp::of(&now) == stamp);
@@ -576,7 +575,7 @@ pub fn open_for_frame(
                 UNPACKED.keep(path, stamp, Arc::clone(&map));
                 return Ok((Bytes::Kept(Kept::Scratch(map)), compressed));
             }
-            // It may fit the memory.
+            // The file may fit in memory.
             Err(ReadError { fault: ReadFault::Scratch(_), .. }) => {}
             other => return Ok((other?, None)),
         }
@@ -589,11 +588,10 @@ pub fn open_for_frame(
     Ok((bytes, stamp))
 }
 
-/// Opens `path` like [`open_bytes`], unpacking it into memory or a scratch file as `unpacking`
-/// says.
+/// Opens `path` like [`open_bytes`], and unpacks it within the limits of `unpacking`.
 ///
 /// # Errors
-/// As [`open_bytes`], and [`ReadFault::Scratch`] where the scratch file cannot be written.
+/// Those of [`open_bytes`], and [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, ReadError> {
     let fail = |fault: ReadFault| ReadError::new(path, fault);
     let file = File::open(path).map_err(|e| fail(e.into()))?;
@@ -609,7 +607,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         let Some(compression) = Compression::of(head) else {
             return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
         };
-        // Read from the file, it never counts as this process's memory.
+        // Reads by position do not count as memory of this process.
         if len > ALWAYS_UNPACKED {
             return unpack(compression, file, len, unpacking).map(Bytes::Kept).map_err(fail);
         }
@@ -640,15 +638,15 @@ fn file_bytes(file: &File, count: u64) -> Result<Kept, ReadFault> {
     Ok(Kept::Owned(bytes))
 }
 
-/// Returns the most bytes that a file of `packed` bytes may unpack to.
+/// The maximum number of bytes that a file of `packed` bytes may unpack to.
 pub(super) fn unpacked_limit(packed: u64) -> u64 {
     packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
 }
 
-/// Unpacks a small file that is a single gzip stream, in half of the time that it takes piece by
-/// piece. `None` where it is something else, or damaged.
+/// Unpacks a small file with a single gzip stream in one call, which takes half of the time. `None`
+/// for a damaged file or one with several streams.
 fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
-    // A stream ends with its content's length.
+    // A stream ends with the length of its content.
     let trailer = packed.last_chunk::<4>()?;
     let len = u32::from_le_bytes(*trailer);
     if u64::from(len) > in_memory.min(ALWAYS_UNPACKED) {
@@ -656,8 +654,8 @@ fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     }
     let mut unpacked = vec![0; len as usize];
     let written = Decompressor::new().gzip_decompress(packed, &mut unpacked).ok()?;
-    // The first stream, at whose end this stops, ends with this length: the file does so too, and
-    // nothing before that.
+    // Decompression stops at the end of the first stream, which ends with this length. If the
+    // length occurs only at the end of the file, there is one stream.
     let ends = memmem::find(packed, trailer)? + trailer.len();
     (written == unpacked.len() && ends == packed.len()).then_some(unpacked)
 }
@@ -690,7 +688,7 @@ fn unpack(
     })
 }
 
-/// All that `source` gives, as long as its length passes `check`.
+/// All bytes of `source`, as long as their number passes `check`.
 fn collect(
     mut source: impl Read,
     unpacking: Unpacking,

@@ -1,5 +1,5 @@
-//! Lists of frames: ParaView's .pvd collections and .series files, which name the files and the time
-//! of each frame.
+//! Reads lists of frames: ParaView's .pvd collections and .series files, which name the files and
+//! times of frames.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -16,27 +16,27 @@ use super::vtp::each_tag;
 use super::wanted::Wanted;
 use super::{ParticleFile, ReadError, ReadFault, malformed};
 
-/// A frame as a list names it.
+/// A frame in a list.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ListedFrame {
-    /// The time, where the list says it.
+    /// The time, if the list has it.
     pub time: Option<f64>,
-    /// The files whose particles are the frame's, in the order of their parts.
+    /// The files with particles of this frame, in the order of their parts.
     pub files: Vec<PathBuf>,
 }
 
-/// Whether a file lists frames, by its extension.
+/// Whether a file is a list of frames, by its extension.
 pub fn is_list(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     matches!(extension.as_deref(), Some("pvd" | "series"))
 }
 
-/// The frames in a list, in its order. Data sets of one time step are parts of one frame.
+/// The frames in a list, in order. Data sets with the same time are parts of one frame.
 ///
 /// # Errors
-/// [`ReadError`] for a list that cannot be read, that names nothing, or that names another list.
+/// [`ReadError`] for a list that cannot be read, is empty, or contains another list.
 pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
-    // A simulation asks for each of its frames.
+    // A simulation reads the list for each of its frames.
     static LAST: LastFile<Arc<[ListedFrame]>> = LastFile::new();
     let Ok(metadata) = path.metadata() else { return read_list(path).map(Into::into) };
     let stamp = FileStamp::of(&metadata);
@@ -69,11 +69,11 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     Err(ReadError::new(path, malformed(0, fault)))
 }
 
-/// Opens the frame of a number in a list, or the only one.
+/// Opens a frame of a list by its number, or the only one.
 ///
 /// # Errors
-/// [`ReadError`] where the list or a file of the frame cannot be read, and
-/// [`ReadFault::Unsupported`] for a number that is not there, or none where there are several.
+/// [`ReadError`] if the list or a file of the frame cannot be read, and [`ReadFault::Unsupported`]
+/// for a number that does not exist, or without a number if there are several frames.
 pub fn open_particles(
     path: &Path,
     list: &Path,
@@ -87,10 +87,10 @@ pub fn open_particles(
     Ok(ParticleFile { time: time.or(opened.time), ..opened })
 }
 
-/// The frame of a number in a list that `path` names, or the only one.
+/// The frame with this number in `list`, or the only one. `path` is the name for errors.
 ///
 /// # Errors
-/// As [`open_particles`], but for the files of the frame.
+/// Those of [`open_particles`], except for the files of the frame.
 pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedFrame, ReadError> {
     let frames = listed(list)?;
     let count = frames.len();
@@ -108,10 +108,10 @@ pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedF
     Ok(frames[number].clone())
 }
 
-/// Names of files, by the time that they are of.
+/// Names of files with their times.
 type Named = Vec<(Option<f64>, Vec<String>)>;
 
-/// The data sets of a .pvd.
+/// The entries of a .pvd.
 fn collection(bytes: &[u8]) -> Result<Named, ReadFault> {
     let mut sets: Vec<(Option<f64>, i64, String)> = Vec::new();
     each_tag(bytes, |tag| {
@@ -152,7 +152,7 @@ struct FileOfSeries {
     time: Option<f64>,
 }
 
-/// The files of a .series.
+/// The entries of a .series.
 fn series(bytes: &[u8]) -> Result<Named, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;

@@ -1,7 +1,9 @@
-//! One shape for every particle format: columns of numbers at a fixed stride in a run of bytes.
+//! The common form of all particle formats: columns of numbers with a fixed stride in a range of
+//! bytes.
 //!
-//! A binary format's reader parses the header and says where the columns lie; a text format's
-//! reader decodes into little-endian columns first. Nothing else differs between formats.
+//! The reader of a binary format parses the header and locates the columns. The reader of a text
+//! format first decodes the text into little-endian columns. Apart from this, formats are handled
+//! in the same way.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -15,13 +17,13 @@ use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
 
 use super::windows::{Shelf, Source, Windows};
 
-/// Bytes whose memory is given back at once.
+/// Bytes per released range of memory.
 const WINDOW: usize = 1 << 20;
 
-/// Rows within which selected ones are read at once.
+/// Range of rows within which selected rows are read together.
 const NEAR: usize = 1 << 10;
 
-/// How a number is stored.
+/// The type of a stored number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Scalar {
@@ -39,16 +41,16 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Whether it is a floating-point number.
+    /// Whether it is a floating-point type.
     pub fn is_float(self) -> bool {
         matches!(self, Self::F16 | Self::F32 | Self::F64)
     }
 
-    /// The kind of an attribute whose numbers are stored so.
+    /// The kind of an attribute with this type of numbers.
     pub fn kind_of(self, info: &AttributeInfo) -> AttributeKind {
         let kind = match self {
             Self::F16 | Self::F32 | Self::F64 => return info.kind,
-            // What is stored as bytes is no share from 0 to 1.
+            // Bytes are from 0 to 255, not fractions.
             Self::U8 if info.kind.is_colour() => return AttributeKind::ByteColour,
             _ if is_direction_name(info) => return AttributeKind::Number,
             Self::I8 | Self::U8 | Self::I16 | Self::U16 | Self::I32 => AttributeKind::Signed,
@@ -67,8 +69,8 @@ pub enum Endian {
     Big,
 }
 
-/// Where a tuple of numbers lies for every particle: particle `i` has its components one after the
-/// other from byte `offset + i * stride`.
+/// The location of a tuple of numbers for every particle: particle `i` has its components from byte
+/// `offset + i * stride` on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
     /// Offset of particle 0's first component, in bytes from the start of the data.
@@ -82,34 +84,33 @@ pub struct Column {
 }
 
 impl Column {
-    /// The column of the `index`-th number after this one in every tuple.
+    /// The column of component `index`, if this is component 0.
     pub fn component(self, index: usize) -> Self {
         Self { offset: self.offset + index * self.scalar.size(), ..self }
     }
 }
 
-/// The numbers of a particle file, still as stored, in bytes that are kept, borrowed, or read from
-/// the file.
+/// The numbers of a particle file as they are stored, in memory, borrowed, or read from the file.
 #[derive(Debug)]
 pub struct ColumnStore<B = Source> {
     bytes: B,
     rows: Rows,
-    /// x, y and z, which need not be neighbours (a .ply may order its properties freely).
+    /// x, y and z, which need not be adjacent (a .ply may order its properties freely).
     position: [Column; 3],
     infos: Vec<AttributeInfo>,
     /// For each attribute, one column per component.
     columns: Vec<Vec<Column>>,
     labels: Vec<Label>,
-    /// For each label, the column of numbers, and the text that each number stands for.
+    /// For each label, the column of numbers, and the index of the text for each number.
     texts: Vec<(Column, Vec<u32>)>,
 }
 
-/// The rows of the columns that are particles.
+/// The rows of the columns that contain particles.
 #[derive(Debug)]
 pub enum Rows {
     /// The first rows, up to this number.
     All(usize),
-    /// Some rows among others: a .bi4 mixes fluid with boundary, and conditions select.
+    /// Selected rows: a .bi4 mixes fluid with boundary, and conditions select particles.
     Selected(Sieve),
 }
 
@@ -124,11 +125,11 @@ impl Rows {
 }
 
 impl<B: Windows> ColumnStore<B> {
-    /// Joins columns to the bytes that hold them. Of attributes with one name the first is kept.
+    /// Combines columns with their bytes. If several attributes have the same name, the first is
+    /// kept.
     ///
     /// # Panics
-    /// If a column reaches past the bytes or its numbers overlap: readers check a header's counts
-    /// before they believe them.
+    /// If a column exceeds the bytes, or its numbers overlap: readers must check a header's counts.
     pub fn new(
         bytes: impl Into<B>,
         rows: Rows,
@@ -166,10 +167,10 @@ impl<B: Windows> ColumnStore<B> {
         Self { bytes, rows, position, infos, columns, labels, texts }
     }
 
-    /// Fills the tuples of `out`, each as wide as `columns` are many, from particle `first` on.
+    /// Fills the tuples of `out`, which have one number per column, from particle `first` on.
     fn read<T: Nearest>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
-        // Those of a single row can be, and their stride be too short for a tuple.
+        // With a single row, a stride may be shorter than a tuple.
         let neighbours =
             columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
@@ -185,7 +186,8 @@ impl<B: Windows> ColumnStore<B> {
         }
     }
 
-    /// Puts `K` neighbouring numbers of every particle at the head of each `step` numbers of `out`.
+    /// Writes `K` adjacent numbers of every particle to the start of each group of `step` numbers
+    /// of `out`.
     fn tuples<T, const K: usize, const N: usize>(
         &self,
         column: &Column,
@@ -210,7 +212,7 @@ impl<B: Windows> ColumnStore<B> {
                     let end = start + (count - 1) * column.stride + K * N;
                     self.bytes.with(start..end, |bytes| {
                         if column.stride == K * N && step == K {
-                            // Without gaps on either side: vectors' work.
+                            // Without gaps on either side, this is vectorized.
                             for (out, stored) in out.iter_mut().zip(bytes.as_chunks::<N>().0) {
                                 *out = number(*stored);
                             }
@@ -226,7 +228,7 @@ impl<B: Windows> ColumnStore<B> {
                 let (mut out, mut near) = (out, Vec::with_capacity(NEAR.min(count)));
                 let mut rows = sieve.rows(first).take(count).peekable();
                 while let Some(&row) = rows.peek() {
-                    // Rows near each other lie in one window.
+                    // Nearby rows are read as one window.
                     near.clear();
                     near.extend(std::iter::from_fn(|| rows.next_if(|&other| other - row < NEAR)));
                     let (to, rest) = out.split_at_mut((near.len() * step).min(out.len()));
@@ -246,8 +248,8 @@ impl<B: Windows> ColumnStore<B> {
 }
 
 impl ColumnStore {
-    /// Adds labels, each with a column of numbers, which lies as those of attributes, and the place
-    /// among the label's texts that each number stands for.
+    /// Adds labels. Each has a column of numbers, like attributes, and the index of the label's
+    /// text for each number.
     #[must_use]
     pub fn with_labels(
         self,
@@ -257,7 +259,7 @@ impl ColumnStore {
         Self { labels, texts, ..self }
     }
 
-    /// Keeps the particles that a sieve selects, and leaves out all others.
+    /// Keeps only the particles that a sieve selects.
     pub fn select(&mut self, sieve: Sieve) {
         self.rows = Rows::Selected(match &self.rows {
             Rows::All(_) => sieve,
@@ -265,7 +267,7 @@ impl ColumnStore {
         });
     }
 
-    /// Bytes in memory by which particles are selected.
+    /// Bytes of memory of the selection.
     pub fn sieve_bytes(&self) -> u64 {
         match &self.rows {
             Rows::All(_) => 0,
@@ -273,17 +275,17 @@ impl ColumnStore {
         }
     }
 
-    /// Bytes of scratch files that the numbers are in.
+    /// Bytes of scratch files with the numbers.
     pub fn scratch_bytes(&self) -> u64 {
         self.bytes.scratch_bytes()
     }
 
-    /// Bytes of the file that the numbers are read from.
+    /// Bytes of the file with the numbers.
     pub fn file_bytes(&self) -> u64 {
         self.bytes.file_bytes()
     }
 
-    /// Reads by windows of a shelf, with others that do.
+    /// Reads through the windows of a shared shelf.
     pub fn share(&mut self, shelf: &Arc<Shelf>) {
         self.bytes.share(shelf);
     }
@@ -319,7 +321,7 @@ impl<B: Windows> Particles for ColumnStore<B> {
         let len = self.bytes.count();
         for group in windows.chunk_by(|a, b| b.start < a.end) {
             let end = group.iter().map(|window| window.end).max().unwrap_or_default().min(len);
-            // Small ranges wait until those that follow complete a window.
+            // Small ranges are delayed until later ones complete a window.
             let [begin, end] = [group[0].start, end].map(|at| at / WINDOW * WINDOW);
             if begin < end {
                 self.bytes.release(begin..end);
@@ -357,11 +359,11 @@ impl<B: Windows> Particles for ColumnStore<B> {
     }
 }
 
-/// Everything that is done for one type after the other; half floats become f32 first.
+/// The operations of each type. Half floats become f32 first.
 macro_rules! stored {
     ($($scalar:ident $type:ident),*) => {
         impl Scalar {
-            /// Width in bytes.
+            /// Size in bytes.
             pub fn size(self) -> usize {
                 match self {
                     Self::F16 => size_of::<f16>(),
@@ -370,7 +372,7 @@ macro_rules! stored {
             }
         }
 
-        /// A number that any stored one converts to, to the nearest value.
+        /// A type to which any stored number converts, to the nearest value.
         trait Nearest: Copy {
             $(fn $type(value: $type) -> Self;)*
         }
@@ -393,7 +395,7 @@ macro_rules! stored {
         }
 
         impl<B: Windows> ColumnStore<B> {
-            /// [`tuples`](Self::tuples) of whatever type and byte order `column` has.
+            /// Calls [`tuples`](Self::tuples) for the type and byte order of `column`.
             fn read_tuples<T: Nearest, const K: usize>(
                 &self,
                 column: &Column,

@@ -1,4 +1,4 @@
-//! Compressed files: gzip, zstd or xz, recognised by the bytes that they begin with.
+//! Compressed files: gzip, zstd or xz, detected by their first bytes.
 
 use std::io::{self, BufReader, Read};
 
@@ -6,13 +6,13 @@ use flate2::read::MultiGzDecoder;
 use lzma_rust2::XzReader;
 use zstd::stream::read::Decoder as ZstdDecoder;
 
-/// Extensions of compressed files, after that of their format.
+/// Extensions of compressed files, which follow the extension of their format.
 pub const EXTENSIONS: [&str; 3] = ["gz", "xz", "zst"];
 
-/// Bytes that a decoder may keep of what it has unpacked: `xz -9` refers 64 MiB back and
-/// `zstd --ultra -22` 128 MiB.
+/// Maximum bytes of history that a decoder may keep: `xz -9` uses 64 MiB, and `zstd --ultra -22`
+/// 128 MiB.
 pub const DICTIONARY: u64 = 1 << 27;
-/// Bytes that an xz decoder needs beside its dictionary, and less.
+/// Upper bound of the bytes that an xz decoder needs besides its dictionary.
 const OVERHEAD: u64 = 1 << 20;
 
 /// A compression of whole files.
@@ -27,10 +27,10 @@ pub enum Compression {
 }
 
 impl Compression {
-    /// Bytes at the start of a file that tell its compression.
+    /// Bytes at the start of a file that identify its compression.
     pub const MAGIC: usize = 6;
 
-    /// The compression of a file that begins with these bytes.
+    /// The compression of a file that starts with these bytes.
     pub fn of(head: &[u8]) -> Option<Self> {
         let magics: [(&[u8], Self); 3] = [
             (&[0x1f, 0x8b], Self::Gzip),
@@ -40,10 +40,10 @@ impl Compression {
         magics.into_iter().find(|(magic, _)| head.starts_with(magic)).map(|(_, found)| found)
     }
 
-    /// Unpacks a file while it is read: all streams in it, one after the other.
+    /// Unpacks a stream of bytes, which may contain several compressed streams.
     ///
     /// # Errors
-    /// Where there is no memory for the decoder.
+    /// If there is no memory for the decoder.
     pub fn unpack<'a>(self, packed: impl Read + 'a) -> io::Result<Box<dyn Read + 'a>> {
         Ok(match self {
             Self::Gzip => Box::new(MultiGzDecoder::new(packed)),
@@ -57,14 +57,14 @@ impl Compression {
     }
 }
 
-/// Unpacks the streams of .xz.
+/// Unpacks the streams of an .xz.
 ///
-/// A dictionary beyond 128 MiB is [`io::ErrorKind::OutOfMemory`].
+/// A dictionary of more than 128 MiB is [`io::ErrorKind::OutOfMemory`].
 pub fn unpack_xz<'a>(packed: impl Read + 'a) -> Box<dyn Read + 'a> {
     Box::new(XzReader::new_mem_limit(packed, true, ((DICTIONARY + OVERHEAD) >> 10) as u32))
 }
 
-/// A file's name without the extension of a compression.
+/// The name of a file without the extension of its compression.
 pub fn plain_name(name: &str) -> &str {
     let plain = name.rsplit_once('.').filter(|(_, extension)| {
         EXTENSIONS.iter().any(|compressed| extension.eq_ignore_ascii_case(compressed))

@@ -1,4 +1,4 @@
-//! Reading a binary header: every step is checked against the bytes that are there.
+//! Reads a binary header: every step is checked against the available bytes.
 
 use std::borrow::Cow;
 
@@ -6,22 +6,22 @@ use super::bytes::View;
 use super::columns::Endian;
 use super::{ReadFault, malformed};
 
-/// Bytes that are read from a file at once.
+/// Bytes per read from a file.
 const WINDOW: usize = 16 << 10;
 
-/// A position in the bytes of a file, which every read moves on.
+/// A position in the bytes of a file, which every read advances.
 #[derive(Debug, Clone)]
 pub struct Cursor<'a> {
     bytes: View<'a>,
     at: usize,
     endian: Endian,
-    /// The bytes from `window_at` on that were read last.
+    /// The last bytes that were read, from `window_at` on.
     window: Cow<'a, [u8]>,
     window_at: usize,
 }
 
 impl<'a> Cursor<'a> {
-    /// At byte `at` of `bytes`.
+    /// Starts at byte `at` of `bytes`.
     pub fn new(bytes: View<'a>, at: usize, endian: Endian) -> Self {
         let window = match bytes {
             View::File(_) => Cow::Owned(Vec::new()),
@@ -30,15 +30,15 @@ impl<'a> Cursor<'a> {
         Self { bytes, at, endian, window, window_at: 0 }
     }
 
-    /// Bytes from the start of the file.
+    /// The position in bytes from the start of the file.
     pub fn at(&self) -> usize {
         self.at
     }
 
-    /// Passes over `count` records of `stride` bytes each, and returns where they start.
+    /// Skips `count` records of `stride` bytes, and returns their start.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`] where the file ends before they do, whatever the numbers.
+    /// [`ReadFault::Truncated`] if the file ends before the records do.
     pub fn skip(&mut self, what: &str, count: u64, stride: u64) -> Result<usize, ReadFault> {
         let start = self.at;
         let needed = count.saturating_mul(stride).saturating_add(start as u64);
@@ -53,8 +53,8 @@ impl<'a> Cursor<'a> {
     /// The next `count` bytes.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`], and where the file cannot be read [`ReadFault::Changed`] or
-    /// [`ReadFault::Io`], as in all that follow.
+    /// [`ReadFault::Truncated`], and [`ReadFault::Changed`] or [`ReadFault::Io`] if the file cannot
+    /// be read. This also holds for all methods below.
     pub fn take(&mut self, what: &str, count: u64) -> Result<&[u8], ReadFault> {
         let start = self.skip(what, count, 1)?;
         if start < self.window_at || self.window_at + self.window.len() < self.at {
@@ -68,7 +68,7 @@ impl<'a> Cursor<'a> {
     /// The bytes of a number, the lowest first.
     ///
     /// # Errors
-    /// As [`take`](Self::take).
+    /// Those of [`take`](Self::take).
     pub fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], ReadFault> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(what, N as u64)?);
@@ -98,10 +98,10 @@ impl<'a> Cursor<'a> {
         self.array(what).map(f64::from_le_bytes)
     }
 
-    /// A count that the format stores with a sign.
+    /// A count that the format stores as a signed number.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a negative one.
+    /// [`ReadFault::Malformed`] for a negative count.
     pub fn count(&mut self, what: &str) -> Result<u64, ReadFault> {
         let at = self.at;
         let count = self.u32(what)? as i32;

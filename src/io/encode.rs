@@ -1,4 +1,4 @@
-//! A mesh's pieces, encoded on all threads and written in order.
+//! Encodes a mesh's pieces on all threads, and writes them in order.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -8,10 +8,10 @@ use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::CoordinateWidth;
 
-/// Writes what `encode` appends to a buffer for pieces 0 to `pieces`, in order.
+/// Writes the output of `encode` for pieces 0 to `pieces`, in order.
 ///
-/// While this thread writes one batch of pieces, the pool encodes the next, so no more is held than
-/// two pieces a thread in each. The bytes depend on `encode` alone, not on the number of threads.
+/// While this thread writes one batch of pieces, the pool encodes the next. Each batch has at most
+/// two pieces per thread. The bytes do not depend on the number of threads.
 ///
 /// # Errors
 /// The first error of `encode` or `out`, in the order of the pieces; nothing is written after it.
@@ -23,7 +23,7 @@ pub fn write_pieces(
     in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
-/// Works like [`write_pieces`], for anything that `make` appends to a buffer and `take` wants in
+/// Like [`write_pieces`], for any type that `make` appends to a buffer and `take` consumes in
 /// order.
 pub(super) fn in_order<T: Send>(
     pieces: usize,
@@ -43,11 +43,11 @@ pub(super) fn in_order<T: Send>(
     take_all(&mut ready[..made], &mut take)
 }
 
-/// The values made of a piece, and whether they are all of it.
+/// The values of a piece, and whether they are complete.
 type Made<T> = (Vec<T>, io::Result<()>);
 
 /// Makes as many of `pieces` as there are `buffers`, on the pool, while `meanwhile` runs on this
-/// thread. Returns how many.
+/// thread. Returns their number.
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,
@@ -77,11 +77,10 @@ fn take_all<T>(
     })
 }
 
-/// Writes what `encode` makes of the vertices, piece after piece.
+/// Writes the output of `encode` for the vertices, piece by piece.
 ///
 /// # Panics
-/// If a piece's arrays differ in length, or the pieces are not all vertices: no file can be made of
-/// that.
+/// If a piece's arrays differ in length, or the pieces do not contain all vertices.
 pub(super) fn write_vertices(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -110,8 +109,8 @@ pub(super) fn write_vertices(
     Ok(())
 }
 
-/// Writes attribute number `index` of the vertices, little-endian, piece after piece: colours as
-/// bytes, whole numbers as 32 bits, all others as f32.
+/// Writes attribute number `index` of the vertices, little-endian, piece by piece: colours as
+/// bytes, integers with 32 bits, all others as f32.
 pub(super) fn write_attribute(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -126,7 +125,7 @@ pub(super) fn write_attribute(
     })
 }
 
-/// Writes the numbers that `values` finds in the vertices, little-endian, piece after piece.
+/// Writes the numbers that `values` returns for the vertices, little-endian, piece by piece.
 pub(super) fn write_floats(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -137,7 +136,7 @@ pub(super) fn write_floats(
     })
 }
 
-/// Adds a position to `out`, little-endian.
+/// Appends a position to `out`, little-endian.
 pub(super) fn put_position(out: &mut Vec<u8>, position: [f64; 3], width: CoordinateWidth) {
     match width {
         CoordinateWidth::F32 => {
@@ -147,10 +146,10 @@ pub(super) fn put_position(out: &mut Vec<u8>, position: [f64; 3], width: Coordin
     }
 }
 
-/// Writes what `encode` makes of the triangles, piece after piece.
+/// Writes the output of `encode` for the triangles, piece by piece.
 ///
 /// # Panics
-/// If a triangle names a missing vertex, or the pieces are not all triangles.
+/// If a triangle has a missing vertex, or the pieces do not contain all triangles.
 pub(super) fn write_triangles(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

@@ -9,81 +9,81 @@ use crate::particles::Unread;
 use crate::particles::selection::SelectionFault;
 use crate::system::reopened::Lost;
 
-/// A file that could not be read.
+/// An error of reading a file.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct ReadError {
     /// Path of the file.
     pub path: PathBuf,
-    /// The fault that was found.
+    /// The fault.
     #[source]
     pub fault: ReadFault,
 }
 
 impl ReadError {
-    /// Names the file.
+    /// An error with its file.
     pub fn new(path: impl Into<PathBuf>, fault: ReadFault) -> Self {
         Self { path: path.into(), fault }
     }
 }
 
-/// A reason why an input file cannot be read.
+/// A fault of an input file.
 #[derive(Debug, Error)]
 pub enum ReadFault {
-    /// The system's own refusal: missing, forbidden, a folder.
+    /// An error of the system, such as a missing file.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// No bytes at all.
+    /// An empty file.
     #[error("the file is empty")]
     Empty,
-    /// The scratch file that the input is unpacked or decoded into failed.
+    /// An error of the scratch file into which the input is unpacked or decoded.
     #[error("scratch file for its contents: {0}")]
     Scratch(#[source] std::io::Error),
-    /// A compressed stream that does not unpack.
+    /// A damaged compressed stream.
     #[error("damaged compressed data: {0}")]
     Compression(String),
-    /// The file ends before its header says that it should.
+    /// The file ends before its header says so.
     #[error("truncated: {what} needs {needed} bytes, the file has {have}")]
     Truncated {
-        /// Name of the part that was being read.
+        /// Name of the current part.
         what: String,
-        /// Where it would end, in bytes from the start of the (unpacked) file.
+        /// The expected end, in bytes from the start of the (unpacked) file.
         needed: u64,
-        /// Where the file ends.
+        /// The end of the file.
         have: u64,
     },
-    /// Something that the format does not allow.
+    /// A violation of the format.
     #[error("at byte {at}: {what}")]
     Malformed {
-        /// In bytes from the start of the (unpacked) file.
+        /// Position in bytes from the start of the (unpacked) file.
         at: u64,
-        /// Description of the fault: the bytes that were found, or the ones expected.
+        /// Description of the fault: the found or expected bytes.
         what: String,
     },
-    /// A line of a text file that does not parse.
+    /// A line of a text file that cannot be parsed.
     #[error("line {line}: {what}")]
     Line {
-        /// Counted from 1.
+        /// Number of the line, from 1.
         line: u64,
-        /// Description of the fault: the text that was found, or the one expected.
+        /// Description of the fault: the found or expected text.
         what: String,
     },
-    /// The file was written to while it was read.
+    /// The file was changed while it was read.
     #[error("changed while it was read")]
     Changed,
-    /// A mesh where particles are asked for, whose vertices nobody means by that.
+    /// A mesh instead of particles. Its vertices are not used as particles.
     #[error("holds a mesh ({faces} faces), not particles")]
     Mesh {
-        /// The number of cells that have an area or a volume.
+        /// Number of cells with an area or a volume.
         faces: u64,
     },
-    /// A file that is among the joined ones twice.
+    /// A file that is joined with itself.
     #[error("is the same input as {}; name each input once", other.display())]
     Twice {
-        /// The file as it was named before.
+        /// The other name of the file.
         other: PathBuf,
     },
-    /// A colour in another scale than in a file that is joined with this one.
+    /// A colour whose scale differs from that in a joined file.
     #[error(
         "colour {attribute} has {scale}, but in {} {of_other}; store it in the same way in \
          both, or leave the attribute out",
@@ -92,20 +92,20 @@ pub enum ReadFault {
     ColourScale {
         /// The name of the attribute.
         attribute: String,
-        /// The scale of its numbers in this file.
+        /// The scale in this file.
         scale: ColourScale,
         /// The other file.
         other: PathBuf,
-        /// The scale of its numbers in the other file.
+        /// The scale in the other file.
         of_other: ColourScale,
     },
     /// A condition that cannot be applied to these particles.
     #[error("{0}")]
     Selection(SelectionFault),
-    /// Valid perhaps, but not something that we read; says what to do instead.
+    /// A valid file that this library does not support, with a suggestion.
     #[error("{0}")]
     Unsupported(String),
-    /// The extension names no format that we read.
+    /// An unknown extension.
     #[error("unknown extension; supported: {known}")]
     UnknownExtension {
         /// List of the known extensions.
@@ -122,7 +122,7 @@ pub enum ColourScale {
     Bytes,
     /// Floating-point numbers from 0 to 255.
     LargeShares,
-    /// Whole numbers that are no bytes.
+    /// Integers that exceed bytes.
     Whole,
 }
 
@@ -160,7 +160,7 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
     ReadFault::Malformed { at: at as u64, what: what.into() }
 }
 
-/// Refuses to take several steps for one frame.
+/// The error for several steps without a choice.
 pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     let what = format!(
         "contains several frames, steps {first} to {last}; append #{first} to the name to \
@@ -169,24 +169,24 @@ pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     ReadFault::Unsupported(what)
 }
 
-/// Refuses a step that a file does not hold.
+/// The error for a step that does not exist.
 pub(super) fn no_step(step: u64) -> ReadFault {
     ReadFault::Unsupported(format!("there is no step {step}"))
 }
 
-/// A file that could not be written. Nothing is left of it.
+/// An error of writing a file. Nothing remains of the file.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct WriteError {
     /// Path of the file.
     pub path: PathBuf,
-    /// The fault that prevented it.
+    /// The fault.
     #[source]
     pub fault: WriteFault,
 }
 
 impl WriteError {
-    /// Names the file.
+    /// An error with its file.
     pub fn new(path: &Path, fault: impl Into<WriteFault>) -> Self {
         Self { path: path.to_owned(), fault: fault.into() }
     }
@@ -195,22 +195,22 @@ impl WriteError {
 /// A reason why an output cannot be written.
 #[derive(Debug, Error)]
 pub enum WriteFault {
-    /// The system's own refusal.
+    /// An error of the system.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// The output is there already, and may not be replaced.
+    /// The output exists already, and may not be replaced.
     #[error("exists already")]
     Exists,
-    /// The output of a frame is there already, and may not be replaced.
+    /// The output of a frame exists already, and may not be replaced.
     #[error("exists already")]
     ExistsInSimulation,
-    /// The extension names no format that we write.
+    /// An unknown extension.
     #[error("unknown extension; supported: {known}")]
     UnknownExtension {
         /// List of the known extensions.
         known: &'static str,
     },
-    /// The format has no place for something that was asked for, or for so much.
+    /// Data that the format cannot store, or too much of it.
     #[error("{0}")]
     Unsupported(String),
 }

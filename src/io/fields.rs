@@ -1,14 +1,14 @@
-//! Named arrays of numbers: which of them hold the position, along which axis their particles run,
-//! and which are attributes.
+//! Interprets named arrays of numbers: finds the position, the axis of the particles, and the
+//! attributes.
 
 use super::error::{no_step, several_steps};
 use super::names::{Quantity, quantities};
 use super::{ReadFault, malformed};
 
-/// Components that an attribute may have: more are a matrix or a spectrum.
+/// Maximum number of components of an attribute: more are a matrix or a spectrum.
 const MOST_COMPONENTS: u64 = 64;
 
-/// Names of vectors that are no position, in lower case and without what follows them.
+/// Names of vectors other than positions, in lower case and without suffixes.
 const NO_POSITIONS: [&str; 14] = [
     "acc", "color", "colour", "disp", "force", "mom", "norm", "omega", "stress", "vel", "vort",
     "grad", "spin", "torque",
@@ -34,7 +34,7 @@ pub enum Axes {
     Frames,
 }
 
-/// Numbers of frames, particles and components in an array.
+/// Numbers of frames, particles and components of an array.
 struct Extent {
     frames: Option<u64>,
     rows: u64,
@@ -46,46 +46,47 @@ struct Extent {
 pub struct Place {
     /// The array's number.
     pub field: usize,
-    /// The component's number, in the order of the array's last axis.
+    /// The component's number along the array's last axis.
     pub component: usize,
 }
 
-/// One quantity, and where its components are.
+/// A quantity, with the places of its components.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Found {
-    /// Without unit and component.
+    /// The name without unit and component.
     pub name: String,
-    /// One place for each component.
+    /// The place of each component.
     pub places: Vec<Place>,
 }
 
-/// Arrays of equally many particles.
+/// The interpretation of arrays with the same number of particles.
 #[derive(Debug)]
 pub struct Arrangement {
-    /// The number of particles, in each frame.
+    /// Number of particles in each frame.
     pub rows: u64,
-    /// The number of frames, where the position has that axis.
+    /// Number of frames, if the position has such an axis.
     pub frames: Option<u64>,
-    /// The axes of every array; of no use for arrays that no quantity names.
+    /// The axes of every array; undefined for arrays that are not used.
     pub axes: Vec<Axes>,
-    /// The position, of three components.
+    /// The position, with three components.
     pub position: Found,
-    /// All other quantities of as many particles.
+    /// All other quantities with the same number of particles.
     pub attributes: Vec<Found>,
 }
 
 impl Arrangement {
-    /// The numbers of the frames; none where there is one.
+    /// The numbers of the frames; empty if there is one frame.
     pub fn steps(&self) -> Vec<u64> {
-        // Frames without particles take no bytes, however many are announced.
+        // Frames without particles take no bytes, so the file's size does not limit their number.
         let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
         (0..frames.unwrap_or(0)).collect()
     }
 
-    /// The frame that is number `step`, or the only one.
+    /// The frame with number `step`, or the only one.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] where there are several or none, or not that one.
+    /// [`ReadFault::Unsupported`] if `step` is missing and there are several frames, or does not
+    /// exist.
     pub fn frame(&self, step: Option<u64>) -> Result<u64, ReadFault> {
         match (step, self.frames) {
             (None, None | Some(1)) => Ok(0),
@@ -100,7 +101,7 @@ impl Arrangement {
 }
 
 impl Axes {
-    /// The array's extent, if its axes can be these.
+    /// The array's extent, if its shape fits these axes.
     fn extent(self, shape: &[u64]) -> Option<Extent> {
         let components = |axes: &[u64]| {
             let product = axes.iter().try_fold(1u64, |product, &size| product.checked_mul(size))?;
@@ -120,14 +121,14 @@ impl Axes {
         })
     }
 
-    /// The number of components of an array whose axes are these.
+    /// The number of components of an array with these axes.
     pub fn components(self, shape: &[u64]) -> usize {
         self.extent(shape).map_or(0, |extent| extent.components as usize)
     }
 }
 
-/// Names of the columns of some arrays, and where they are; a vector's are named so that they
-/// belong together.
+/// Names and places of the columns of arrays. Components of a vector have names that belong
+/// together.
 #[derive(Default)]
 struct Columns {
     names: Vec<String>,
@@ -149,7 +150,7 @@ impl Columns {
         self.places.extend(places);
     }
 
-    /// The position and all other quantities.
+    /// Splits off the position.
     fn position(self) -> Option<(Found, Vec<Found>)> {
         let Self { names, places, others } = self;
         let found = |q: Quantity| Found {
@@ -161,14 +162,14 @@ impl Columns {
     }
 }
 
-/// Finds the position among arrays, by its name: of shape (N, 3), else (3, N), else (T, N, 3); or
-/// three arrays of N numbers. An array of shape (3, 3) is of three particles. Every other array of
-/// as many particles is an attribute.
+/// Finds the position among arrays by its name: with shape (N, 3), else (3, N), else (T, N, 3), or
+/// as three arrays of N numbers. An array of shape (3, 3) has three particles. Every other array
+/// with the same number of particles is an attribute.
 ///
-/// Returns `None` where no array is a position.
+/// Returns `None` if no array is a position.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for a position in arrays that differ in length.
+/// [`ReadFault::Malformed`] for a position in arrays of different lengths.
 pub fn arrange(fields: &[Field]) -> Result<Option<Arrangement>, ReadFault> {
     for axes in [Axes::Particles, Axes::Components, Axes::Frames] {
         if let Some(arrangement) = arrange_along(fields, axes)? {
@@ -182,7 +183,7 @@ fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, Re
     let mut candidates = Columns::default();
     for (number, Field { name, shape }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
-        // Arrays (T, N) called x, y and z are the nodes of a grid as often as they are frames.
+        // Arrays (T, N) called x, y and z can be frames or the nodes of a grid.
         let may_be = match axes {
             Axes::Particles => shape.len() <= 2,
             Axes::Components => true,
@@ -205,7 +206,7 @@ fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, Re
         let what = format!("the arrays of the position differ in length: {}", names.join(", "));
         return Err(malformed(0, what));
     }
-    // Those of the position first, then those that hold for each frame.
+    // Arrays with the axes of the position first, then those that hold for each frame.
     let mut columns = Columns::default();
     let mut chosen = vec![Axes::Particles; fields.len()];
     for (number, Field { name, shape }) in fields.iter().enumerate() {
@@ -229,7 +230,7 @@ fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, Re
     }))
 }
 
-/// The only array of shape (N, 3), (3, N) or (T, N, 3) whose name is not that of another vector.
+/// The only array of shape (N, 3), (3, N) or (T, N, 3) without the name of another vector.
 pub fn only_vector(fields: &[Field]) -> Option<usize> {
     let is_other = |name: &str| {
         let name = name.to_ascii_lowercase();

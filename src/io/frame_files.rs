@@ -1,4 +1,4 @@
-//! The files that one frame is in.
+//! The files that a frame consists of.
 
 use std::path::{Path, PathBuf};
 
@@ -9,10 +9,10 @@ use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::{ReadError, bi4, vtp};
 
-/// The pieces that a file names, whose particles are its own; none of another format.
+/// The pieces that a file lists; empty for other formats.
 ///
 /// # Errors
-/// [`ReadError`] where the file cannot be read.
+/// [`ReadError`] if the file cannot be read.
 pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     match InputFormat::of(path) {
         Some(InputFormat::Pvtp) => vtp::parallel::pieces(path),
@@ -20,16 +20,16 @@ pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     }
 }
 
-/// The file that holds a frame, and those of its other pieces that are there.
+/// The file of a frame, and its other pieces that exist.
 pub fn files_of(path: &Path) -> Vec<PathBuf> {
     let (file, step) = file_and_step(path);
-    // A list may name more frames by now, which are no matter to those that it named before.
+    // The list may have grown, which does not affect earlier frames.
     if let Some(frames) = is_list(file).then(|| listed(file).ok()).flatten() {
         let frame = usize::try_from(step.unwrap_or(0)).ok().and_then(|step| frames.get(step));
         return frame.map_or(Vec::new(), |f| f.files.iter().flat_map(|f| files_of(f)).collect());
     }
     let mut files = vec![file.to_owned()];
-    // What is wrong with it is told of when it is read.
+    // An error is reported when the file is read.
     let named = pieces_named(file).unwrap_or_default().into_iter();
     let snapshot =
         snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
@@ -45,19 +45,19 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The number of files that the snapshot of one of them is in; `None` of anything else.
+/// The number of files of the snapshot that contains this one; `None` for other files.
 #[cfg(feature = "hdf5")]
 pub fn snapshot_pieces(path: &Path) -> Option<u64> {
     matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
 }
 
-/// The number of files that a snapshot is in, which this build does not read.
+/// This build does not read snapshots.
 #[cfg(not(feature = "hdf5"))]
 pub fn snapshot_pieces(_: &Path) -> Option<u64> {
     None
 }
 
-/// A file's name without its piece's number, and that number, where the name is like `base.0.hdf5`.
+/// Splits a name such as `base.0.hdf5` into the name without the piece's number, and the number.
 pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
     let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
     let (base, digits) = rest.rsplit_once('.').filter(|_| matches!(extension, "h5" | "hdf5"))?;

@@ -1,10 +1,9 @@
-//! Points that are copies or hidden because their cells are: programs that divide cells among
-//! pieces flag these, and not the points.
+//! Finds points that are copies or hidden because their cells are: programs that divide cells among
+//! pieces flag cells, not points.
 //!
-//! A set of particles has vertices for cells, one a point. Where all cells are such, a point is
-//! left out if it has cells and all of them are flagged. What other cells say of their corners is
-//! no matter of particles, and is passed over. Until that is known a bit for every cell and two for
-//! every point are in memory.
+//! In a set of particles, cells are vertices with one point each. If all cells are vertices, a
+//! point is left out if it has cells and all of them are flagged. Flags of other cells are ignored.
+//! This needs memory of one bit per cell and two bits per point.
 
 use std::ops::Range;
 
@@ -14,20 +13,20 @@ use super::ParticleFile;
 use super::columns::Scalar;
 use super::wanted::GHOSTS;
 
-/// Bits of VTK's flags by which a cell is a copy (1), is there in finer cells (8), or is hidden
-/// (32). Others say what is beside it.
+/// Bits of VTK's flags for a cell that is a copy (1), refined by finer cells (8), or hidden (32).
+/// Other bits are about neighbours.
 const LEFT_OUT: i64 = 1 | 8 | 32;
-/// Number of a cell that is a vertex.
+/// Type number of a vertex cell.
 pub(super) const VERTEX: i64 = 1;
-/// Number of a cell of several vertices, the last of those without length.
+/// Type number of a cell of several vertices, the last type without length.
 pub(super) const POLY_VERTEX: i64 = 2;
 
-/// Whether an array under the cells' data can be flags.
+/// Whether an array of cell data can contain flags.
 pub(super) fn is_flag(name: &str, components: usize, scalar: Scalar) -> bool {
     GHOSTS.contains(&name) && components == 1 && !scalar.is_float()
 }
 
-/// A truth for each of many.
+/// A list of booleans.
 struct Bits(Vec<u64>);
 
 impl Bits {
@@ -44,27 +43,27 @@ impl Bits {
     }
 }
 
-/// Cells that are vertices, some of them flagged.
+/// Vertex cells and their flags.
 pub(super) struct VertexCells {
     count: usize,
     flagged: Bits,
 }
 
 impl VertexCells {
-    /// Vertices without flags. The caller has checked that the file contains `count`.
+    /// Vertices without flags. The caller has checked that the file contains `count` vertices.
     pub fn new(count: usize) -> Self {
         Self { count, flagged: Bits::new(count) }
     }
 
-    /// Takes the flags of an array of that name.
+    /// Starts an array of flags with this name.
     pub fn flags<'a>(&'a mut self, name: &'a str) -> Flags<'a> {
-        // Levels were counted, before there were bits.
+        // Before there were bits, the array had levels of copies.
         let mask = if name == GHOSTS[0] { LEFT_OUT } else { i64::MAX };
         Flags { vertices: self, name, mask, count: 0 }
     }
 }
 
-/// An array of flags, taken one by one.
+/// An array of flags, which are added one by one.
 pub(super) struct Flags<'a> {
     vertices: &'a mut VertexCells,
     name: &'a str,
@@ -80,7 +79,7 @@ impl Flags<'_> {
         }
     }
 
-    /// Makes sure that there was one for each cell.
+    /// Checks that there was one flag per cell.
     pub fn end(self) -> Result<(), String> {
         let cells = self.vertices.count;
         if self.count == cells {
@@ -90,7 +89,7 @@ impl Flags<'_> {
     }
 }
 
-/// The points that vertices are at, taken one by one.
+/// The points of the vertices, which are added one by one.
 pub(super) struct VertexPoints<'a> {
     vertices: &'a VertexCells,
     points: usize,
@@ -101,7 +100,8 @@ pub(super) struct VertexPoints<'a> {
 }
 
 impl<'a> VertexPoints<'a> {
-    /// Flags among `points`. The caller has checked that the file contains as many.
+    /// Starts with no flagged point of `points`. The caller has checked that the file contains that
+    /// many.
     pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
         let [copies, own] = [0; 2].map(|_| Bits::new(points));
         Self { vertices, points, copies, own, count: 0, strayed: None }
@@ -123,7 +123,7 @@ impl<'a> VertexPoints<'a> {
         }
     }
 
-    /// Ranges of the points that are not left out, in order; or what is wrong with the cells.
+    /// Ranges of the points that are kept, in order; or what is wrong with the cells.
     pub fn left(self) -> Result<Vec<Range<usize>>, String> {
         let (points, cells) = (self.points, self.vertices.count);
         if let Some((cell, point)) = self.strayed {
@@ -140,7 +140,7 @@ impl<'a> VertexPoints<'a> {
     }
 }
 
-/// Appends a range to others before it.
+/// Appends a range, and joins it with the last one if they are adjacent.
 pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
     match ranges.last_mut() {
         Some(last) if last.end == next.start => last.end = next.end,
@@ -149,7 +149,7 @@ pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
 }
 
 impl ParticleFile {
-    /// Keeps the points of these ranges, or all where there are none; the others are ghosts.
+    /// Keeps the points in these ranges, or all if there are none. The others are ghosts.
     pub(super) fn with_points(mut self, left: Option<Vec<Range<usize>>>) -> Self {
         if let Some(left) = left {
             let all = self.particles.len();

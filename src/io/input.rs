@@ -1,4 +1,4 @@
-//! Input files: which reader opens which, and whether a file holds particles or a mesh.
+//! Opens input files with the reader of their format, and distinguishes particles from meshes.
 
 use std::path::Path;
 
@@ -29,36 +29,35 @@ macro_rules! known {
     };
 }
 
-/// The extensions that [`open_particles`] knows, in the words of a message.
+/// The extensions that [`open_particles`] supports, for a message.
 #[cfg(feature = "hdf5")]
 pub const KNOWN: &str = known!(".h5, .h5md, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
-/// The extensions that [`open_particles`] knows, in the words of a message.
+/// The extensions that [`open_particles`] supports, for a message.
 #[cfg(not(feature = "hdf5"))]
 pub const KNOWN: &str = known!("", "");
 
 impl InputFormat {
-    /// The extensions that name a format, for people.
+    /// The extensions of all formats, for a message.
     pub const KNOWN: &'static str = KNOWN;
 }
 
-/// Opens a particle file with the reader that its extension names, in upper or lower case.
+/// Opens a particle file with the reader for its extension, in upper or lower case.
 ///
-/// A file compressed by gzip, xz or zstd opens under its plain name as well as with `.gz`, `.xz` or
-/// `.zst` appended.
+/// A file compressed by gzip, xz or zstd can have its plain name or an additional `.gz`, `.xz` or
+/// `.zst`.
 ///
 /// # Errors
-/// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong
-/// with it.
+/// [`ReadFault::UnknownExtension`] before the file is opened, and the errors of the reader.
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     open_wanted(path, Wanted::default(), unpacking)
 }
 
-/// Opens a particle file like [`open_particles`], for the particles that are wanted: those of other
-/// types and pieces are not read, and those that fail a condition are left out.
+/// Opens a particle file like [`open_particles`] for the wanted particles. Other types and pieces
+/// are not read, and particles that fail a condition are left out.
 ///
 /// # Errors
-/// As [`open_particles`], [`ReadFault::Unsupported`] where there is no such type of particles, and
-/// [`ReadFault::Selection`] for a condition that cannot be applied.
+/// Those of [`open_particles`], [`ReadFault::Unsupported`] for a type of particles that does not
+/// exist, and [`ReadFault::Selection`] for a condition that cannot be applied.
 pub fn open_wanted(
     path: &Path,
     wanted: Wanted,
@@ -75,12 +74,13 @@ pub fn open_wanted(
     }
 }
 
-/// Opens several files as one set of particles, in their order, with the attributes that all have.
+/// Opens several files as one set of particles, in order, with the attributes that all of them
+/// have.
 ///
 /// # Errors
-/// As [`open_wanted`], [`ReadFault::Twice`] for a file that is named twice,
+/// Those of [`open_wanted`], [`ReadFault::Twice`] for a file that is named twice,
 /// [`ReadFault::ColourScale`] for colours of different scales, and [`ReadFault::Unsupported`] for
-/// files in different units of length.
+/// files with different units of length.
 pub fn open_joined(
     paths: &[&Path],
     wanted: Wanted,
@@ -91,13 +91,13 @@ pub fn open_joined(
     }
     refuse_twice(paths.iter().copied())?;
     let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
-    // The files are the pieces.
+    // Here, the files are the pieces.
     let whole = Wanted { pieces: WantedPieces::All, ..wanted };
     let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
         true => open_wanted(path, whole, share),
         false => Ok(ParticleFile::new(Pieces::default(), "no file")),
     };
-    // All are waited for, so that the error is the first file's.
+    // Waits for all files, so that the error is always that of the first file.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let named: Vec<_> = paths.iter().copied().zip(&files).collect();
@@ -151,7 +151,7 @@ fn read(
     }
 }
 
-/// The file, and which of the frames in it, where it holds several: `sim.h5part#12`.
+/// Splits `sim.h5part#12` into the file and the number of a frame in it.
 #[must_use]
 pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     let cut = path.to_str().and_then(|text| {
@@ -161,7 +161,7 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
         let holds_steps = match InputFormat::of(file) {
             _ if is_list(file) => true,
             Some(format) => matches!(format, Csv | Hdf5 | Lammps | Npy | Npz | Xyz),
-            // Its format is named, not its extension.
+            // The format is given instead of an extension.
             None => file.is_file() && !path.exists(),
         };
         Some((file, step.parse().ok().filter(|_| holds_steps)?))
@@ -169,10 +169,10 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
 }
 
-/// The numbers of the frames in a file, in order; none where it is one frame.
+/// The numbers of the frames in a file, in order; empty if it is one frame.
 ///
 /// # Errors
-/// [`ReadError`] where the file may hold several and cannot be read.
+/// [`ReadError`] if the format can have several frames and the file cannot be read.
 pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
     if is_list(path) {
         let frames = collection::listed(path)?.len() as u64;
@@ -196,17 +196,17 @@ pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
     }
 }
 
-/// Whether a file of a folder may be a frame, by its extension. A .json may be anything, and is read
-/// where it is named.
+/// Whether a file of a folder may be a frame, by its extension. A .json in a folder may be
+/// anything, so it must be named.
 pub fn is_known(path: &Path) -> bool {
     InputFormat::of(path).is_some_and(|format| format != InputFormat::Json)
 }
 
-/// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the
-/// format serves both.
+/// Whether a file contains a mesh instead of particles, by its extension, or by its faces if the
+/// format supports both.
 ///
 /// # Errors
-/// [`ReadError`] where a file that may be either cannot be read.
+/// [`ReadError`] if such a file cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let extension = extension(path);
     type HasFaces = fn(View) -> Result<bool, ReadFault>;
@@ -227,25 +227,25 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let bytes = match extension.as_deref() {
         Some("vtk") => vtk::unless_text(bytes, Unpacking::in_memory()),
         Some("vtp") => vtp::unless_text(bytes),
-        // Of a .ply the header alone is looked at.
+        // For a .ply, only the header is read.
         _ => Ok(bytes),
     };
     bytes.and_then(|bytes| has_faces(bytes.view())).map_err(|fault| ReadError::new(path, fault))
 }
 
 enum Reader {
-    /// A frame of a text that may hold several.
+    /// A text, which may have several frames.
     Text,
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
-    /// A frame of arrays that may hold several.
+    /// Arrays, which may have several frames.
     Arrays(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
-    /// Frame by frame, or all of a file that is one.
+    /// A file with several frames or one.
     Steps(StepReader),
-    /// The file may be one of several.
+    /// A file that may have other pieces.
     Pieces(fn(&Path, Bytes, Wanted, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
-/// Reads the frame of a number, or the only one.
+/// Reads the frame with a number, or the only one.
 type StepReader =
     fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<ParticleFile, ReadError>;
 
@@ -254,7 +254,7 @@ const HDF5: StepReader = super::h5::open_particles;
 #[cfg(not(feature = "hdf5"))]
 const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()));
 
-/// Refuses HDF5, in a build that does not read it.
+/// The error of a build without HDF5.
 #[cfg(not(feature = "hdf5"))]
 pub(super) fn no_hdf5() -> ReadFault {
     ReadFault::Unsupported("HDF5 needs meniscus built with the feature hdf5".to_owned())
@@ -286,7 +286,7 @@ mod tests {
     use super::*;
     use crate::io::compression::EXTENSIONS;
 
-    /// Extensions that are recognised to say what to do instead.
+    /// Extensions that are recognised only for a better error.
     const ADVISED: [&str; 4] = ["h5", "h5md", "h5part", "hdf5"];
 
     #[test]

@@ -42,7 +42,7 @@ pub enum InputFormat {
 }
 
 impl InputFormat {
-    /// The format that a file's extension names, with `.gz`, `.xz` or `.zst` after it or not.
+    /// The format of a file by its extension, before an optional `.gz`, `.xz` or `.zst`.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         Some(match extension(path)?.as_str() {
@@ -64,7 +64,7 @@ impl InputFormat {
     }
 }
 
-/// In lower case, without that of a compression.
+/// The extension in lower case, without that of a compression.
 pub(super) fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let (_, extension) = plain_name(&name).rsplit_once('.')?;

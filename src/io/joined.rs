@@ -1,4 +1,4 @@
-//! Checks of files that are joined: that none is there twice, and that their colours have one scale.
+//! Checks of joined files: no file occurs twice, and their colours have the same scale.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ use super::stamp::Identity;
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, Pieces, ReadError, ReadFault};
 
-/// Refuses a file, or a frame of one, that is among the paths twice, by whatever names.
+/// Rejects a file, or a frame of a file, that occurs twice among the paths, under any names.
 ///
 /// # Errors
 /// [`ReadFault::Twice`].
@@ -33,10 +33,10 @@ pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(),
     Ok(())
 }
 
-/// Refuses colours that are to be carried, and whose scale differs between files.
+/// Rejects requested colours whose scale differs between files.
 ///
-/// Bytes and shares from 0 to 1 can be joined. Floating-point numbers that look like bytes cannot be
-/// joined with shares, and colours not with plain numbers.
+/// Bytes and fractions from 0 to 1 can be joined. Floating-point numbers from 0 to 255 cannot be
+/// joined with fractions, nor colours with plain numbers.
 ///
 /// # Errors
 /// [`ReadFault::ColourScale`].
@@ -81,7 +81,7 @@ pub(super) fn refuse_other_scales(
     Ok(())
 }
 
-/// The scale of a colour; `None` where its values may be of any.
+/// The scale of a colour; `None` if its values fit any scale.
 fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
     Some(match particles.attributes()[index].kind {
         AttributeKind::ByteColour => ColourScale::Bytes,
@@ -93,7 +93,7 @@ fn scale_of(particles: &Pieces, index: usize) -> Option<ColourScale> {
     })
 }
 
-/// Whether colours of two scales can be joined: bytes become shares.
+/// Whether colours of two scales can be joined: bytes become fractions.
 fn is_joinable(one: ColourScale, other: ColourScale) -> bool {
     use ColourScale::{Bytes, Shares};
     one == other || matches!((one, other), (Bytes, Shares) | (Shares, Bytes))

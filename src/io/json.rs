@@ -1,4 +1,4 @@
-//! JSON: a list of positions, each a list of x, y and z, as splashsurf reads it.
+//! Reads JSON: a list of positions, each a list of x, y and z, as in splashsurf.
 
 use std::fmt;
 
@@ -10,14 +10,14 @@ use super::{ParticleFile, ReadFault};
 
 /// Bytes of a position.
 const TRIPLE: usize = 3 * size_of::<f64>();
-/// Bytes that are passed on at once.
+/// Bytes per batch.
 const CHUNK: usize = 1 << 16;
 
 /// Reads a list of positions.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for what is no JSON, and no list of triples of numbers;
-/// [`ReadFault::Scratch`] where the scratch file fails.
+/// [`ReadFault::Line`] for text that is not JSON or not a list of triples of numbers;
+/// [`ReadFault::Scratch`] if the scratch file fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let text = bytes.read_whole(unpacking)?;
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
@@ -42,7 +42,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     Ok(ParticleFile::new(store, "JSON"))
 }
 
-/// Takes positions as they come, so that no list of all is made.
+/// Processes positions one by one, without a list of all.
 struct Positions<'a, 'u> {
     rows: &'a mut Unpacked<'u>,
     scratch: &'a mut Result<(), ReadFault>,

@@ -1,6 +1,6 @@
-//! LAMMPS dumps in text: steps, each with its box and a row for every atom.
+//! Reads LAMMPS dumps in text: steps, each with its box and a row per atom.
 //!
-//! The position is `x y z`, else `xu yu zu`, else `xs ys zs` or `xsu ysu zsu`: the latter two are
+//! The position is `x y z`, else `xu yu zu`, else `xs ys zs` or `xsu ysu zsu`. The last two are
 //! fractions of the edges of the box, which may be a parallelepiped (LAMMPS' documentation of the
 //! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
 
@@ -10,10 +10,10 @@ use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, ReadFault};
 
-/// Beginning of a section's first line.
+/// Start of a section's first line.
 const ITEM: &str = "ITEM:";
 
-/// Names of the columns of a position, the likeliest first, and whether they are fractions of the
+/// Names of the columns of a position in order of preference, and whether they are fractions of the
 /// box.
 const POSITIONS: [([&str; 3], bool); 4] = [
     (["x", "y", "z"], false),
@@ -29,33 +29,32 @@ struct Step {
     cell: Option<Cell>,
     names: Vec<String>,
     atoms: u64,
-    /// Rows that are there.
+    /// Number of existing rows.
     rows: u64,
     start: usize,
     end: usize,
     lines_above: u64,
 }
 
-/// Whether a text begins like a dump.
+/// Whether a text starts like a dump.
 pub(super) fn is_dump(head: &[u8]) -> bool {
     let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     head.starts_with(ITEM.as_bytes())
 }
 
-/// Passes a step and returns its number; `None` at the end of the file.
+/// Skips a step and returns its number; `None` at the end of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, and [`ReadFault::Unsupported`] for a dump of
-/// anything but atoms.
+/// [`ReadFault::Line`] for an invalid line, and [`ReadFault::Unsupported`] for a dump of other
+/// things than atoms.
 pub(super) fn pass(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
     Ok(Step::next(lines)?.map(|step| step.number))
 }
 
-/// Reads the step that begins at a place.
+/// Reads the step at a place.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, for a step that ends too early, and for
-/// columns without a position.
+/// [`ReadFault::Line`] for an invalid line, an incomplete step, and columns without a position.
 pub(super) fn read(
     bytes: Bytes,
     place: LinePlace,
@@ -70,7 +69,7 @@ pub(super) fn read(
 }
 
 impl Step {
-    /// Passes a step; None at the end of the file.
+    /// Reads the header of a step and skips its rows; `None` at the end of the file.
     fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
         let (mut number, mut atoms, mut time, mut cell) = (None, None, None, None);
         loop {
@@ -152,7 +151,7 @@ impl Step {
         for (number, name) in names.iter_mut().enumerate() {
             match columns.iter().position(|&column| column == number) {
                 Some(axis) => ["x", "y", "z"][axis].clone_into(name),
-                // Of another kind than the position.
+                // A coordinate of another kind than the position.
                 None if matches!(&**name, "x" | "y" | "z") => name.push('_'),
                 None => {}
             }
@@ -185,7 +184,7 @@ fn value<T: std::str::FromStr>(lines: &mut TextLines) -> Result<T, ReadFault> {
         .map_err(|_| lines.fault(format!("{} is not a valid number", excerpt(line.as_bytes()))))
 }
 
-/// The box that three lines describe under `BOX BOUNDS` and these words.
+/// The box in three lines after `BOX BOUNDS` and these words.
 fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
     let mut rows = Vec::new();
     for _ in 0..3 {
@@ -197,13 +196,13 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
         rows.push(row.filter(|row| (2..=4).contains(&row.len())).ok_or_else(fault)?);
     }
     Ok(match (words, &rows[0][..], &rows[1][..], &rows[2][..]) {
-        // Edges of any direction, and the origin.
+        // General edges, with their origin.
         (words, &[ax, ay, az, ox], &[bx, by, bz, oy], &[cx, cy, cz, oz])
             if words.contains("abc") =>
         {
             Cell { origin: [ox, oy, oz], edges: [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] }
         }
-        // The box around a parallelepiped, and the tilts of that.
+        // The bounding box of a parallelepiped, and its tilts.
         (_, &[xlo, xhi, xy], &[ylo, yhi, xz], &[zlo, zhi, yz]) => {
             let of = |pick: fn(f64, f64) -> f64, tilts: [f64; 3]| tilts.into_iter().fold(0.0, pick);
             let (low, high) = ([xy, xz, xy + xz], [yz, yz, yz]);
@@ -225,7 +224,7 @@ fn bounds(lines: &mut TextLines, words: &str) -> Result<Cell, ReadFault> {
 }
 
 impl Cell {
-    /// The lengths of the edges of a box along the axes.
+    /// The lengths of the edges of a box that is aligned to the axes.
     pub(super) fn sizes(&self) -> Option<[f64; 3]> {
         let along = |edge: usize| {
             let others = (0..3).filter(|axis| *axis != edge);

@@ -1,6 +1,6 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
 //!
-//! All formats are in `formats.md`, and how to add one in `../contributing.md`: both are pages of
+//! `formats.md` describes all formats, and `../contributing.md` how to add one. Both are pages of
 //! the docs.
 
 mod beside;
@@ -65,40 +65,39 @@ use error::malformed;
 pub use error::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use pieces::{PieceChunk, Pieces};
 
-/// A particle file, its header understood and its counts checked against its size.
+/// A particle file whose header was parsed, and whose counts were checked against its size.
 #[derive(Debug)]
 pub struct ParticleFile {
     /// The numbers, read on demand.
     pub particles: Pieces,
-    /// The file's format, in the words of `info`.
+    /// The name of the file's format.
     pub format: &'static str,
-    /// The spacing of the particles, where the file says it.
+    /// The spacing of the particles, if the file has it.
     pub spacing: Option<f64>,
-    /// The simulation's time in seconds, where the file says it.
+    /// The simulation's time in seconds, if the file has it.
     pub time: Option<f64>,
-    /// Edges of the simulation's box, where the file says them: whether it is periodic they do not
-    /// say.
+    /// Edges of the simulation's box, if the file has them. The box need not be periodic.
     pub box_size: Option<[f64; 3]>,
-    /// The file's unit of length in metres, where the file says it; coordinates are in that unit.
+    /// The file's unit of length in metres, if the file has it. Coordinates are in this unit.
     pub unit_metres: Option<f64>,
-    /// Types of particles that the file holds, the one that was read first; none where it holds
-    /// but one without a name.
+    /// Types of particles in the file, with the one that was read first; empty if the only type has
+    /// no name.
     pub particle_types: Vec<String>,
-    /// Number of particles that were left out as copies of those of other pieces.
+    /// Number of ghost particles, copies from other pieces, which were left out.
     pub ghosts: usize,
-    /// Number of particles that were left out as they fail a condition.
+    /// Number of particles that fail a condition.
     pub unselected: usize,
-    /// The reason why there are none, if all fail a condition.
+    /// The error if all particles fail a condition.
     pub none_selected: Option<SelectionFault>,
-    /// Attributes that the file has, and that were not read as nobody wanted them.
+    /// Attributes of the file that were not requested.
     pub unread: Vec<AttributeInfo>,
-    /// Names of arrays of text, which the format's reader passes over.
+    /// Names of arrays of text, which the reader skips.
     pub texts: Vec<String>,
-    /// Parts of the input that cannot be read with the others.
+    /// Parts of the input that are not read.
     pub left_out: Vec<LeftOut>,
 }
 
-/// A part of an input that cannot be read with the others.
+/// A part of an input that is not read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LeftOut {
     /// An attribute that some pieces with particles lack.
@@ -110,11 +109,11 @@ pub enum LeftOut {
         /// Contents of the block.
         holds: String,
     },
-    /// Polygons and other primitives among particles, with the points that they connect.
+    /// Polygons and other primitives among particles, with their points.
     Primitives {
-        /// Each kind, and how many there are.
+        /// Each kind with its count.
         kinds: Vec<(String, u64)>,
-        /// The number of their points.
+        /// Number of their points.
         points: u64,
     },
 }
@@ -136,7 +135,7 @@ impl fmt::Display for LeftOut {
 }
 
 impl ParticleFile {
-    /// Puts particles in a file that says nothing else of them.
+    /// A file of particles without other data.
     #[must_use]
     pub fn new(particles: impl Into<Pieces>, format: &'static str) -> Self {
         Self {
@@ -157,11 +156,11 @@ impl ParticleFile {
     }
 }
 
-/// How wide a mesh file's coordinates are, where its format leaves the choice.
+/// The width of a mesh file's coordinates, if its format supports both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CoordinateWidth {
-    /// Coordinates in f32, which every program reads.
+    /// f32, which all programs support.
     F32,
-    /// For surfaces so far from the origin that f32 would crumple them.
+    /// f64, for surfaces so far from the origin that f32 would distort them.
     F64,
 }

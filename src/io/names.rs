@@ -1,10 +1,9 @@
 //! Names of columns and attributes: which columns belong together (`vx`, `vy`, `vz` are one
-//! velocity), and how attributes get names that a file tells apart.
+//! velocity), and unique names of attributes in a file.
 
 use std::collections::{HashMap, HashSet};
 
-/// Names that a position may have, the likeliest first. The empty name is that of plain `x`, `y`,
-/// `z`.
+/// Names of a position in order of preference. The empty name stands for plain `x`, `y`, `z`.
 const POSITION: [&str; 25] = [
     "",
     "points",
@@ -33,9 +32,9 @@ const POSITION: [&str; 25] = [
     "r",
 ];
 
-/// Name of the colour whose shares are columns of their own.
+/// Name of a colour whose components are separate columns.
 pub const COLOUR: &str = "color";
-/// Names of the columns of a colour, the fourth of which may lack.
+/// Names of the columns of a colour; the fourth is optional.
 pub const COLOURS: [[&str; 4]; 3] = [
     ["red", "green", "blue", "alpha"],
     ["diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"],
@@ -45,13 +44,13 @@ pub const COLOURS: [[&str; 4]; 3] = [
 /// One quantity of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Quantity {
-    /// Without unit and component.
+    /// The name without unit and component.
     pub name: String,
-    /// Numbers of the columns that hold it: one, or those of x, y and z.
+    /// Numbers of its columns: one, or those of x, y and z.
     pub columns: Vec<usize>,
 }
 
-/// A name as its program knows it: `%20` is a space.
+/// Decodes percent codes: `%20` is a space.
 pub fn percent_decoded(name: &str) -> String {
     let mut bytes = Vec::with_capacity(name.len());
     let mut rest = name.as_bytes();
@@ -68,9 +67,9 @@ fn percent_code(bytes: &[u8]) -> Option<u8> {
     u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()
 }
 
-/// Names of attributes in a file, no two alike: each as `spelled` says, with underscores behind it
-/// where that is `taken`.
-pub fn told_apart<'a>(
+/// Unique names of attributes in a file: each as `spelled` returns it, with underscores appended if
+/// that is `taken`.
+pub fn unique_names<'a>(
     names: impl IntoIterator<Item = &'a str>,
     taken: &[&str],
     spelled: impl Fn(&str) -> String,
@@ -86,13 +85,12 @@ pub fn told_apart<'a>(
     given
 }
 
-/// Finds the position among the columns called `names`, and then all other quantities in their
-/// order.
+/// Finds the position among the columns called `names`, and then all other quantities in order.
 ///
-/// Columns are one vector where their names differ only in a last `x`, `y`, `z`, or `0`, `1`, `2`
-/// after a separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`; no vector has an axis
-/// twice. So are `red`, `green`, `blue` and perhaps `alpha`, or `r`, `g`, `b` and `a`, which are
-/// called `color`. None where no position is among them.
+/// Columns are one vector if their names differ only in a final `x`, `y`, `z`, or `0`, `1`, `2`
+/// after a separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`; each axis occurs once.
+/// Likewise, `red`, `green`, `blue` and optionally `alpha`, or `r`, `g`, `b` and `a`, are one
+/// colour, called `color`. `None` without a position.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
     let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
@@ -129,7 +127,7 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
         |q: &Quantity| names[q.columns[0]].chars().any(|letter| letter.is_ascii_uppercase());
     let position = POSITION.iter().find_map(|position| {
         let called = |q: &Quantity| q.columns.len() == 3 && q.name.eq_ignore_ascii_case(position);
-        // Beside a current position `x`, `X` is that of the reference configuration.
+        // If there is a current position `x`, then `X` is that of the reference configuration.
         let all = || all.iter().enumerate().filter(|(_, q)| called(q));
         all().find(|(_, q)| !is_upper(q)).or_else(|| all().next()).map(|(index, _)| index)
     })?;
@@ -140,7 +138,7 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     Some((position, all))
 }
 
-/// The columns of a colour's shares, each of which is there once.
+/// The columns of a colour's components, each of which occurs once.
 fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
     let called = |share: &str| {
         let columns = names.iter().enumerate().filter(|(_, n)| n.eq_ignore_ascii_case(share));
@@ -155,7 +153,7 @@ fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>
     Some(columns)
 }
 
-/// The columns of names that no two columns may have: the position's. `x,y,z,x,y,z` names it twice.
+/// A name of the position that occurs twice, as in `x,y,z,x,y,z`.
 pub fn repeated_position(names: &[String]) -> Option<&str> {
     let mut seen = HashSet::new();
     let once: Vec<String> = names.iter().filter(|name| seen.insert(*name)).cloned().collect();
@@ -174,8 +172,8 @@ fn without_unit(name: &str) -> &str {
     name[..end].trim()
 }
 
-/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem comes with the spelling of its
-/// first axis: `x`, `X` or `0`.
+/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem includes the name of its first
+/// axis: `x`, `X` or `0`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
     let name = name.strip_suffix(']').unwrap_or(name);
     let last = name.chars().next_back()?;

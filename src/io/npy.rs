@@ -1,8 +1,8 @@
-//! NumPy's .npy: positions of f32 or f64 in an array of shape (N, 3), (3, N) or, for several frames,
-//! (T, N, 3), or in a structured array, in either byte order and either order of its axes.
+//! Reads NumPy's .npy: positions of f32 or f64 in an array of shape (N, 3), (3, N) or, for several
+//! frames, (T, N, 3), or in a structured array, in either byte order and with either order of axes.
 //!
-//! The header is a Python dictionary. It is read by the few rules that NumPy's own writer follows,
-//! since a general parser of literals can be made to run for hours by a kilobyte of brackets.
+//! The header is a Python dictionary. It is parsed by the few rules of NumPy's own writer, because
+//! a general parser of literals can take hours for a kilobyte of brackets.
 
 use crate::particles::AttributeInfo;
 
@@ -12,20 +12,20 @@ use super::cursor::Cursor;
 use super::fields::{Arrangement, Axes, Field, Found, Place, arrange, shown};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Name that an array of positions would have among others.
+/// Name of a field with positions.
 pub(super) const POSITION: &str = "pos";
-/// The element of a structured array, for people.
+/// Description of the elements of a structured array.
 const STRUCTURE: &str = "of a structure";
-/// Members of a structure that are read.
+/// Maximum number of members of a structure.
 const MOST_MEMBERS: usize = 1 << 10;
 
-/// Reads the header; the array stays where it is. `step` is the number of a frame, where the array
-/// holds several.
+/// Reads the header; the array is read later. `step` is the number of a frame, for an array with
+/// several frames.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for any other shape or element and for a frame that has to be chosen
-/// or is not there, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a header that does
-/// not parse or does not fit the file.
+/// [`ReadFault::Unsupported`] for other shapes or elements and for a frame that must be chosen or
+/// does not exist, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a header that is
+/// invalid or does not fit the file.
 pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, ReadFault> {
     let header = Header::read(bytes.view())?;
     let fields = header.fields(POSITION);
@@ -53,10 +53,10 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
     Ok(ParticleFile::new(particles, "NumPy .npy"))
 }
 
-/// The numbers of the frames in an array of several; none of one frame.
+/// The numbers of the frames in an array with several frames; empty for one frame.
 ///
 /// # Errors
-/// As [`read_particles`], for a header that does not parse or does not fit the file.
+/// Those of [`read_particles`] about the header.
 pub fn steps(bytes: View) -> Result<Vec<u64>, ReadFault> {
     let header = Header::read(bytes)?;
     let Some(arranged) = arrange(&header.fields(POSITION))? else { return Ok(Vec::new()) };
@@ -66,11 +66,11 @@ pub fn steps(bytes: View) -> Result<Vec<u64>, ReadFault> {
 
 /// The contents of an array's header.
 pub(super) struct Header {
-    /// The numbers in an element: one, or those of a structure that are known.
+    /// The numbers in an element: one, or the known members of a structure.
     members: Vec<Member>,
-    /// Width of an element; 0 of objects, texts and the like.
+    /// Size of an element; 0 for objects, texts and similar types.
     element_bytes: u64,
-    /// The element as NumPy spells it.
+    /// The element type in NumPy's notation.
     descr: String,
     pub shape: Vec<u64>,
     fortran: bool,
@@ -78,20 +78,20 @@ pub(super) struct Header {
     pub start: usize,
 }
 
-/// Numbers in every element of an array.
+/// The numbers of a member in every element.
 struct Member {
-    /// Empty for an array of numbers.
+    /// The name; empty for an array of numbers.
     name: String,
     endian: Endian,
     scalar: Scalar,
-    /// Sizes of the axes that the structure gives it.
+    /// The shape of the member.
     shape: Vec<u64>,
     /// Bytes from the start of the element.
     offset: u64,
 }
 
 impl Header {
-    /// Reads the header that `bytes` begin with.
+    /// Reads the header at the start of `bytes`.
     pub fn read(bytes: View) -> Result<Self, ReadFault> {
         let mut cursor = Cursor::new(bytes, 0, Endian::Little);
         if cursor.take("the magic", 6)? != b"\x93NUMPY" {
@@ -143,7 +143,7 @@ impl Header {
         Ok(Self { members, element_bytes, descr, shape, fortran, start: cursor.at() })
     }
 
-    /// Whether the elements are numbers, or structures with some.
+    /// Whether the elements are numbers, or structures with numbers.
     pub fn is_numeric(&self) -> bool {
         !self.members.is_empty()
     }
@@ -153,12 +153,12 @@ impl Header {
         self.members.iter().any(|member| !member.name.is_empty())
     }
 
-    /// Whether the elements are objects of Python, which the file holds as that pickles them.
+    /// Whether the elements are pickled Python objects.
     pub fn is_pickled(&self) -> bool {
         self.descr.ends_with('O')
     }
 
-    /// The arrays of numbers in this one, which is called `name`.
+    /// The arrays of numbers in this one, whose name is `name`.
     pub fn fields(&self, name: &str) -> Vec<Field> {
         let fields = self.members.iter().map(|member| Field {
             name: if member.name.is_empty() { name.to_owned() } else { member.name.clone() },
@@ -167,7 +167,7 @@ impl Header {
         fields.collect()
     }
 
-    /// Makes sure that the numbers of a field may be positions.
+    /// Checks that the numbers of a field may be positions.
     pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
         match self.members.get(field).map(|member| member.scalar) {
             Some(Scalar::F16 | Scalar::F32 | Scalar::F64) => Ok(()),
@@ -175,7 +175,7 @@ impl Header {
         }
     }
 
-    /// Says that the elements are no positions, and what would be.
+    /// The error that the elements are not numbers, with a suggestion.
     fn no_numbers(&self) -> ReadFault {
         ReadFault::Unsupported(match self.is_pickled() {
             true => "pickled Python objects are not supported; save an array of numbers with \
@@ -194,7 +194,7 @@ impl Header {
         })
     }
 
-    /// Says why the array holds no positions, and what to save instead.
+    /// The error that the array has no positions, with a suggestion.
     fn no_position(&self) -> ReadFault {
         let remedy = match self.shape[..] {
             _ if !self.is_numeric() => return self.no_numbers(),
@@ -229,14 +229,14 @@ impl Header {
         self.elements().saturating_mul(self.element_bytes)
     }
 
-    /// Refuses a header that announces more than `bytes` hold.
+    /// Rejects a header that announces more data than `bytes`.
     fn expect_elements(&self, bytes: View) -> Result<(), ReadFault> {
         let mut cursor = Cursor::new(bytes, self.start, Endian::Little);
         cursor.skip("the array", self.elements(), self.element_bytes).map(|_| ())
     }
 
-    /// A component of a field in a frame, where the first element lies at byte `at`. Only where the
-    /// data were found to be there.
+    /// A component of a field in a frame; the first element is at byte `at`. The data must have
+    /// been checked to exist.
     pub fn column(
         &self,
         at: usize,
@@ -262,7 +262,7 @@ impl Header {
         Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
     }
 
-    /// Bytes from one number to the next along each axis.
+    /// Distance in bytes between neighbours along each axis.
     fn strides(&self, member: &Member) -> Vec<usize> {
         fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
             let mut strides = vec![0; sizes.len()];
@@ -283,7 +283,7 @@ impl Header {
     }
 }
 
-/// Returns the text that follows `'key':` in the dictionary, to its end.
+/// The text after `'key':` in the dictionary, up to its end.
 fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     ['\'', '"'].iter().find_map(|quote| {
         let (_, rest) = header.split_once(&format!("{quote}{key}{quote}"))?;
@@ -291,14 +291,14 @@ fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     })
 }
 
-/// Splits off the text between the quotes that `text` begins with.
+/// Splits off the quoted text at the start of `text`.
 fn quoted(text: &str) -> Option<(&str, &str)> {
     let quote = text.chars().next().filter(|quote| matches!(quote, '\'' | '"'))?;
     text[1..].split_once(quote)
 }
 
-/// The members of `[('x', '<f4'), ('pos', '<f8', (3,))]` that are numbers, and the bytes of all;
-/// `None` for structures in structures, and for objects.
+/// The members of `[('x', '<f4'), ('pos', '<f8', (3,))]` that are numbers, and the total size;
+/// `None` for nested structures, and for objects.
 fn structure(descr: &str) -> Option<(Vec<Member>, u64)> {
     let skip = |text: &'_ str, mark: char| -> Option<usize> {
         let rest = text.trim_start().strip_prefix(mark)?.trim_start();
@@ -335,7 +335,7 @@ fn structure(descr: &str) -> Option<(Vec<Member>, u64)> {
     None
 }
 
-/// Bytes of an element of a type as NumPy spells it, such as `<f4`, `|S5` or `|V8`.
+/// Size of an element of a type in NumPy's notation, such as `<f4`, `|S5` or `|V8`.
 fn item_bytes(kind: &str) -> Option<u64> {
     let kind = kind.trim_start_matches(['<', '>', '|', '=']);
     let (letter, size) = kind.split_at_checked(1)?;
@@ -349,7 +349,7 @@ fn item_bytes(kind: &str) -> Option<u64> {
     }
 }
 
-/// The type that `<f4` names, and the like.
+/// The type of a notation such as `<f4`.
 fn element(descr: &str) -> Option<(Endian, Scalar)> {
     let (order, kind) = descr.split_at_checked(1)?;
     let endian = if order == ">" { Endian::Big } else { Endian::Little };

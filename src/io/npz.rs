@@ -1,7 +1,8 @@
-//! NumPy's .npz: a zip archive of .npy arrays, one a quantity, all with a row for every particle.
+//! Reads NumPy's .npz: a zip archive of .npy arrays, one per quantity, each with a row per
+//! particle.
 //!
-//! Arrays that are merely stored (`np.savez`) are read where they lie; where one is compressed
-//! (`np.savez_compressed`), all are unpacked. The archive's checksums are verified either way.
+//! Uncompressed arrays (`np.savez`) are read in place. If one is compressed
+//! (`np.savez_compressed`), all are unpacked. The archive's checksums are verified in both cases.
 
 use std::io::Read;
 
@@ -16,24 +17,23 @@ use super::fields::{Arrangement, Field, Found, Place, arrange, only_vector, show
 use super::npy::{Header, POSITION};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Bytes that are unpacked at once.
+/// Bytes per unpacking step.
 const CHUNK: u64 = 1 << 18;
-/// No header of an array of numbers is longer.
+/// Maximum length of the header of an array of numbers.
 const LONGEST_HEADER: u64 = 1 << 16;
-/// Arrays that an error lists.
+/// Maximum number of arrays in an error.
 const LISTED: usize = 20;
 
-/// Reads the arrays' headers and finds the position among them: an array (N, 3), (3, N) or, for
-/// several frames, (T, N, 3), called `pos`, `position`, `x` or the like, three arrays `x`, `y`,
-/// `z`, or the only vector that has no name of another quantity. `step` is the number of a frame.
+/// Reads the headers of the arrays and finds the position: an array (N, 3), (3, N) or, for several
+/// frames, (T, N, 3), called `pos`, `position`, `x` or similar, or three arrays `x`, `y`, `z`, or
+/// the only vector without the name of another quantity. `step` is the number of a frame.
 ///
 /// Every other array of N rows of numbers is an attribute; `vx`, `vy` and `vz` are one.
 ///
 /// # Errors
-/// [`ReadFault::Compression`] for an archive that is damaged or unpacks beyond all reason;
-/// [`ReadFault::Unsupported`] where no position is found, and for compression and encryption that
-/// are not known; [`ReadFault::Malformed`] for arrays that do not parse or fit;
-/// [`ReadFault::Scratch`] where they are unpacked into a scratch file that fails.
+/// [`ReadFault::Compression`] for a damaged archive or a compression ratio that is too high;
+/// [`ReadFault::Unsupported`] if no position is found, and for unknown compression and encryption;
+/// [`ReadFault::Malformed`] for invalid arrays; [`ReadFault::Scratch`] if the scratch file fails.
 pub fn read_particles(
     bytes: Bytes,
     step: Option<u64>,
@@ -72,32 +72,32 @@ pub fn read_particles(
     Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
 
-/// The numbers of the frames in an archive whose arrays hold several; none of one frame.
+/// The numbers of the frames in an archive whose arrays have several; empty for one frame.
 ///
 /// # Errors
-/// As [`read_particles`], for an archive whose headers cannot be read.
+/// Those of [`read_particles`] about headers.
 pub fn steps(bytes: &Bytes) -> Result<Vec<u64>, ReadFault> {
     let arrays = unless_changed(bytes, arrays(bytes))?;
     let arranged = Contents::of(&arrays).arranged()?;
     Ok(arranged.map_or(Vec::new(), |arranged| arranged.steps()))
 }
 
-/// An array, of numbers or of what is not read.
+/// An array of the archive.
 struct Array {
     name: String,
     /// The array's number in the archive.
     entry: usize,
     header: Header,
-    /// Where it lies in the file, if it is merely stored.
+    /// Its position in the file, if it is uncompressed.
     stored_at: Option<u64>,
-    /// Unpacked, header included.
+    /// Unpacked size, including the header.
     bytes: u64,
 }
 
-/// The numbers in all arrays.
+/// The fields of all arrays.
 struct Contents {
     fields: Vec<Field>,
-    /// Array and member that each field is.
+    /// Array and member of each field.
     sources: Vec<(usize, usize)>,
 }
 
@@ -110,7 +110,7 @@ impl Contents {
                 if field.shape.is_empty() {
                     continue;
                 }
-                // Whose positions are meant is not known where several structures have some.
+                // If several structures have positions, it is not clear which ones are meant.
                 if header.is_structured() && structures > 1 {
                     field.name = format!("{name}.{}", field.name);
                 }
@@ -132,7 +132,7 @@ impl Contents {
     }
 }
 
-/// Says what the archive holds, and what to save instead.
+/// The error that no position was found, with the contents of the archive and a suggestion.
 fn no_position(arrays: &[Array], contents: &Contents) -> ReadFault {
     let list = |all: Vec<String>| {
         let more = all.len().saturating_sub(LISTED);
@@ -167,7 +167,7 @@ fn archive(bytes: &Bytes) -> Result<Archive<'_>, ReadFault> {
     ZipArchive::new(Passing::new(bytes.view(), 0)).map_err(fault)
 }
 
-/// Passes on what was read or found wrong, unless the file has changed meanwhile.
+/// Returns the result, or an error if the file has changed meanwhile.
 fn unless_changed<T>(bytes: &Bytes, read: Result<T, ReadFault>) -> Result<T, ReadFault> {
     read.or_else(|fault| {
         bytes.view().check()?;
@@ -184,7 +184,7 @@ fn fault(error: ZipError) -> ReadFault {
     }
 }
 
-/// All arrays, of which those of numbers are as long as their headers say.
+/// All arrays. Those of numbers have the length in their headers.
 fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
     let mut archive = archive(bytes)?;
     let mut arrays = Vec::new();
@@ -198,7 +198,7 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
         let damaged = |e: std::io::Error| ReadFault::Compression(format!("array {name}: {e}"));
         file.by_ref().take(LONGEST_HEADER).read_to_end(&mut head).map_err(damaged)?;
         let header = Header::read(head[..].into()).map_err(|fault| match fault {
-            // Of the array, where else a byte is the file's.
+            // The position is relative to the array, while elsewhere it is in the file.
             ReadFault::Unsupported(_) => fault,
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
         })?;
@@ -212,8 +212,8 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
     Ok(arrays)
 }
 
-/// Verifies what is needed. Returns where each array starts, in the file or in what had to be
-/// unpacked.
+/// Unpacks what is necessary, and verifies checksums. Returns the start of each array, in the file
+/// or in the unpacked bytes.
 fn unpack(
     bytes: &Bytes,
     arrays: &[Array],

@@ -1,10 +1,10 @@
-//! Numbers in text, in the spellings of C, Fortran, Python and Microsoft's C library.
+//! Parses numbers in text, in the notations of C, Fortran, Python and Microsoft's C library.
 
-/// Characters of the longest number that is rewritten before it is parsed: one with a decimal
-/// comma, or with an exponent as only Fortran writes it.
+/// Maximum length of a number that is rewritten before parsing: with a decimal comma, or with a
+/// Fortran exponent.
 const LONGEST: usize = 64;
 
-/// The character before a number's fraction.
+/// The decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Decimal {
     /// A point, as in 0.5.
@@ -13,9 +13,9 @@ pub enum Decimal {
     Comma,
 }
 
-/// A number that a word of text spells.
+/// A number that can be parsed from a word of text.
 pub trait Number: Sized {
-    /// The number, or None where the word is no number.
+    /// The number, or `None` if the word is not a number.
     fn of(word: &[u8]) -> Option<Self>;
 }
 
@@ -33,7 +33,7 @@ parsed!(i64, u64, usize, f32);
 
 impl Number for f64 {
     fn of(word: &[u8]) -> Option<Self> {
-        // What C and Python write. All else is rare, and its spellings do not overlap.
+        // The notation of C and Python first. The others are rare and do not overlap with it.
         short(word)
             .or_else(|| std::str::from_utf8(word).ok()?.parse().ok())
             .or_else(|| not_finite(word))
@@ -41,15 +41,15 @@ impl Number for f64 {
     }
 }
 
-/// A decimal of few digits and a small exponent: two numbers that f64 holds exactly, whose product
-/// or quotient is therefore the nearest f64 (Clinger, "How to Read Floating Point Numbers
+/// A decimal with few digits and a small exponent: f64 represents both parts exactly, so their
+/// product or quotient is the nearest f64 (Clinger, "How to Read Floating Point Numbers
 /// Accurately", 1990).
 fn short(word: &[u8]) -> Option<f64> {
-    /// Digits, which are fewer than 2^53.
+    /// The resulting integer is less than 2^53.
     const MOST: usize = 15;
-    /// Bytes of a sign, a point, and an exponent of two digits beside them.
+    /// Characters of a sign, a point, and an exponent of two digits.
     const BESIDE: usize = 6;
-    /// 10^22 is the last power that f64 holds.
+    /// 10^22 is the greatest power that f64 represents exactly.
     const POWERS: [f64; 23] = [
         1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
         1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
@@ -101,13 +101,13 @@ fn short_exponent(text: &[u8]) -> Option<i32> {
     }
 }
 
-/// The number that a word with this decimal character spells.
+/// The number in a word with this decimal separator.
 pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
     if decimal == Decimal::Point {
         return f64::of(word);
     }
     if !word.contains(&b',') {
-        // Where commas are decimal, a point separates thousands.
+        // With decimal commas, a point separates thousands.
         return f64::of(word).filter(|number| !number.is_finite() || !word.contains(&b'.'));
     }
     if word.contains(&b'.') {
@@ -116,17 +116,17 @@ pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
     let mut buffer = [0; LONGEST];
     let rewritten = buffer.get_mut(..word.len())?;
     rewritten.copy_from_slice(word);
-    // A second comma becomes a second point, which no number has.
+    // A second comma becomes a second point, which makes the number invalid.
     rewritten.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
     f64::of(rewritten)
 }
 
-/// Whether a word is the asterisks that Fortran writes for a number wider than its field.
+/// Whether a word consists of asterisks, which Fortran writes if a number exceeds its field.
 pub fn is_overflow(word: &[u8]) -> bool {
     !word.is_empty() && word.iter().all(|&byte| byte == b'*')
 }
 
-/// NaN and infinity in the spellings that [`str::parse`] does not know.
+/// NaN and infinity in notations that [`str::parse`] does not accept.
 fn not_finite(word: &[u8]) -> Option<f64> {
     let (negative, rest) = match word {
         [b'-', rest @ ..] => (true, rest),
@@ -139,13 +139,13 @@ fn not_finite(word: &[u8]) -> Option<f64> {
     upper.make_ascii_uppercase();
     let infinity = if negative { f64::NEG_INFINITY } else { f64::INFINITY };
     if let Some(payload) = upper.strip_prefix(b"NAN") {
-        // `nan(ind)` and `nan(0x7)` of C, NANQ and NANS of IBM's compilers.
+        // `nan(ind)` and `nan(0x7)` of C, and NANQ and NANS of IBM's compilers.
         let known = matches!(payload, b"Q" | b"S")
             || matches!(payload, [b'(', inside @ .., b')'] if inside.iter().all(is_of_payload));
         return known.then_some(f64::NAN);
     }
-    // Microsoft's library before 2015 formats a digit 1 and a name as its fraction, rounded to the
-    // digits asked for and padded with zeros: 1.#QNAN, 1.#INF00e+000, 1.#IO.
+    // Before 2015, Microsoft's library formatted these as the digit 1 with a name as its fraction,
+    // rounded to the requested digits and padded with zeros: 1.#QNAN, 1.#INF00e+000, 1.#IO.
     let name = upper.strip_prefix(b"1.")?;
     let name = match name.iter().position(|&byte| byte == b'E') {
         Some(at) if is_exponent(&name[at + 1..]) => &name[..at],
@@ -155,7 +155,7 @@ fn not_finite(word: &[u8]) -> Option<f64> {
     match &name[..end] {
         b"#INF" => Some(infinity),
         b"#QNAN" | b"#SNAN" | b"#IND" | b"#NAN" => Some(f64::NAN),
-        // Rounded, NaN and infinity may look alike.
+        // After rounding, NaN and infinity may look the same.
         b"#QNB" | b"#SNB" | b"#QO" | b"#SO" | b"#IO" | b"#R" | b"#T" | b"#J" | b"$" => {
             Some(f64::NAN)
         }
@@ -172,14 +172,14 @@ fn is_exponent(digits: &[u8]) -> bool {
     !digits.is_empty() && digits.iter().all(u8::is_ascii_digit)
 }
 
-/// Fortran's exponents: D or Q for E, and no letter where the exponent has three digits.
+/// Fortran's exponents: D or Q instead of E, or no letter before three digits.
 fn fortran(word: &[u8]) -> Option<f64> {
     let sign = usize::from(matches!(word.first(), Some(b'+' | b'-')));
     let at = sign + word[sign..].iter().position(|b| !b.is_ascii_digit() && *b != b'.')?;
     let (mantissa, exponent) = word.split_at(at);
     let exponent = match exponent {
         [b'D' | b'd' | b'Q' | b'q', exponent @ ..] if is_exponent(exponent) => exponent,
-        // `1.5-10` may as well be two numbers run together.
+        // `1.5-10` could also be two numbers without a separator.
         [b'+' | b'-', digits @ ..] if digits.len() == 3 && mantissa.contains(&b'.') => exponent,
         _ => return None,
     };

@@ -1,10 +1,10 @@
-//! Wavefront .obj: text, a line each for a vertex (`v`), a normal (`vn`) and a face (`f`, numbered
+//! Wavefront .obj: text with a line for each vertex (`v`), normal (`vn`) and face (`f`, numbered
 //! from 1).
 //!
-//! There is no place for attributes but for a colour, which many programs write behind a vertex's
-//! position and read there, with shares from 0 to 1. A normal belongs to a face's corner, not to a vertex:
-//! [`read_mesh`] keeps normals that are numbered as their vertices are, as [`write_mesh`] does, and
-//! no others.
+//! The format has no attributes except a colour, which many programs write and read after the
+//! vertex's position, from 0 to 1. A normal belongs to a corner of a face, not to a vertex.
+//! [`read_mesh`] keeps normals only if they have the numbers of their vertices, as [`write_mesh`]
+//! writes them.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -19,17 +19,17 @@ use super::scan::Scanner;
 use super::up::noted;
 use super::{CoordinateWidth, ReadFault};
 
-/// First words of lines that are ignored, as they say nothing of the surface's shape.
+/// First words of lines that are ignored, because they do not affect the shape of the surface.
 const IGNORED: [&[u8]; 14] = [
     b"vt", b"vp", b"p", b"l", b"o", b"g", b"s", b"mg", b"mtllib", b"usemtl", b"usemap", b"maplib",
     b"lod", b"bevel",
 ];
 
-/// Writes vertices with the first colour that they have, normals and triangles. A number has as many digits as make it that f32 or f64
-/// again.
+/// Writes vertices with their first colour, normals and triangles. Numbers have enough digits to be
+/// read back exactly as f32 or f64.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -37,7 +37,7 @@ pub fn write_mesh(
 ) -> io::Result<()> {
     out.write_all(noted(mesh, ["# ", "\n"]).as_bytes())?;
     if mesh.vertex_count() == 0 {
-        // A file of no bytes is rather one that was not written.
+        // An empty file could be mistaken for one that was not written.
         writeln!(out, "# no vertices")?;
     }
     let infos = mesh.attributes();
@@ -82,15 +82,14 @@ fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
     out.write_fmt(line).expect("memory takes whatever is written to it");
 }
 
-/// Reads vertices, normals that are numbered as their vertices are, and faces, fanned from their
-/// first corner.
+/// Reads vertices, normals that have the numbers of their vertices, and faces, divided into
+/// triangles from their first corner.
 ///
-/// Texture coordinates, groups, materials, points and lines are passed over.
+/// Texture coordinates, groups, materials, points and lines are ignored.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, a face of less than three corners or with a
-/// corner that is not among the vertices so far; [`ReadFault::Unsupported`] for more vertices than
-/// a mesh can have.
+/// [`ReadFault::Line`] for an invalid line, a face with fewer than three corners or with an
+/// undefined vertex; [`ReadFault::Unsupported`] for more vertices than a mesh can have.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut reading = Reading { numbered_alike: true, ..Reading::default() };
@@ -127,7 +126,7 @@ struct Reading {
     positions: Vec<[f64; 3]>,
     normals: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
-    /// Whether every corner so far has a normal of its vertex's number.
+    /// Whether every corner so far has a normal with its vertex's number.
     numbered_alike: bool,
     corners: Vec<u32>,
 }
@@ -183,7 +182,7 @@ impl Reading {
     }
 }
 
-/// A number from 1 on, or from the end on if it is negative, as an index into the `count` so far.
+/// Converts a number from 1 on, or from the end if it is negative, to an index below `count`.
 fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
     let shown = || String::from_utf8_lossy(&number[..number.len().min(40)]).into_owned();
     let parsed: Option<i64> =

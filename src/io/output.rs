@@ -1,4 +1,4 @@
-//! Mesh files: which writer and reader serve which, and what each format can hold.
+//! Mesh files: the writer and reader of each format, and its limits.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -51,7 +51,7 @@ impl fmt::Display for MeshFormat {
 }
 
 impl MeshFormat {
-    /// All that there are.
+    /// All formats.
     const ALL: [Self; 10] = [
         Self::Ply,
         Self::Obj,
@@ -69,7 +69,7 @@ impl MeshFormat {
     pub const KNOWN: &'static str =
         ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb and .bgeo.sc";
 
-    /// By the extension, in upper or lower case.
+    /// The format of a file by its extension, in upper or lower case.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
@@ -90,8 +90,7 @@ impl MeshFormat {
         }
     }
 
-    /// Sets the layout of a .glb, and the axis that points up of a .usdc; other formats stay as
-    /// they are.
+    /// Sets the layout of a .glb, and the up axis of a .usdc; other formats are unchanged.
     #[must_use]
     pub fn with_layout(self, layout: glb::Layout) -> Self {
         match self {
@@ -101,33 +100,32 @@ impl MeshFormat {
         }
     }
 
-    /// Whether it is read as well as written.
+    /// Whether this library can read it.
     #[must_use]
     pub fn is_read(self) -> bool {
         !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc)
     }
 
-    /// Whether it has a place for normals of vertices.
+    /// Whether it can store normals of vertices.
     #[must_use]
     pub fn holds_normals(self) -> bool {
         self != Self::Stl
     }
 
-    /// Whether it has a place for velocities and other values of vertices.
+    /// Whether it can store velocities and other attributes of vertices.
     #[must_use]
     pub fn holds_attributes(self) -> bool {
         !matches!(self, Self::Obj | Self::Stl)
     }
 
-    /// Whether it has a place for colours of vertices.
+    /// Whether it can store colours of vertices.
     #[must_use]
     pub fn holds_colours(self) -> bool {
         self != Self::Stl
     }
 
-    /// Attributes that get other names than their own, because the format has no room for these or
-    /// has them taken: both names of each. What it spells otherwise throughout, such as the
-    /// capitals of .glb, does not count.
+    /// The attributes whose names the format cannot store or uses already, with their names in the
+    /// file. General conventions, such as the capitals of .glb, do not count.
     #[must_use]
     pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
         let names = match self {
@@ -149,31 +147,31 @@ impl MeshFormat {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
-            // Each array of the vertices by itself, where a colour may be two, and triangles.
+            // Each array of the vertices separately, with up to two for a colour, and triangles.
             Self::BgeoSc => arrays + 2,
-            // Every array of the vertices by itself, and triangles.
+            // Each array of the vertices separately, and triangles.
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
-            // Vertices and triangles first to put them in order.
+            // Additionally vertices and triangles once for their order.
             Self::Glb(_) => 2 + arrays + 1,
         }
     }
 
-    /// Whether coordinates can be wider than f32.
+    /// Whether it can store coordinates in f64.
     #[must_use]
     pub fn holds_f64(self) -> bool {
         !matches!(self, Self::Stl | Self::Usdc(_))
     }
 
-    /// Whether its writer, given a mesh in pieces, holds much of it in memory: the positions of all
-    /// vertices, 24 bytes each, or everything that is to be compressed. A plain .glb takes 4 bytes
-    /// a vertex, all others a few pieces a thread.
+    /// Whether its writer keeps much of a mesh in memory: the positions of all vertices, 24 bytes
+    /// each, or all data that is compressed. A plain .glb needs 4 bytes per vertex, all others a
+    /// few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed = |layout: glb::Layout| layout.compression == glb::Compression::Meshopt;
         self == Self::Stl || matches!(self, Self::Glb(layout) if compressed(layout))
     }
 
-    /// The most vertices and triangles that it can number.
+    /// Maximum numbers of vertices and triangles.
     fn most(self) -> [u64; 2] {
         const I32: u64 = i32::MAX as u64;
         const I64: u64 = i64::MAX as u64;
@@ -182,13 +180,13 @@ impl MeshFormat {
             // Indices are u32.
             Self::Ply => [U32 + 1, u64::MAX],
             Self::Obj => [u64::MAX; 2],
-            // Every triangle takes four of the numbers that are counted in an i32.
+            // Every triangle takes four numbers, whose total is an i32.
             Self::Vtk => [I32, I32 / 4],
-            // The last triangle's end is three times their number.
+            // The end of the last triangle is three times the number of triangles.
             Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::BgeoSc => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Usdc(_) => [I32, u64::MAX / 3],
-            // 4 GiB, of positions at 12 bytes a vertex and indices at 12 a triangle.
+            // 4 GiB: positions of 12 bytes per vertex, and indices of 12 bytes per triangle.
             Self::Glb(_) => [U32 / 12; 2],
         }
     }
@@ -201,7 +199,7 @@ impl MeshFormat {
     /// Checks that the format can store this number of vertices and triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if not, with the limit, and the formats that can.
+    /// [`io::ErrorKind::InvalidInput`] if it cannot, with the limit and the formats that can.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_number(vertices, triangles) {
             return Ok(());
@@ -222,15 +220,15 @@ impl MeshFormat {
         Err(io::Error::new(io::ErrorKind::InvalidInput, what))
     }
 
-    /// Writes all of `mesh` that the format has a place for, by several passes over its pieces.
+    /// Writes all data of `mesh` that the format can store, in several passes over its pieces.
     ///
     /// # Errors
     /// Those of `mesh` and `out`, and those of [`check_counts`](Self::check_counts) before anything
     /// is written.
     ///
     /// # Panics
-    /// If normals or attributes are not of the vertices' number, the pieces not of the mesh's, or a
-    /// triangle names a missing vertex.
+    /// If the number of normals or attributes differs from that of vertices, the pieces are not
+    /// complete, or a triangle has a missing vertex.
     pub fn write(
         self,
         out: &mut dyn Write,
@@ -255,7 +253,7 @@ impl MeshFormat {
     /// Reads a whole file.
     ///
     /// # Errors
-    /// For damage, and for what the format allows but its reader does not know; never panics.
+    /// For damage, and for unsupported features of the format; never panics.
     pub fn read(self, bytes: &[u8]) -> Result<Mesh, ReadFault> {
         match self {
             Self::Ply => ply::read_mesh(bytes),
@@ -274,10 +272,10 @@ impl MeshFormat {
     }
 }
 
-/// Reads the mesh in `path`, whose extension says the format; it may be compressed.
+/// Reads the mesh at `path` in the format of its extension; the file may be compressed.
 ///
 /// # Errors
-/// Whatever [`MeshFormat::read`] or the system refuses, and [`ReadFault::UnknownExtension`].
+/// Those of [`MeshFormat::read`] and of the system, and [`ReadFault::UnknownExtension`].
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
     let format = MeshFormat::of(path).ok_or_else(unknown)?;
@@ -289,9 +287,9 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     read.map_err(|fault| ReadError::new(path, fault))
 }
 
-/// A mesh of a file: in memory, or read from there piece by piece.
+/// A mesh in memory, or streamed from its file.
 pub enum OpenedMesh {
-    /// In memory as a whole.
+    /// The whole mesh in memory.
     Whole(Mesh),
     /// In its file.
     Streamed(Box<ply::StreamedMesh>),
@@ -307,11 +305,11 @@ impl OpenedMesh {
     }
 }
 
-/// Bytes in memory for each of a binary file: the file as it is read, and what becomes of it.
+/// Bytes of memory per byte of a binary file: the file and the resulting mesh.
 const BYTES_A_BYTE: u64 = 3;
 
-/// Opens the mesh in `path`. Where reading it as a whole would take more than `memory` bytes, a
-/// .ply file as this library writes it is read piece by piece.
+/// Opens the mesh at `path`. If it would need more than `memory` bytes, a .ply from this library is
+/// streamed.
 pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
     let large =
         std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
@@ -344,7 +342,7 @@ fn several_files() -> io::Error {
     )
 }
 
-/// A file that is ready to take a mesh.
+/// A mesh file that is prepared for writing.
 #[derive(Debug)]
 pub struct MeshOutput {
     file: WholeFile,
@@ -352,11 +350,11 @@ pub struct MeshOutput {
 }
 
 impl MeshOutput {
-    /// Makes sure, before the work, that a mesh can be written to `path`, whose extension names a
-    /// format. Pipes and devices need no extension: they take .ply.
+    /// Checks before the work that a mesh can be written to `path`, whose extension selects the
+    /// format. Pipes and devices need no extension: their format is .ply.
     ///
     /// # Errors
-    /// [`WriteFault::UnknownExtension`], and what [`WholeFile::prepare`] refuses.
+    /// [`WriteFault::UnknownExtension`], and those of [`WholeFile::prepare`].
     pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
         let unknown =
             || WriteError::new(path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
@@ -374,18 +372,17 @@ impl MeshOutput {
         Ok(Self { file, format })
     }
 
-    /// Returns the format that the extension names, or .ply for a pipe or device without one.
+    /// The format of the extension, or .ply for a pipe or device without one.
     pub fn format(&self) -> MeshFormat {
         self.format
     }
 
-    /// Returns this output with its format changed by [`MeshFormat::with_layout`].
+    /// Changes the format by [`MeshFormat::with_layout`].
     pub fn with_layout(self, layout: glb::Layout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }
     }
 
-    /// The file that is written before it gets its name, and the folders that were made for it: what
-    /// an interrupt leaves behind.
+    /// The temporary file and the created folders, which an interrupt must remove.
     pub(crate) fn leftovers(&self, folders: &MadeFolders) -> Vec<PathBuf> {
         self.file.leftovers(folders)
     }
@@ -393,23 +390,23 @@ impl MeshOutput {
     /// Writes `mesh`. Returns the file's size in bytes.
     ///
     /// # Errors
-    /// What [`WholeFile::write`] refuses, and [`WriteFault::Unsupported`] for more than the format
-    /// can number.
+    /// Those of [`WholeFile::write`], and [`WriteFault::Unsupported`] for more vertices or
+    /// triangles than the format can store.
     ///
     /// # Panics
-    /// As [`MeshFormat::write`].
+    /// Like [`MeshFormat::write`].
     pub fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, WriteError> {
         self.fill(mesh, width)?.keep()
     }
 
-    /// Writes `mesh` to a file that has no name yet.
+    /// Writes `mesh` to the temporary file.
     ///
     /// # Errors
-    /// What [`WholeFile::fill`] refuses, and [`WriteFault::Unsupported`] for more than the format
-    /// can number.
+    /// Those of [`WholeFile::fill`], and [`WriteFault::Unsupported`] for more vertices or triangles
+    /// than the format can store.
     ///
     /// # Panics
-    /// As [`MeshFormat::write`].
+    /// Like [`MeshFormat::write`].
     pub fn fill(
         self,
         mesh: &dyn MeshSource,
@@ -423,10 +420,10 @@ impl MeshOutput {
     }
 }
 
-/// Extension of the files that a .pvtp names.
+/// Extension of the pieces of a .pvtp.
 const PIECE: &str = "vtp";
 
-/// Writes a mesh as a list of pieces of no more than `most` triangles.
+/// Writes a mesh as a list of pieces with at most `most` triangles each.
 fn divide(
     file: WholeFile,
     mesh: &dyn MeshSource,
@@ -455,7 +452,7 @@ mod tests {
     use super::*;
     use crate::surface::mesh::source::{Outline, Vertices};
 
-    /// Only its counts are there.
+    /// A mesh with large counts and no data.
     struct Huge {
         vertices: u64,
         triangles: u64,
@@ -482,7 +479,7 @@ mod tests {
 
     #[test]
     fn a_mesh_in_pieces_of_any_size_is_read_back_whole_with_each_vertex_once() {
-        // An octahedron whose vertices are named by four triangles each, and in no order.
+        // An octahedron whose vertices each belong to four triangles, in no order.
         let corner = |axis: usize, sign: f64| -> [f64; 3] {
             std::array::from_fn(|k| if k == axis { sign } else { 0.0 })
         };

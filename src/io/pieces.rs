@@ -1,9 +1,8 @@
-//! The particles of an input that is in one file or in several pieces: one after the other, those
-//! that are ghosts left out.
+//! The particles of an input in one or several pieces: concatenated, without ghosts.
 //!
-//! A simulation on many nodes writes a piece for each, and may put copies of its neighbours'
-//! particles in it. These ghosts are flagged; a run of rows without them is a span, and the spans
-//! of all pieces in order are the particles.
+//! A simulation on many nodes writes a piece per node, which may contain copies of its neighbours'
+//! particles. These ghosts are flagged. A range of rows without ghosts is a span, and the spans of
+//! all pieces in order are the particles.
 
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -16,42 +15,42 @@ use super::columns::ColumnStore;
 use super::windows::Shelf;
 use super::{LeftOut, ParticleFile, ReadFault, malformed};
 
-/// Flags that are looked at together.
+/// Flags per batch.
 const FLAGS: usize = 1 << 14;
 
 /// The particles of all pieces.
 #[derive(Debug, Default)]
 pub struct Pieces {
     stores: Vec<ColumnStore>,
-    /// In the order of their particles.
+    /// The spans in the order of their particles.
     spans: Vec<Span>,
     len: usize,
     infos: Vec<AttributeInfo>,
-    /// Labels of the only piece.
+    /// Labels, if there is only one piece.
     labels: Vec<Label>,
-    /// For every piece the numbers of its own attributes, in the order of `infos`.
+    /// For every piece, the numbers of its attributes in the order of `infos`.
     numbers: Vec<Vec<usize>>,
-    /// The number of every piece among those of the input, of which some may have no particles.
+    /// The number of every piece in the input, where pieces may have no particles.
     of_input: Vec<usize>,
 }
 
-/// Particles that follow one another in one piece.
+/// Consecutive particles of one piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PieceChunk {
-    /// The number of the piece among those of the input.
+    /// The number of the piece in the input.
     pub piece: usize,
     /// The number of particles.
     pub count: usize,
 }
 
-/// Particles that are neighbours in one piece.
+/// Consecutive particles of one piece.
 #[derive(Debug, Clone, Copy)]
 struct Span {
-    /// The number of the first among all particles.
+    /// The index of the first one among all particles.
     first: usize,
     /// The number of the piece.
     piece: usize,
-    /// The number of the first among the piece's.
+    /// The index of the first one in the piece.
     row: usize,
 }
 
@@ -66,13 +65,13 @@ impl From<ColumnStore> for Pieces {
 }
 
 impl Pieces {
-    /// Joins pieces, whose attributes must be the same but may be in any order and of any type; a
-    /// piece without particles may lack them. Bytes of a colour become shares from 0 to 1 where
-    /// another piece has floating-point numbers. Labels are those of a single piece.
+    /// Joins pieces. Their attributes must be the same, but may have any order and number type; a
+    /// piece without particles may lack them. Colours in bytes become fractions from 0 to 1 if
+    /// another piece has floating-point numbers. Labels are kept only for a single piece.
     ///
     /// # Errors
-    /// The number of the piece that has other attributes than those before, and
-    /// [`ReadFault::Malformed`] that says which.
+    /// The number of the piece whose attributes differ from those before, and
+    /// [`ReadFault::Malformed`] with the attributes.
     pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
         let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
         let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
@@ -103,8 +102,8 @@ impl Pieces {
         Ok(all)
     }
 
-    /// Leaves out the particles whose attribute `flags` of one number is not 0, and that attribute.
-    /// Returns how many there were.
+    /// Removes the particles whose scalar attribute `flags` is not 0, and that attribute. Returns
+    /// the number of these particles.
     pub(super) fn leave_out(&mut self, flags: usize) -> usize {
         let (mut spans, mut len) = (Vec::new(), 0);
         let mut values = vec![0.0; FLAGS];
@@ -131,7 +130,7 @@ impl Pieces {
         dropped
     }
 
-    /// Keeps the attributes for which `keep` holds.
+    /// Keeps the attributes for which `keep` returns true.
     pub(super) fn retain_attributes(&mut self, keep: impl Fn(&AttributeInfo) -> bool) {
         for number in (0..self.infos.len())
             .rev()
@@ -149,10 +148,10 @@ impl Pieces {
         }
     }
 
-    /// Cuts the particles of each piece into chunks of no more than `most`.
+    /// Divides the particles of each piece into chunks of at most `most`.
     ///
     /// # Panics
-    /// If that is 0.
+    /// If `most` is 0.
     pub fn chunks(&self, most: usize) -> Vec<PieceChunk> {
         let mut counts = vec![0; self.stores.len()];
         self.each_span(0..self.len, |span, count, _| counts[span.piece] += count);
@@ -164,7 +163,7 @@ impl Pieces {
         chunks.collect()
     }
 
-    /// Keeps the particles of some ranges, which are in order, and leaves out all others.
+    /// Keeps only the particles in some ranges, which are in order.
     pub fn keep(&mut self, ranges: impl IntoIterator<Item = Range<usize>>) {
         let (mut spans, mut len) = (Vec::<Span>::new(), 0);
         for range in ranges {
@@ -176,7 +175,7 @@ impl Pieces {
         (self.spans, self.len) = (spans, len);
     }
 
-    /// Keeps the particles that a sieve selects, and leaves out all others.
+    /// Keeps only the particles that a sieve selects.
     pub(super) fn select(&mut self, sieve: &Sieve) {
         let stores = self.stores.iter().map(|store| Sieve::none(store.len()));
         let mut kept: Vec<Vec<u64>> = stores.collect();
@@ -194,20 +193,20 @@ impl Pieces {
         }
     }
 
-    /// Bytes of scratch files that the numbers are in.
+    /// Bytes of scratch files with the numbers.
     pub fn scratch_bytes(&self) -> u64 {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
-    /// Whether an attribute is a colour that is stored as bytes in this piece, and as shares from 0
-    /// to 1 in another.
+    /// Whether an attribute is a colour that is stored as bytes in this piece, and as fractions in
+    /// another.
     fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
         let stored = &self.stores[piece].attributes()[self.numbers[piece][index]];
         (self.infos[index].kind, stored.kind) == (AttributeKind::Colour, AttributeKind::ByteColour)
     }
 
-    /// Calls `take` for the spans within `range`, each cut to that, with its number of particles
-    /// and the number of its first one within `range`.
+    /// Calls `take` for each span within `range`, clipped to it, with its number of particles and
+    /// the index of its first one within `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
         assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
         let mut first = range.start;
@@ -222,8 +221,8 @@ impl Pieces {
     }
 }
 
-/// Joins files of one set of particles, in their order, with the attributes that all have. The
-/// format, the unit and the types of particles are the first's.
+/// Joins files to one set of particles, in order, with the attributes that all of them have. The
+/// format, the unit and the types of particles are those of the first file.
 ///
 /// # Errors
 /// The number of the file that cannot be joined with those before, and the reason.
@@ -264,7 +263,7 @@ pub(super) fn join_files(mut files: Vec<ParticleFile>) -> Result<ParticleFile, (
     })
 }
 
-/// Takes attributes away that some of the files with particles lack. Returns these.
+/// Removes and returns attributes that some of the files with particles lack.
 fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     let filled = || files.iter().filter(|file| !file.particles.is_empty());
     let mut partial: Vec<AttributeInfo> = Vec::new();
@@ -289,7 +288,7 @@ fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     partial
 }
 
-/// Whether attributes are the same; pieces may differ in the types of their numbers.
+/// Whether attributes are the same; the number types may differ between pieces.
 fn same(a: &AttributeInfo, b: &AttributeInfo) -> bool {
     (&a.name, a.components) == (&b.name, b.components)
 }

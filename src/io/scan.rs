@@ -1,4 +1,4 @@
-//! Lines, words and numbers of a file that is text, at least where we look.
+//! Scans lines, words and numbers of text, also in files that contain binary data.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -7,19 +7,19 @@ use super::bytes::{Slice, View};
 use super::number::Number;
 use super::{ReadFault, malformed};
 
-/// No line of a header is longer, so that binary data taken for text is found out early.
+/// Maximum length of a header's line, so that binary data is detected early.
 const LONGEST_LINE: usize = 64 << 10;
-/// Bytes in which a line's end is looked for first.
+/// Bytes in which the end of a line is searched first.
 const SHORT_LINE: usize = 1 << 8;
-/// Bytes that are passed before their memory is given back.
+/// Bytes after which memory is released.
 const PASSED: usize = 1 << 20;
 
-/// A place in a file, moving forward.
+/// A position in a text, moving forward.
 #[derive(Debug, Clone)]
 pub struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The store that gives memory back, and the offset from which on it has not done so.
+    /// The bytes that can release memory, and the start of those that have not.
     store: Option<Slice<'a>>,
     held: usize,
 }
@@ -31,12 +31,12 @@ impl<'a> Scanner<'a> {
         Self { bytes, at, store: None, held: at }
     }
 
-    /// Starts at byte `at` of `store`, and gives the memory of passed lines and words back.
+    /// Starts at byte `at` of `store`, and releases the memory of bytes that were passed.
     pub fn releasing(store: Slice<'a>, at: usize) -> Self {
         Self { store: Some(store), ..Self::new(store.bytes(), at) }
     }
 
-    /// Reads a range of `store`, and gives the memory of passed lines and words back.
+    /// Scans a range of `store`, and releases the memory of bytes that were passed.
     pub fn releasing_to(store: Slice<'a>, range: Range<usize>) -> Self {
         Self { store: Some(store), ..Self::new(&store.bytes()[..range.end], range.start) }
     }
@@ -51,20 +51,20 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// The place in bytes from the start of the file.
+    /// The position in bytes from the start of the file.
     pub fn at(&self) -> usize {
         self.at
     }
 
-    /// Returns the bytes that lie ahead.
+    /// The remaining bytes.
     pub fn rest(&self) -> &'a [u8] {
         &self.bytes[self.at..]
     }
 
-    /// Passes `count` bytes that hold `what`.
+    /// Skips `count` bytes, which contain `what`.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`] where there are fewer.
+    /// [`ReadFault::Truncated`] if there are fewer.
     pub fn skip(&mut self, count: usize, what: &str) -> Result<(), ReadFault> {
         if count > self.rest().len() {
             return Err(ReadFault::Truncated {
@@ -77,24 +77,24 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// Passes the rest of this line and its end; false at the end of the file.
+    /// Skips the rest of this line and its end; false at the end of the file.
     pub fn skip_line(&mut self) -> bool {
         let rest = self.rest();
         self.pass(rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1));
         !rest.is_empty()
     }
 
-    /// Passes spaces, tabs and line ends.
+    /// Skips spaces, tabs and line ends.
     pub fn skip_whitespace(&mut self) {
         self.at += self.rest().iter().take_while(|b| b.is_ascii_whitespace()).count();
     }
 
-    /// Passes spaces and tabs.
+    /// Skips spaces and tabs.
     pub fn skip_blanks(&mut self) {
         self.at += self.rest().iter().take_while(|b| matches!(b, b' ' | b'\t')).count();
     }
 
-    /// Passes a word, if one starts here.
+    /// Reads a word; empty if none starts here.
     pub fn word(&mut self) -> &'a [u8] {
         let rest = self.rest();
         let length = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
@@ -102,7 +102,7 @@ impl<'a> Scanner<'a> {
         &rest[..length]
     }
 
-    /// The number that starts here.
+    /// Reads a number.
     ///
     /// # Errors
     /// [`ReadFault::Line`] if there is none.
@@ -119,14 +119,14 @@ impl<'a> Scanner<'a> {
         })
     }
 
-    /// Refuses `count` numbers of `what` that cannot lie ahead, as each but the last takes two
-    /// bytes.
+    /// Rejects `count` numbers of `what` that exceed the remaining bytes, because each except the
+    /// last takes two bytes.
     pub fn expect_numbers(&self, count: usize, what: &str) -> Result<(), ReadFault> {
         let needed = count.saturating_mul(2).saturating_sub(1);
         self.clone().skip(needed, what)
     }
 
-    /// A fault of the line that byte `at` is in.
+    /// A fault in the line that contains byte `at`.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         ReadFault::Line { line: 1 + ends(&self.bytes[..at]), what }
     }
@@ -137,7 +137,7 @@ fn ends(text: &[u8]) -> u64 {
     text.iter().filter(|&&b| b == b'\n').count() as u64
 }
 
-/// A place in a file of lines between blocks of binary data, or before them, moving forward.
+/// A position in a file with lines before or between blocks of binary data, moving forward.
 #[derive(Debug, Clone)]
 pub struct Lines<'a> {
     bytes: View<'a>,
@@ -150,24 +150,24 @@ impl<'a> Lines<'a> {
         Self { bytes, at: at.min(bytes.len()) }
     }
 
-    /// The place in bytes from the start of the file.
+    /// The position in bytes from the start of the file.
     pub fn at(&self) -> usize {
         self.at
     }
 
-    /// The bytes that lie ahead: `count` of them, or as many as there are.
+    /// The next `count` bytes, or fewer at the end.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] and [`ReadFault::Io`] where they cannot be read, as in all that
-    /// follow.
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] if they cannot be read. This also holds for the
+    /// methods below.
     pub fn ahead(&self, count: usize) -> Result<Cow<'a, [u8]>, ReadFault> {
         self.bytes.read(self.at..self.bytes.len().min(self.at.saturating_add(count)))
     }
 
-    /// Passes `count` bytes that hold `what`.
+    /// Skips `count` bytes, which contain `what`.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`] where there are fewer.
+    /// [`ReadFault::Truncated`] if there are fewer.
     pub fn skip(&mut self, count: usize, what: &str) -> Result<(), ReadFault> {
         let have = self.bytes.len();
         if count > have - self.at {
@@ -181,7 +181,7 @@ impl<'a> Lines<'a> {
         Ok(())
     }
 
-    /// Passes what is before the first byte that `stops`; false at the end of the file.
+    /// Skips bytes up to the first for which `stops` returns true; false at the end of the file.
     fn skip_to(&mut self, stops: impl Fn(u8) -> bool) -> Result<bool, ReadFault> {
         let mut count = SHORT_LINE;
         loop {
@@ -195,23 +195,23 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Passes the rest of this line and its end; false at the end of the file.
+    /// Skips the rest of this line and its end; false at the end of the file.
     pub fn skip_line(&mut self) -> Result<bool, ReadFault> {
         let start = self.at;
         self.at += usize::from(self.skip_to(|byte| byte == b'\n')?);
         Ok(self.at > start)
     }
 
-    /// Passes spaces, tabs and line ends.
+    /// Skips spaces, tabs and line ends.
     pub fn skip_whitespace(&mut self) -> Result<(), ReadFault> {
         self.skip_to(|byte| !byte.is_ascii_whitespace()).map(|_| ())
     }
 
-    /// The rest of this line, passing its end (LF or CR LF); nothing at the end of the file.
+    /// Reads the rest of this line and skips its end (LF or CR LF); `None` at the end of the file.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] if that is no text, or longer than any header's line; and as
-    /// [`ahead`](Self::ahead).
+    /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and those
+    /// of [`ahead`](Self::ahead).
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
         for looked_at in [SHORT_LINE, LONGEST_LINE] {
             let ahead = self.ahead(looked_at)?;
@@ -230,7 +230,7 @@ impl<'a> Lines<'a> {
         Err(malformed(self.at, "expected a line of text"))
     }
 
-    /// A fault of the line that byte `at` is in, or one of reading the file up to there.
+    /// A fault in the line that contains byte `at`, or an error of reading the file up to there.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
         let counted =

@@ -1,9 +1,9 @@
-//! Spacing of the particles and walls of their tank, from the scene file that a simulator leaves
-//! beside its frames.
+//! Spacing of the particles and walls of their tank, from a simulator's scene file beside the
+//! frames.
 //!
-//! SPlisHSPlasH's scene is JSON and gives the radius, half of the spacing; its tank is a box that is
-//! a wall. DualSPHysics' case is XML and gives the spacing `dp`; its tank is the largest box of
-//! boundary particles, with the faces that the box fills.
+//! SPlisHSPlasH's scene is JSON with the radius, half of the spacing; its tank is a box that is a
+//! wall. DualSPHysics' case is XML with the spacing `dp`; its tank is the largest box of boundary
+//! particles, with the faces that the box fills.
 
 use std::fs::File;
 use std::io::Read;
@@ -16,26 +16,26 @@ use serde::Deserialize;
 use crate::grid::Walls;
 use crate::grid::units::positive_length;
 
-/// No scene is larger, in bytes; a result that happens to be JSON may be.
+/// Maximum size of a scene in bytes; results in JSON may be larger.
 const LARGEST: u64 = 16 << 20;
 
-/// A scene, as far as it says something of the particles.
+/// The data of a scene about particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Scene {
     spacing: f64,
     tank: Option<Walls>,
 }
 
-/// The spacing of the particles of `path`, and the file that says so.
+/// The spacing of the particles at `path`, and the file that has it.
 ///
-/// Every .json and .xml in the file's folder is tried in the order of their names, then those of
-/// the folder above. Files that do not parse, or are no scenes, are passed over.
+/// Tries every .json and .xml in the folder of the file in the order of their names, then those of
+/// the parent folder. Invalid files and other contents are skipped.
 pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
     scene_beside(path).map(|(scene, path)| (scene.spacing, path))
 }
 
-/// The walls of the tank in the scene that gives the spacing of the particles of `path`, and the
-/// scene's file.
+/// The walls of the tank in the scene with the spacing of the particles at `path`, and the scene's
+/// file.
 pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
     let (scene, path) = scene_beside(path)?;
     scene.tank.map(|tank| (tank, path))
@@ -47,7 +47,7 @@ fn scene_beside(path: &Path) -> Option<(Scene, PathBuf)> {
     [folder, &above(folder)].iter().find_map(|folder| scene_in(folder))
 }
 
-/// The folder above, by name where `folder` ends in one.
+/// The parent folder, by name if possible.
 fn above(folder: &Path) -> PathBuf {
     match (folder.components().next_back(), folder.parent()) {
         (Some(Component::Normal(_)), Some(parent)) if parent.as_os_str().is_empty() => ".".into(),
@@ -92,15 +92,15 @@ fn read_small(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// The box from `lo` with these edges; `None` unless it is one.
+/// The box from `lo` with these edges; `None` if it is invalid.
 fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
     let is_box = lo.iter().all(|at| at.is_finite()) && size.iter().all(|&edge| edge > 0.0);
     let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(Some);
     is_box.then(|| Walls([0, 1, 2].map(ends)))
 }
 
-/// Twice `Configuration.particleRadius`, and the only body that is a wall, if it is a box that is
-/// not turned.
+/// Twice `Configuration.particleRadius`, and the only body that is a wall, if it is a box without
+/// rotation.
 fn splishsplash(json: &[u8]) -> Option<Scene> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]
@@ -137,7 +137,7 @@ fn splishsplash(json: &[u8]) -> Option<Scene> {
         }
     }
     impl Body {
-        /// The box whose edges are 1 before it is scaled.
+        /// A unit box, scaled.
         fn walls(&self) -> Option<Walls> {
             let is_box = self.geometry_file.rsplit(['/', '\\']).next() == Some("UnitBox.obj");
             let is_fixed = !self.is_dynamic && self.rotation_angle == 0.0;
@@ -190,12 +190,12 @@ fn dualsphysics(xml: &[u8]) -> Option<Scene> {
     Some(Scene { spacing: constant.or(defined)?, tank: boxes.tank() })
 }
 
-/// The boxes that a case draws.
+/// The boxes of a case.
 #[derive(Debug, Default)]
 struct Boxes {
-    /// Whether boundary particles are drawn.
+    /// Whether current commands draw boundary particles.
     is_boundary: bool,
-    /// Whether boxes are drawn elsewhere than they say.
+    /// Whether boxes are moved by a transformation.
     is_moved: bool,
     is_fill: bool,
     fill: String,
@@ -242,8 +242,8 @@ impl Boxes {
     }
 }
 
-/// The faces that a box of shells fills, such as `bottom | left` or `all^top`, the lower and the
-/// upper one along each axis.
+/// The faces of a box in a fill mode such as `bottom | left` or `all^top`: the lower and the upper
+/// one along each axis.
 fn filled(fill: &str) -> Option<[[bool; 2]; 3]> {
     const FACES: [[&str; 2]; 3] = [["left", "right"], ["front", "back"], ["bottom", "top"]];
     let mut words = fill.split('^').map(str::trim);

@@ -1,5 +1,5 @@
-//! Files that tell other programs of a simulation's frames: rewritten, each whole or not at all, as
-//! frames are done, so that a conversion can be looked at before its end. Of the frames
+//! Lists of a simulation's frames for other programs. They are rewritten as frames are finished,
+//! each completely or not at all, so that a conversion can be viewed before its end. For frames
 //! `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
 //! | meshes | files beside them |
@@ -9,9 +9,8 @@
 //! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
 //! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, what the clips hold |
 //!
-//! Times are the inputs' own, in seconds, where every one has a later one than the frame before;
-//! else the frames' numbers over the frames a second, where those are given; else the numbers
-//! alone.
+//! Times are those of the inputs, in seconds, if they are strictly increasing; else the frame
+//! numbers divided by the frame rate, if it is given; else the frame numbers.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,29 +27,29 @@ use super::vtp::escaped;
 use super::whole::replace_small;
 use super::{UpAxis, WriteError};
 
-/// USD's time codes in a second, where nobody says how many frames there are: its own default.
+/// USD's time codes per second if no frame rate is given: USD's default.
 const CODES_A_SECOND: f64 = 24.0;
-/// Time codes closer to a whole one than this are that.
+/// Time codes closer than this to an integer are rounded.
 const WHOLE: f64 = 1e-6;
 
-/// A frame whose mesh is written.
+/// A frame with a mesh.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrame {
     /// The frame's number.
     pub frame: i64,
-    /// The time in seconds, where the input says it.
+    /// The time in seconds, if the input has it.
     pub time: Option<f64>,
-    /// Name of the mesh's file, in the folder of the listings.
+    /// Name of the mesh's file, in the folder of the lists.
     pub file: String,
     /// Size of that file.
     pub bytes: u64,
-    /// Particles that were used.
+    /// Number of used particles.
     pub particles: u64,
     /// Number of vertices of the mesh.
     pub vertices: u64,
     /// Number of triangles of the mesh.
     pub triangles: u64,
-    /// The mesh's box, as programs will show it; an empty mesh has none.
+    /// The mesh's bounding box as programs show it; `None` for an empty mesh.
     pub bounds: Option<Bounds>,
     /// Whether vertices have normals.
     pub normals: bool,
@@ -58,29 +57,29 @@ pub struct SeriesFrame {
     pub attributes: Vec<AttributeInfo>,
 }
 
-/// The files that list a simulation.
+/// The files that list the frames of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Format of the meshes, with the axis that points up where that is written.
+    /// Format of the meshes, with the up axis if the format stores it.
     pub format: MeshFormat,
-    /// Path of the frames without any number: `mesh/pool.vtp`.
+    /// Path of the frames without their number: `mesh/pool.vtp`.
     pub simulation: PathBuf,
-    /// Frames a second, where it is known.
+    /// Frames per second, if known.
     pub fps: Option<f64>,
-    /// The axis that points up in the meshes, as programs will show them.
+    /// The up axis of the meshes as programs show them.
     pub up: UpAxis,
 }
 
-/// When a frame is shown.
+/// The time of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Moment {
-    /// In seconds, or the number where nothing tells.
+    /// In seconds, or the frame number.
     time: f64,
-    /// USD's.
+    /// USD's time code.
     code: f64,
 }
 
-/// A listing of frames, as far as it says which axis points up in which files.
+/// The up axis and the files in a list of frames.
 #[derive(Deserialize)]
 struct Listing {
     up: String,
@@ -92,10 +91,10 @@ struct ListedFile {
     file: String,
 }
 
-/// No listing that is looked for is larger, in bytes: of some 200,000 frames.
+/// Maximum size in bytes of a list that is read: about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
 
-/// The axis that points up in a mesh that a listing beside it names; `None` where there is none.
+/// The up axis of a mesh from a list beside it; `None` without a list.
 pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
     let folder = mesh.parent()?;
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -116,7 +115,7 @@ pub(super) fn listed_up(mesh: &Path) -> Option<UpAxis> {
 }
 
 impl Series {
-    /// The files that [`write`](Self::write) writes; the first tells all that is known.
+    /// The files that [`write`](Self::write) writes. The first has all data.
     pub fn files(&self) -> Vec<PathBuf> {
         let list = self.appended(".json");
         match self.format {
@@ -127,7 +126,7 @@ impl Series {
                 vec![list, self.appended(".series")]
             }
             MeshFormat::Obj | MeshFormat::Glb(_) | MeshFormat::BgeoSc => vec![list],
-            // What the stage names is there before it.
+            // Files are written before the stage that refers to them.
             MeshFormat::Usdc(_) => vec![list, self.clips(), self.simulation.with_extension("usda")],
         }
     }
@@ -138,15 +137,15 @@ impl Series {
         name.into()
     }
 
-    /// Returns the path of the manifest, which says what USD's clips hold.
+    /// The path of the manifest, which declares the contents of USD's clips.
     fn clips(&self) -> PathBuf {
         self.simulation.with_extension("manifest.usda")
     }
 
-    /// Lists `frames`, which are in order of their numbers, in place of those listed before.
+    /// Lists `frames`, which are in the order of their numbers, and replaces earlier lists.
     ///
     /// # Errors
-    /// Where the system refuses.
+    /// Errors of the system.
     pub fn write(&self, frames: &[SeriesFrame]) -> Result<(), WriteError> {
         let moments = self.moments(frames);
         let shown: Vec<(&SeriesFrame, Moment)> = frames.iter().zip(moments).collect();

@@ -1,4 +1,4 @@
-//! Stamps that tell an input from what it was before.
+//! Stamps that detect changed inputs.
 
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
@@ -11,13 +11,13 @@ use super::ReadError;
 use super::frame_files::files_of;
 use super::input::file_and_step;
 
-/// Sizes, times and names of an input's files, and its frame's number: they tell it from others,
-/// and from what it was before.
+/// Sizes, times and names of an input's files, and its frame number. They distinguish it from other
+/// inputs and from earlier versions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
-    /// The size of all files.
+    /// Total size of all files.
     pub bytes: u64,
-    /// Time at which the newest was written, in nanoseconds.
+    /// Modification time of the newest file in nanoseconds.
     pub modified: u64,
     /// CRC-32 of each file's name, size and time, and of the frame's number.
     #[serde(default)]
@@ -25,34 +25,33 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// Stamps the file as it is now, with all frames that it may hold, and with all its pieces that
-    /// are there.
+    /// The stamp of a file with all its frames and existing pieces.
     ///
     /// # Errors
-    /// [`ReadError`] that names the file that is missing or cannot be looked at.
+    /// [`ReadError`] with the file that is missing or cannot be accessed.
     pub fn of(path: &Path) -> Result<Self, ReadError> {
         Self::of_all([path])
     }
 
-    /// Stamps several files, whose particles are of one frame.
+    /// The stamp of several files of one frame.
     ///
     /// # Errors
-    /// [`ReadError`] that names the file that is missing or cannot be looked at.
+    /// [`ReadError`] with the file that is missing or cannot be accessed.
     pub fn of_all<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<Self, ReadError> {
         let (mut bytes, mut newest, mut files) = (0, 0, Hasher::new());
         for path in paths {
             for file in files_of(path) {
-                let told = file.metadata().and_then(|of| Ok((of.modified()?, of)));
+                let found = file.metadata().and_then(|of| Ok((of.modified()?, of)));
                 let (modified, metadata) =
-                    told.map_err(|fault| ReadError::new(&file, fault.into()))?;
+                    found.map_err(|fault| ReadError::new(&file, fault.into()))?;
                 let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
                 let (size, modified) = (metadata.len(), since.as_nanos() as u64);
-                // Folders are left out: they may have other names on other machines.
+                // Folders are ignored, because they may have other names on other machines.
                 files.update(file.file_name().unwrap_or_default().as_encoded_bytes());
                 [size, modified].iter().for_each(|number| files.update(&number.to_le_bytes()));
                 (bytes, newest) = (bytes + size, newest.max(modified));
             }
-            // A file that holds one frame has no number.
+            // A file with a single frame has no number.
             if let (_, Some(step)) = file_and_step(path) {
                 files.update(&step.to_le_bytes());
             }
@@ -61,17 +60,17 @@ impl Stamp {
     }
 }
 
-/// A file's identity, by which it is told from all others.
+/// A file's identity, which distinguishes it from all others.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Identity {
-    /// A file that is there.
+    /// An existing file.
     File(FileId),
-    /// A file that is not there yet, in a folder whose name is whole.
+    /// A file that does not exist yet, with the canonical name of its folder.
     Name(PathBuf),
 }
 
 impl Identity {
-    /// Looks at what is there.
+    /// The identity of a path.
     pub fn of(path: &Path) -> Self {
         if let Ok(id) = get_file_id(path) {
             return Self::File(id);
@@ -83,7 +82,7 @@ impl Identity {
     }
 }
 
-/// Whether two names are of one file.
+/// Whether two names refer to the same file.
 #[must_use]
 pub fn is_same_file(one: &Path, other: &Path) -> bool {
     Identity::of(one) == Identity::of(other)

@@ -1,13 +1,12 @@
-//! .stl: triangles each for itself, by the coordinates of their corners; written in binary, read
-//! also as text.
+//! .stl: independent triangles with the coordinates of their corners; written in binary, read also
+//! in text.
 //!
-//! The format has no vertices that triangles could share, so the reader takes corners for one
-//! vertex whose coordinates are equal to the bit. Of the formats it is the only one in which
-//! positions name vertices: a mesh that touches itself comes back joined there. Coordinates are f32 in binary, and
-//! there is no place for anything else.
+//! The format has no shared vertices, so the reader merges corners with exactly equal coordinates.
+//! This is the only place where positions identify vertices: a mesh that touches itself is joined
+//! there after reading. Binary coordinates are f32, and there are no attributes.
 //!
-//! For want of vertices it is also the one format whose writer holds more than a few pieces of a
-//! mesh: the positions of all vertices, 24 bytes each, unless they are in memory already.
+//! It is also the only format whose writer needs the positions of all vertices, 24 bytes each,
+//! unless they are in memory already.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -25,25 +24,25 @@ use super::scan::Scanner;
 use super::up::note;
 use super::{CoordinateWidth, ReadFault, malformed};
 
-/// Whatever it says, it must not start with "solid", which is how text does.
+/// The title must not start with "solid", which marks a text file.
 const TITLE: &[u8; 80] =
     b"binary STL, written by meniscus                                                 ";
 
-/// Title and number of triangles.
+/// Bytes of the title and the number of triangles.
 const HEADER: usize = TITLE.len() + 4;
 
-/// Normal, three corners, and two bytes without a meaning.
+/// Bytes of a normal, three corners, and an unused number.
 const RECORD: usize = 50;
 
-/// Writes the triangles in binary, with their normals (zero where there is no area). The width is
-/// always f32.
+/// Writes the triangles in binary, with their normals (zero for triangles without area). The width
+/// is always f32.
 ///
 /// # Errors
-/// Those of `mesh` and `out`; before anything is written
-/// [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
+/// Those of `mesh` and `out`, and before anything is written [`io::ErrorKind::OutOfMemory`] without
+/// memory for the positions.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -70,15 +69,15 @@ pub fn write_mesh(
     })
 }
 
-/// Number of vertices with the f32 position of another. The surface touches itself there in
-/// programs that join equal corners.
+/// Number of vertices with the same f32 position as another one. Programs that merge equal corners
+/// join the surface there.
 ///
 /// # Errors
-/// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
+/// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] without memory for the positions.
 pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
-    // Adding 0 leaves one of the two zeros.
+    // Adding 0 makes both zeros equal.
     let mut places: Vec<[u32; 3]> =
         positions.par_iter().map(|position| position.map(|x| (x as f32 + 0.0).to_bits())).collect();
     drop(positions);
@@ -102,15 +101,14 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
     Ok(positions)
 }
 
-/// Reads triangles, binary or text, and joins corners of equal coordinates. Normals are passed
-/// over.
+/// Reads triangles, binary or text, and merges corners with equal coordinates. Normals are ignored.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file of another length than
-/// its number of triangles asks for, [`ReadFault::Line`] for text that is no .stl.
+/// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file whose length does not fit
+/// its number of triangles, [`ReadFault::Line`] for invalid text.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     // Some binary files start with "solid" as well, but no text has the length that its bytes 80 to
-    // 83 ask for.
+    // 83 would require.
     match records(bytes) {
         Ok(records) => joined(records.flat_map(corners)),
         Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),
@@ -118,7 +116,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     }
 }
 
-/// The triangles of a binary file, as they are.
+/// The triangles of a binary file.
 fn records(bytes: &[u8]) -> Result<impl Iterator<Item = &[u8; RECORD]>, ReadFault> {
     let have = bytes.len() as u64;
     let truncated =
@@ -149,7 +147,7 @@ fn corners(record: &[u8; RECORD]) -> [[f64; 3]; 3] {
     [3, 6, 9].map(|first| [0, 1, 2].map(|axis| number(first + axis)))
 }
 
-/// The corners of a text file's triangles, three after three. One statement a line.
+/// The corners of a text file's triangles, with one statement per line.
 fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut corners = Vec::new();
@@ -178,12 +176,12 @@ fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     }
 }
 
-/// Where in a text file we are.
+/// The context in a text file.
 #[derive(Clone, Copy)]
 enum Inside {
     Nothing,
     Solid,
-    /// Around a triangle whose first corner has this number.
+    /// In a triangle whose first corner has this number.
     Loop {
         first: usize,
     },
@@ -199,7 +197,7 @@ impl Inside {
     }
 }
 
-/// One vertex for all corners of equal coordinates, in the order of their first corners.
+/// Merges corners with equal coordinates into vertices, in the order of first use.
 fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     let mut mesh = Mesh::default();
     let mut known = HashMap::new();

@@ -1,5 +1,5 @@
-//! Tecplot in text: one zone of points, whose values are given point by point or variable by
-//! variable ("Data Format Guide", Tecplot 360).
+//! Reads Tecplot in text: one zone of points, with values point by point or variable by variable
+//! ("Data Format Guide", Tecplot 360).
 
 use std::ops::{ControlFlow, Range};
 
@@ -17,12 +17,12 @@ use super::{ParticleFile, ReadFault};
 /// Bytes of a number.
 const WIDTH: usize = size_of::<f64>();
 
-/// Zones that a message names.
+/// Maximum number of zones in a message.
 const ZONES_SHOWN: usize = 8;
-/// Bytes of a zone's first line that are looked at.
+/// Bytes of a zone's first line that are examined.
 const LONGEST_RECORD: usize = 1 << 10;
 
-/// Records that may stand in a header.
+/// Records of a header.
 const KEYWORDS: [&str; 8] = [
     "TITLE",
     "VARIABLES",
@@ -50,7 +50,7 @@ struct Zone {
     time: Option<f64>,
 }
 
-/// Whether lines of a text's head begin like Tecplot's records.
+/// Whether lines at the start of a text are records of Tecplot.
 pub(super) fn is_tecplot(head: &[u8]) -> bool {
     let head = String::from_utf8_lossy(head);
     let mut lines = head.lines().map(str::trim).filter(|line| !line.is_empty());
@@ -65,7 +65,7 @@ pub(super) fn is_tecplot(head: &[u8]) -> bool {
     })
 }
 
-/// The keyword that a line begins with, and what follows.
+/// The keyword at the start of a line, and the rest.
 fn keyword(line: &str) -> Option<(&'static str, &str)> {
     let line = line.trim_start_matches('\u{feff}');
     let word = line.split(|c: char| c == '=' || c.is_ascii_whitespace()).next()?;
@@ -76,9 +76,8 @@ fn keyword(line: &str) -> Option<(&'static str, &str)> {
 /// Reads the only zone.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for several zones, elements, shared variables, and an order of values
-/// that the zone does not say; [`ReadFault::Line`] for a line that does not parse, and for values
-/// that are not as many as the zone says.
+/// [`ReadFault::Unsupported`] for several zones, elements, shared variables, and an unspecified
+/// order of values; [`ReadFault::Line`] for an invalid line, and a wrong number of values.
 pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let mut lines = TextLines::new(bytes.view())?;
     let mut names = Vec::new();
@@ -161,7 +160,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             }
         }
     };
-    // Without a number of points, values can only be in the order of points.
+    // Without a number of points, values can only be point by point.
     let packing = match (zone.packing, zone.points[0]) {
         (Some(packing), _) => packing,
         (None, None) => Packing::Point,
@@ -193,7 +192,7 @@ fn is_number(word: &str) -> bool {
     f64::of(word.as_bytes()).is_some()
 }
 
-/// The names of variables, quoted or between blanks or commas.
+/// The names of variables, quoted or separated by blanks or commas.
 fn variables(text: &str) -> Vec<String> {
     let mut names = Vec::new();
     let mut rest = text;
@@ -213,7 +212,7 @@ fn variables(text: &str) -> Vec<String> {
 }
 
 impl Zone {
-    /// Takes what a line of the zone's record says.
+    /// Processes a line of the zone's record.
     fn say(&mut self, text: &str) -> Result<(), String> {
         let mut rest = text;
         loop {
@@ -264,7 +263,7 @@ impl Zone {
     }
 }
 
-/// The titles of all zones, or words for one without.
+/// The titles of all zones, or a replacement for a missing title.
 fn zones_of(source: &Source) -> Result<Vec<String>, ReadFault> {
     let title = |line: &[u8]| {
         let line = String::from_utf8_lossy(line.get(..LONGEST_RECORD).unwrap_or(line));
@@ -290,7 +289,7 @@ fn zones_of(source: &Source) -> Result<Vec<String>, ReadFault> {
     Ok(zones)
 }
 
-/// Decodes the numbers of a range; or the line where another zone begins.
+/// Decodes the numbers of a range; or returns the line where another zone starts.
 fn decode(
     source: &Source,
     range: Range<usize>,
@@ -318,7 +317,7 @@ fn decode(
     let mut passed = lines_above;
     let mut numbers = Unpacked::new(unpacking);
     let mut other_zone = None;
-    /// Records that may stand before another zone.
+    /// Records that may precede another zone.
     const BETWEEN: [&[u8]; 6] =
         [b"ZONE", b"TITLE", b"TITLE=", b"VARIABLES", b"VARIABLES=", b"DATASETAUXDATA"];
     decode_windows(source, range, is_end, decode, |piece| {

@@ -1,5 +1,5 @@
-//! Text decoded piece by piece on all threads, so that neither it nor what it says need be in
-//! memory whole.
+//! Decodes text piece by piece on all threads, so that neither the text nor its contents need be in
+//! memory as a whole.
 
 use std::borrow::Cow;
 use std::ops::{ControlFlow, Range};
@@ -13,23 +13,24 @@ use super::scan::Scanner;
 use super::windows::{Source, Windows};
 use super::{ReadFault, malformed};
 
-/// Bytes that are read at once where lines are passed.
+/// Bytes per read when lines are skipped.
 const WINDOW: usize = 1 << 18;
 /// Bytes of the longest line of a header.
 const LONGEST_LINE: usize = 1 << 16;
-/// Marks of a text's encoding.
+/// Byte order marks.
 const UTF8: &[u8] = b"\xef\xbb\xbf";
 const UTF16: [([u8; 2], Endian); 2] = [([0xff, 0xfe], Endian::Little), ([0xfe, 0xff], Endian::Big)];
 
-/// Bytes of a piece, at the least.
+/// Minimum size of a piece in bytes.
 const PIECE: usize = 1 << 16;
-/// Bytes in which the end of a piece is looked for at once.
+/// Bytes in which the end of a piece is searched at once.
 const LOOKED_AT: usize = 1 << 12;
-/// Pieces for every thread between two times that memory is given back.
+/// Pieces per thread between two releases of memory.
 const PIECES: usize = 4;
 
-/// Cuts a `range` of `source` into pieces that end behind an `end`, and passes what `decode` makes
-/// of each on to `take`, in order, until that breaks. Text that was decoded is released.
+/// Divides a `range` of `source` into pieces that end after a byte `end`, decodes them with
+/// `decode`, and passes the results to `take` in order, until that breaks. The memory of decoded
+/// text is released.
 pub(super) fn decode_pieces<T: Send>(
     source: Slice,
     range: Range<usize>,
@@ -43,12 +44,12 @@ pub(super) fn decode_pieces<T: Send>(
     in_pieces(range, end_from, decode, take, |done| source.release(done))
 }
 
-/// Cuts a text that is read by windows like [`decode_pieces`] one that is in memory, and decodes
-/// each piece by itself: no more than the pieces in hand is kept.
+/// Like [`decode_pieces`] for a text in windows. Each piece is decoded independently, and only the
+/// current pieces are in memory.
 ///
 /// # Errors
-/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] where the text cannot be read
-/// as it was.
+/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
+/// cannot be read.
 pub(super) fn decode_windows<T: Send>(
     source: &Source,
     range: Range<usize>,
@@ -66,13 +67,13 @@ pub(super) fn decode_windows<T: Send>(
     };
     let decode = |piece: Range<usize>| source.with(piece, &decode);
     let decoded = in_pieces(range, end_from, decode, take, |done| source.release(done));
-    // What could not be read was taken for zeros.
+    // Unreadable bytes were replaced by zeros.
     source.check().map_err(ReadFault::from)?;
     decoded
 }
 
-/// Passes what `decode` makes of pieces on, each of which ends where `end_from` says that one does
-/// from a place on.
+/// Decodes pieces and passes on the results. `end_from` returns the end of the piece that contains
+/// a position.
 fn in_pieces<T: Send>(
     range: Range<usize>,
     end_from: impl Fn(usize) -> Option<usize>,
@@ -104,7 +105,7 @@ fn in_pieces<T: Send>(
 /// Appends the numbers of a `text` within `source` as little-endian f64.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for what is no number, and those of [`Unpacked::push`].
+/// [`ReadFault::Line`] for invalid numbers, and those of [`Unpacked::push`].
 pub(super) fn decode_numbers(
     source: Slice,
     text: Range<usize>,
@@ -128,11 +129,11 @@ pub(super) fn decode_numbers(
     })
 }
 
-/// Decodes a text in UTF-16 that begins with a byte order mark; any other is left as it is.
+/// Decodes a text in UTF-16 with a byte order mark; other texts are unchanged.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for half a character at the end, and those of reading and of the
-/// scratch file.
+/// [`ReadFault::Malformed`] for an incomplete character at the end, and errors of reading and of
+/// the scratch file.
 pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let mark = view.read(0..view.len().min(2))?;
@@ -152,7 +153,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
     for at in (2..view.len()).step_by(WINDOW) {
         let end = view.len().min(at + WINDOW);
         units.extend(view.read(at..end)?.as_chunks().0.iter().map(|&bytes| unit(bytes)));
-        // The first half of a pair waits for the second.
+        // The first half of a surrogate pair waits for the second.
         let waits = end < view.len() && matches!(units.last(), Some(0xd800..0xdc00));
         let half = if waits { units.pop() } else { None };
         let decoded: String = char::decode_utf16(units.drain(..))
@@ -165,19 +166,19 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
     text.finish().map(Bytes::Kept)
 }
 
-/// The beginning of a line.
+/// The start of a line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LinePlace {
     /// Bytes from the start of the text.
     pub at: usize,
-    /// The number of lines above it.
+    /// Number of lines before it.
     pub lines_above: u64,
 }
 
-/// The lines of a text, one after the other, read by windows.
+/// Reads the lines of a text sequentially, in windows.
 pub(super) struct TextLines<'a> {
     view: View<'a>,
-    /// Where the last line ends that is not blank.
+    /// The end of the last line that is not blank.
     end: usize,
     at: usize,
     passed: u64,
@@ -186,7 +187,7 @@ pub(super) struct TextLines<'a> {
 }
 
 impl<'a> TextLines<'a> {
-    /// Starts at the first line, behind a byte order mark.
+    /// Starts at the first line, after a byte order mark.
     pub fn new(view: View<'a>) -> Result<Self, ReadFault> {
         let marked = *view.read(0..view.len().min(UTF8.len()))? == *UTF8;
         let at = if marked { UTF8.len() } else { 0 };
@@ -195,18 +196,18 @@ impl<'a> TextLines<'a> {
         Ok(Self { view, end, at, passed: 0, window: Cow::Borrowed(&[]), window_at: at })
     }
 
-    /// Starts at a line below the first.
+    /// Starts at a later line.
     pub fn at(view: View<'a>, place: LinePlace) -> Result<Self, ReadFault> {
         let LinePlace { at, lines_above } = place;
         Ok(Self { at, passed: lines_above, window_at: at, ..Self::new(view)? })
     }
 
-    /// The place of the line that comes next.
+    /// The place of the next line.
     pub fn place(&self) -> LinePlace {
         LinePlace { at: self.at, lines_above: self.passed }
     }
 
-    /// A fault of the line that was passed last.
+    /// A fault in the last line.
     pub fn fault(&self, what: impl Into<String>) -> ReadFault {
         ReadFault::Line { line: self.passed.max(1), what: what.into() }
     }
@@ -219,11 +220,10 @@ impl<'a> TextLines<'a> {
         Ok(&self.window[self.at - self.window_at..])
     }
 
-    /// Passes a line, and returns it without its end and the blanks around it; None where only
-    /// blank lines are left.
+    /// Reads a line without its end and surrounding blanks; `None` if only blank lines remain.
     ///
     /// # Errors
-    /// [`ReadFault::Line`] for one too long for a header, and those of reading.
+    /// [`ReadFault::Line`] for a line that is too long for a header, and errors of reading.
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
         let mut line = Vec::new();
         let start = self.at;
@@ -248,13 +248,13 @@ impl<'a> TextLines<'a> {
         }
     }
 
-    /// Passes as many lines as there are, `count` at the most, and returns how many.
+    /// Skips up to `count` lines, and returns their number.
     ///
     /// # Errors
-    /// Those of reading.
+    /// Errors of reading.
     pub fn skip(&mut self, count: u64) -> Result<u64, ReadFault> {
         let mut skipped = 0;
-        // Whether a line has begun that has no end yet.
+        // Whether the current line has no end yet.
         let mut begun = false;
         while skipped < count {
             let ahead = self.ahead()?;

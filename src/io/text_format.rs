@@ -1,4 +1,4 @@
-//! Text files of particles: the format of one by its content, and its frames.
+//! Text files of particles: detects the format from the content, and finds the frames.
 //!
 //! | format | recognised by | frames |
 //! |---|---|---|
@@ -7,7 +7,7 @@
 //! | XYZ | the number of particles alone on the first line | its frames, from 0 |
 //! | table | anything else | one |
 //!
-//! A format that the request names is not looked for. UTF-16 with a byte order mark is decoded
+//! If the request names a format, it is not detected. UTF-16 with a byte order mark is decoded
 //! first.
 
 use std::path::Path;
@@ -22,7 +22,7 @@ use super::text::{LinePlace, TextLines, utf8};
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, ReadFault, lammps, table, tecplot, xyz};
 
-/// Bytes by which formats are told apart.
+/// Bytes that identify the format.
 const SNIFFED: usize = 4 << 10;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,17 +34,17 @@ enum TextFormat {
     Table,
 }
 
-/// The format of a text, as far as it is known before its content.
+/// What is known of the format before reading the content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
-    /// The format that the file's extension names; the content counts.
+    /// The format of the file's extension; the content decides.
     Extension(Option<InputFormat>),
-    /// The format that the request names.
+    /// The format of the request.
     Named(InputFormat),
 }
 
 impl TextHint {
-    /// Whether a text may be raw numbers.
+    /// Whether a file may contain raw numbers.
     fn may_be_raw(self) -> bool {
         matches!(self, Self::Extension(Some(InputFormat::Xyz)) | Self::Named(InputFormat::Xyz))
     }
@@ -71,14 +71,13 @@ impl TextFormat {
             Some(Tecplot) => Self::Tecplot,
             None if by_extension == Some(Lammps) || lammps::is_dump(&head) => Self::Lammps,
             None if tecplot::is_tecplot(&head) => Self::Tecplot,
-            // What is called XYZ may be a table of nothing but positions.
+            // A file with the extension of XYZ may be a table that contains only positions.
             None | Some(Xyz) if xyz::has_count(bytes)? => Self::Xyz,
             _ => Self::Table,
         })
     }
 
-    /// Passes a frame, of which there are `before` above it, and returns its number; `None` at the
-    /// end of the file.
+    /// Skips a frame after `before` others, and returns its number; `None` at the end of the file.
     fn pass(self, lines: &mut TextLines, before: u64) -> Result<Option<u64>, ReadFault> {
         match self {
             Self::Lammps => lammps::pass(lines),
@@ -88,18 +87,18 @@ impl TextFormat {
     }
 }
 
-/// Frames of a text, and the places where they begin.
+/// The frames of a text, with their start.
 #[derive(Debug)]
 struct Frames {
     format: TextFormat,
     /// Numbers and places, in the order of the file.
     all: Vec<(u64, LinePlace)>,
-    /// The place from which on the text does not parse.
+    /// The start of the invalid part of the text, if any.
     broken: Option<LinePlace>,
 }
 
 impl Frames {
-    /// Passes over the whole text.
+    /// Scans the whole text.
     fn of(view: View, hint: TextHint) -> Result<Self, ReadFault> {
         let format = TextFormat::of(view, hint)?;
         let mut frames = Self { format, all: Vec::new(), broken: None };
@@ -120,15 +119,15 @@ impl Frames {
         Ok(frames)
     }
 
-    /// The fault at which the text stops to parse, if it does.
+    /// The error of the invalid part, if any.
     fn check(&self, view: View) -> Result<(), ReadFault> {
         let Some(place) = self.broken else { return Ok(()) };
         let passed = self.format.pass(&mut TextLines::at(view, place)?, self.all.len() as u64);
-        // What parses now has changed.
+        // If it is valid now, the file has changed.
         passed.and(Err(ReadFault::Changed))
     }
 
-    /// The numbers, in order. A step that is there twice, as after a restart, is one.
+    /// The numbers, in order. A step that occurs twice, for example after a restart, counts once.
     fn numbers(&self) -> Vec<u64> {
         let mut numbers: Vec<u64> = self.all.iter().map(|(number, _)| *number).collect();
         numbers.sort_unstable();
@@ -136,8 +135,8 @@ impl Frames {
         numbers
     }
 
-    /// The place of the frame of a number, or of the only one. Frames above a line that does not
-    /// parse can be read by their numbers.
+    /// The place of the frame with a number, or of the only one. Frames before an invalid line can
+    /// be read by their numbers.
     fn find(&self, view: View, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
             Some(step) => self.all.iter().find(|(number, _)| *number == step),
@@ -159,7 +158,7 @@ impl Frames {
     }
 }
 
-/// Whether bytes are text, of which the last character may be cut off.
+/// Whether bytes are text; the last character may be incomplete.
 fn is_text(start: &[u8]) -> bool {
     let text = match std::str::from_utf8(start) {
         Ok(text) => text,
@@ -169,7 +168,7 @@ fn is_text(start: &[u8]) -> bool {
     text.chars().all(|c| !c.is_control() || c.is_ascii_whitespace())
 }
 
-/// Decodes UTF-16, unless a file that may hold raw numbers looks like them.
+/// Decodes UTF-16, unless the file may contain raw numbers that look like it.
 fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     if hint.may_be_raw() {
         let view = bytes.view();
@@ -182,16 +181,16 @@ fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, 
     utf8(bytes, unpacking)
 }
 
-/// Reads a frame of a text file, or its only one. In an .xyz, bytes that are no text are raw
+/// Reads a frame of a text file, or its only one. In an .xyz, bytes that are not text are raw
 /// little-endian f32 triples.
 ///
-/// Where frames begin is kept for a file at a path with a stamp, so that each is read without those
-/// above it.
+/// The starts of frames are cached for a file with its stamp, so that each frame can be read
+/// without those before it.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse; [`ReadFault::Unsupported`] where a frame has
-/// to be chosen or is not there; [`ReadFault::Malformed`] for raw bytes that are not whole triples;
-/// [`ReadFault::Scratch`] where the scratch file fails.
+/// [`ReadFault::Line`] for an invalid line; [`ReadFault::Unsupported`] if a frame must be chosen or
+/// does not exist; [`ReadFault::Malformed`] for raw bytes that are not whole triples;
+/// [`ReadFault::Scratch`] if the scratch file fails.
 pub fn read_particles(
     bytes: Bytes,
     hint: TextHint,
@@ -235,10 +234,10 @@ pub fn read_particles(
     }
 }
 
-/// The numbers of the frames in a file, in order; none in a file that is one frame.
+/// The numbers of the frames in a file, in order; empty for a file with a single frame.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a file of several that does not parse.
+/// [`ReadFault::Line`] for an invalid file with several frames.
 pub fn steps(bytes: Bytes, extension: InputFormat) -> Result<Vec<u64>, ReadFault> {
     let hint = TextHint::Extension(Some(extension));
     let bytes = decoded(bytes, hint, Unpacking::for_a_look())?;

@@ -12,23 +12,22 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::{UpAxis, series};
 
-/// The comment, without what begins and ends one in a format.
+/// The text of the comment, without the delimiters of a format.
 const NOTE: &str = "meniscus: z points up";
-/// Bytes at the beginning of a file that are searched for the comment.
+/// Bytes at the start of a file in which the comment is searched.
 const SEARCHED: u64 = 512;
 
-/// The comment that a mesh needs, if any.
+/// The comment for a mesh, if it needs one.
 pub(super) fn note(mesh: &dyn MeshSource) -> Option<&'static str> {
     (mesh.up() == UpAxis::Z).then_some(NOTE)
 }
 
-/// The comment that a mesh needs, between what begins and ends one in a format; else nothing.
+/// The comment for a mesh with the delimiters of a format, or nothing.
 pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String {
     note(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
 }
 
-/// The axis that points up in a mesh's file, as that or a listing beside it says; `None` where
-/// neither does.
+/// The up axis in a mesh's file or in a list beside it; `None` if neither has it.
 #[must_use]
 pub fn up_said(mesh: &Path) -> Option<UpAxis> {
     let noted = || {
@@ -37,6 +36,6 @@ pub fn up_said(mesh: &Path) -> Option<UpAxis> {
         let mut places = begins.windows(NOTE.len());
         places.any(|place| place == NOTE.as_bytes()).then_some(UpAxis::Z)
     };
-    // A pipe that is read here would be empty for its reader.
+    // Reading a pipe would consume its data.
     mesh.is_file().then(|| noted().or_else(|| series::listed_up(mesh))).flatten()
 }

@@ -1,5 +1,5 @@
-//! Helpers of the readers whose formats hold either particles or a mesh: columns over the vertices,
-//! and triangles from polygons.
+//! Helpers for readers of formats that contain either particles or a mesh: columns of vertices, and
+//! triangles from polygons.
 
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::surface::mesh::{Mesh, VertexAttribute};
@@ -8,19 +8,19 @@ use super::bytes::{Bytes, Kept};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// The vertices of a file, found and checked against its size.
+/// The vertices of a file, checked against its size.
 pub(super) struct Vertices {
-    /// Columns of little-endian f64, in place of the file's bytes where those are text.
+    /// Decoded columns of little-endian f64, if the file is text.
     pub decoded: Option<Kept>,
     pub count: usize,
     pub position: [Column; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Column>)>,
-    /// The number of the attribute that holds three components of a normal.
+    /// The number of the attribute with normals of three components.
     pub normals: Option<usize>,
 }
 
 impl Vertices {
-    /// Each vertex a particle.
+    /// Uses each vertex as a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
         let bytes = self.decoded.map_or(bytes, Bytes::Kept);
         let particles: ColumnStore =
@@ -28,19 +28,19 @@ impl Vertices {
         ParticleFile::new(particles, format)
     }
 
-    /// The vertices of a mesh.
+    /// Makes a mesh.
     pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
-        // Of attributes with one name the first is kept: their numbers are others by now.
+        // Duplicate attributes were removed, so numbers have changed.
         let normals = normals.and_then(|name| normals_called(&name, &store));
         whole(&store, normals, triangles)
     }
 }
 
-/// The vertices of a mesh in memory; attribute number `normals` is that.
+/// Makes a mesh; attribute number `normals` has the normals.
 fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>) -> Mesh {
     let count = store.len();
     let mut positions = vec![[0.0; 3]; count];
@@ -68,19 +68,19 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
     Mesh { positions, triangles, normals, attributes }
 }
 
-/// A mesh of points and their attributes, of which one called `normals` is that.
+/// A mesh from points and their attributes; the one called `normals` has the normals.
 #[cfg(feature = "hdf5")]
 pub(super) fn mesh_of(points: &dyn Particles, normals: &str, triangles: Vec<[u32; 3]>) -> Mesh {
     whole(points, normals_called(normals, points), triangles)
 }
 
-/// The number of the attribute that has a name, if that can be normals.
+/// The number of the attribute with this name, if it can be normals.
 fn normals_called(name: &str, points: &dyn Particles) -> Option<usize> {
     let is_normals = |info: &AttributeInfo| info.name == name && info.components == 3;
     points.attributes().iter().position(is_normals)
 }
 
-/// Neighbouring columns: `components` of them from byte `offset` on, in rows of `stride` bytes.
+/// Adjacent columns: `components` of them from byte `offset` on, in rows of `stride` bytes.
 pub(super) fn columns(
     offset: usize,
     stride: usize,
@@ -93,7 +93,7 @@ pub(super) fn columns(
         .collect()
 }
 
-/// Triangles from the polygons of a file.
+/// Collects triangles from the polygons of a file.
 pub(super) struct Triangles {
     vertices: usize,
     pub triangles: Vec<[u32; 3]>,
@@ -110,8 +110,8 @@ impl Triangles {
         Ok(Self { vertices, triangles: Vec::new() })
     }
 
-    /// Fans face number `face`, stored at byte `at`, from its first corner. Points and lines have
-    /// no area and are ignored.
+    /// Divides face number `face`, stored at byte `at`, into triangles from its first corner.
+    /// Points and lines have no area and are ignored.
     pub fn polygon(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         self.check(face, at, corners)?;
         if let [apex, rim @ ..] = corners {
@@ -121,7 +121,7 @@ impl Triangles {
         Ok(())
     }
 
-    /// Every three neighbours on a strip are a triangle, the second one turned over, and so on.
+    /// Every three consecutive corners of a strip are a triangle; every second one is reversed.
     pub fn strip(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         self.check(face, at, corners)?;
         self.triangles.extend(corners.windows(3).enumerate().map(|(i, c)| {
@@ -142,7 +142,7 @@ impl Triangles {
     }
 }
 
-/// The integer that `bytes` hold; nothing for a type that is not one.
+/// The integer in `bytes`; `None` for other types.
 pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i64> {
     let chunk2 =
         || bytes.first_chunk().map(|&b| order(endian, b, u16::from_le_bytes, u16::from_be_bytes));
@@ -158,7 +158,7 @@ pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i6
         Scalar::I32 => chunk4().map(|value| i64::from(value as i32)),
         Scalar::U32 => chunk4().map(i64::from),
         Scalar::I64 => chunk8().map(|value| value as i64),
-        // What is beyond i64 is no count and no index: -1 is refused wherever it is used.
+        // Values beyond i64 are invalid as counts and indices; -1 is always rejected.
         Scalar::U64 => chunk8().map(|value| i64::try_from(value).unwrap_or(-1)),
         Scalar::F16 | Scalar::F32 | Scalar::F64 => None,
     }

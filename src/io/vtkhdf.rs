@@ -1,9 +1,8 @@
-//! Writing meshes as VTKHDF, which is HDF5: PolyData of one partition, every data set in one run of
-//! bytes.
+//! Writes meshes as VTKHDF, which is HDF5: PolyData with one partition, every data set contiguous.
 //!
-//! All sizes are known before the first byte, so the file is written from front to back: the
-//! superblock (version 0), the headers of all groups and data sets (version 1, with links in them),
-//! then the data. It is read by [`h5`](super::input) and by whatever reads HDF5.
+//! All sizes are known in advance, so the file is written sequentially: the superblock (version 0),
+//! the headers of all groups and data sets (version 1, with links in them), then the data.
+//! [`h5`](super::input) and other HDF5 readers can read it.
 
 use std::io::{self, Write};
 
@@ -13,18 +12,18 @@ use super::CoordinateWidth;
 use super::columns::Scalar;
 use super::vtp::arrays::{Array, point_data, points, polygons};
 
-/// Stands where there is no address.
+/// The undefined address.
 const NOWHERE: u64 = u64::MAX;
 /// Bytes of the superblock.
 const SUPERBLOCK: u64 = 96;
 
 /// Writes `mesh` with all of its attributes, little-endian: points as f32 or f64 by `width`,
-/// indices as 32 bits as long as they fit.
+/// indices with 32 bits if they fit.
 ///
-/// A slash in a name, which HDF5 keeps for paths, is written as an underscore.
+/// A slash in a name, which HDF5 reserves for paths, becomes an underscore.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -41,7 +40,7 @@ pub fn write_mesh(
     root.write_data(&mut out, mesh)
 }
 
-/// A named thing in a group.
+/// A named object in a group.
 type Link = (String, Node);
 
 enum Node {
@@ -50,10 +49,10 @@ enum Node {
 }
 
 enum Data {
-    /// Counts, written as they are.
+    /// Counts.
     Counts(Vec<u64>),
     Array(Array<'static>),
-    /// Ends of the triangles' corners, with the first one's beginning before them.
+    /// Ends of the triangles' corners, preceded by 0.
     Ends(Array<'static>),
 }
 
@@ -92,7 +91,7 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
     group(vec![("VTKHDF", vtk)])
 }
 
-/// A name without slashes, which HDF5 keeps for paths.
+/// A name without slashes, which HDF5 reserves for paths.
 pub(super) fn spelled(name: &str) -> String {
     name.replace('/', "_")
 }
@@ -114,19 +113,19 @@ fn set(array: Array<'static>) -> Node {
     let components = array.components as u64;
     let shape = match components {
         1 => vec![array.length],
-        // Arrays of no components at all have rows nevertheless.
+        // Arrays without components have rows nevertheless.
         _ => vec![array.length / components.max(1), components],
     };
     Node::Set { scalar: array.scalar(), shape, data: Data::Array(array) }
 }
 
 impl Node {
-    /// The header's messages, the addresses in them those of the header's `links` or of its data.
+    /// The messages of the header, with the addresses of its `links` or of its data.
     fn messages(&self, addresses: &[u64]) -> Vec<u8> {
         let mut messages = Messages::default();
         match self {
             Self::Group { links, attributes } => {
-                // Links are in the header itself, and not in a heap.
+                // Links are in the header itself, not in a heap.
                 messages.add(
                     0x02,
                     &[&[0, 0], &NOWHERE.to_le_bytes()[..], &NOWHERE.to_le_bytes()].concat(),
@@ -135,7 +134,7 @@ impl Node {
                 for ((name, _), address) in links.iter().zip(addresses) {
                     let name = &name.as_bytes()[..name.len().min(usize::from(u16::MAX) / 2)];
                     let length = (name.len() as u16).to_le_bytes();
-                    // A hard link, its name in UTF-8.
+                    // A hard link with a UTF-8 name.
                     messages.add(
                         0x06,
                         &[&[1, 0x11, 1], &length[..], name, &address.to_le_bytes()].concat(),
@@ -146,7 +145,7 @@ impl Node {
             Self::Set { scalar, shape, .. } => {
                 messages.add(0x01, &dataspace(shape));
                 messages.add(0x03, &datatype(*scalar));
-                // No value fills what was never written: all is.
+                // There is no fill value, because everything is written.
                 messages.add(0x05, &[2, 2, 2, 0]);
                 let (bytes, address) = (self.data_bytes(), addresses[0]);
                 messages.add(
@@ -165,12 +164,12 @@ impl Node {
         }
     }
 
-    /// Bytes of the header.
+    /// Bytes of this header.
     fn own_bytes(&self) -> u64 {
         self.messages(&vec![0; self.links().len().max(1)]).len() as u64
     }
 
-    /// Bytes of the header and of all below it.
+    /// Bytes of this header and of all headers below.
     fn header_bytes(&self) -> u64 {
         self.own_bytes() + self.links().iter().map(|(_, node)| node.header_bytes()).sum::<u64>()
     }
@@ -182,8 +181,8 @@ impl Node {
         }
     }
 
-    /// Appends the header, whose address is `at`, and those of all below; `data` is where the next
-    /// data go.
+    /// Appends the header at address `at`, and all headers below; `data` is the address of the next
+    /// data.
     fn encode(&self, at: u64, data: &mut u64, out: &mut Vec<u8>) {
         let bytes = self.data_bytes();
         let addresses = match self {
@@ -205,7 +204,7 @@ impl Node {
         }
     }
 
-    /// Writes the data of all below in the order of [`encode`](Self::encode).
+    /// Writes the data of all objects below in the order of [`encode`](Self::encode).
     fn write_data(&self, out: &mut Counting, mesh: &dyn MeshSource) -> io::Result<()> {
         match self {
             Self::Group { links, .. } => {
@@ -232,7 +231,7 @@ impl Attribute {
     fn encoded(&self) -> Vec<u8> {
         let (name, kind, space, value) = match self {
             Self::Text(name, text) => {
-                // A string without an end: the type says its length.
+                // A string without a terminator; the type has its length.
                 let kind = [&[0x13, 1, 0, 0], &(text.len() as u32).to_le_bytes()[..]].concat();
                 (name, kind, dataspace(&[]), text.as_bytes().to_vec())
             }
@@ -255,7 +254,7 @@ impl Attribute {
     }
 }
 
-/// Messages of an object's header.
+/// The messages of an object's header.
 #[derive(Default)]
 struct Messages {
     bytes: Vec<u8>,
@@ -273,7 +272,7 @@ impl Messages {
         self.count += 1;
     }
 
-    /// The header: version 1, named once.
+    /// The complete header: version 1, with one reference.
     fn with_prefix(self) -> Vec<u8> {
         let mut header = vec![1, 0];
         header.extend(self.count.to_le_bytes());
@@ -313,10 +312,10 @@ fn datatype(scalar: Scalar) -> Vec<u8> {
     }
 }
 
-/// The head of a file that ends at byte `end`; the root's header follows it.
+/// The superblock of a file that ends at byte `end`; the root's header follows.
 fn superblock(end: u64) -> Vec<u8> {
     let mut block = b"\x89HDF\r\n\x1a\n\0\0\0\0\0\x08\x08\0".to_vec();
-    // Sizes of nodes in trees, of which there are none.
+    // Sizes of B-tree nodes, of which there are none.
     block.extend([4, 0, 16, 0, 0, 0, 0, 0]);
     for address in [0, NOWHERE, end, NOWHERE, 0, SUPERBLOCK] {
         block.extend(address.to_le_bytes());
@@ -325,7 +324,7 @@ fn superblock(end: u64) -> Vec<u8> {
     block
 }
 
-/// An output that knows how much was written.
+/// An output that counts its bytes.
 struct Counting<'a> {
     out: &'a mut dyn Write,
     at: u64,

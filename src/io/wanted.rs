@@ -10,41 +10,39 @@ use super::bytes::Unpacking;
 use super::input_format::InputFormat;
 use super::{ParticleFile, ReadFault};
 
-/// Names of VTK's flags of points or cells that are copies, or hidden: today's, and that of levels
-/// of copies before version 6.3.
+/// Names of VTK's flags of points or cells that are copies or hidden: the current one, and the one
+/// for levels of copies before version 6.3.
 pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
-/// Name of PySPH's flag of particles that are copies.
+/// Name of PySPH's flag for copies of particles.
 pub(super) const TAG: &str = "tag";
 
 /// The particles that are wanted of an input that may hold others too, and what of them.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Wanted<'a> {
-    /// Name of their type, as the input spells it, where it holds several; without one gas, a
-    /// fluid, or the only type that there is.
+    /// Name of the type in the input, if it has several. By default gas, a fluid, or the only type.
     pub particle_type: Option<&'a str>,
-    /// Format of the input, where it is not the one that its extension names.
+    /// Format of the input, if it differs from that of its extension.
     pub format: Option<InputFormat>,
-    /// Attributes that have to be there. A format that reads all at once has others too.
+    /// Required attributes. Formats that are read as a whole return others too.
     pub attributes: WantedAttributes<'a>,
-    /// Conditions that the particles have to satisfy, by whose attributes they are selected.
+    /// Conditions by which particles are selected.
     pub conditions: &'a [Where],
-    /// Pieces that are read, of an input in several files.
+    /// Pieces to read, for an input in several files.
     pub pieces: WantedPieces<'a>,
 }
 
-/// Pieces that are wanted of an input in several files; the others are not opened, as if there were
-/// no particles in them.
+/// The wanted pieces of an input in several files. The others are not opened, and count as empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub enum WantedPieces<'a> {
-    /// All that there are.
+    /// All pieces.
     #[default]
     All,
-    /// Pieces of these numbers, from 0 and in order.
+    /// Pieces with these numbers, from 0 and in order.
     Numbered(&'a [usize]),
 }
 
 impl WantedPieces<'_> {
-    /// Whether a piece is one of them.
+    /// Whether a piece is wanted.
     pub fn hold(&self, piece: usize) -> bool {
         match self {
             Self::All => true,
@@ -52,7 +50,7 @@ impl WantedPieces<'_> {
         }
     }
 
-    /// The number of wanted pieces, out of `all`.
+    /// Number of wanted pieces, of `all`.
     pub fn of(&self, all: usize) -> usize {
         match self {
             Self::All => all,
@@ -61,15 +59,15 @@ impl WantedPieces<'_> {
     }
 }
 
-/// Attributes that are wanted of particles.
+/// The wanted attributes.
 #[derive(Debug, Clone, Copy, Default)]
 pub enum WantedAttributes<'a> {
-    /// All that there are.
+    /// All attributes.
     #[default]
     All,
-    /// Some, and those by which particles are selected.
+    /// Some attributes, and those in conditions.
     Only {
-        /// Names, as [`attribute_called`] finds them; without them the velocity.
+        /// Names for [`attribute_called`]; without names, the velocity.
         names: Option<&'a [String]>,
         /// Conditions by which particles are selected.
         conditions: &'a [Where],
@@ -79,14 +77,14 @@ pub enum WantedAttributes<'a> {
 }
 
 impl WantedAttributes<'_> {
-    /// Whether a text of every particle is to be read.
+    /// Whether to read the label with this name.
     pub fn hold_label(&self, name: &str) -> bool {
         let Self::Only { conditions, .. } = self else { return true };
         let mut conditions = conditions.iter().flat_map(Where::conditions);
         is_kind(name) || conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
-    /// Whether each of an input's attributes is to be read. All are if a wanted one is missing, so
+    /// Whether to read each of an input's attributes. If a wanted one is missing, all are read, so
     /// that the error can list them.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let Self::Only { .. } = self else { return vec![true; infos.len()] };
@@ -98,8 +96,8 @@ impl WantedAttributes<'_> {
         infos.iter().enumerate().map(reads).collect()
     }
 
-    /// Tells for each of an input's attributes whether it is asked for by its name, by a condition,
-    /// or as the velocity; `None` where one that is asked for is not there, or all are read.
+    /// Whether each of an input's attributes is requested by name, by a condition, or as the
+    /// velocity; `None` if a requested one is missing, or all are read.
     pub fn asked_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
         let Self::Only { names, conditions, sizes } = self else { return None };
         let sizes = sizes.columns(infos).ok()?;
@@ -119,7 +117,7 @@ impl WantedAttributes<'_> {
 }
 
 impl ParticleFile {
-    /// Leaves out the particles that fail a condition.
+    /// Removes the particles that fail a condition.
     pub(super) fn selected(
         mut self,
         conditions: &[Where],
@@ -128,7 +126,7 @@ impl ParticleFile {
         let infos = self.particles.attributes();
         let mut tested = Vec::new();
         for condition in conditions.iter().flat_map(Where::conditions) {
-            // The reader has chosen a type, unless that is an attribute.
+            // The reader has already chosen a type, unless it is an attribute.
             match self.particle_types.first() {
                 Some(own) if condition.is_of_type() && condition.attribute(infos).is_none() => {
                     let name = condition.name.clone();
@@ -166,7 +164,7 @@ impl ParticleFile {
         Ok(self)
     }
 
-    /// Refuses a file all of whose particles fail a condition.
+    /// Rejects a file in which all particles fail a condition.
     ///
     /// # Errors
     /// [`ReadFault::Selection`].
@@ -174,12 +172,12 @@ impl ParticleFile {
         self.none_selected.take().map_or(Ok(self), |fault| Err(ReadFault::Selection(fault)))
     }
 
-    /// Leaves out the points that VTK flags as copies or as hidden.
+    /// Removes the points that VTK flags as copies or as hidden.
     pub(super) fn without_ghosts(self) -> Self {
         GHOSTS.iter().fold(self, |file, flag| file.without(flag))
     }
 
-    /// Leaves out the particles whose attribute `flag` is not 0, and that attribute.
+    /// Removes the particles whose attribute `flag` is not 0, and that attribute.
     pub(super) fn without(mut self, flag: &str) -> Self {
         let is_it = |info: &AttributeInfo| info.name == flag && info.components == 1;
         if let Some(index) = self.particles.attributes().iter().position(is_it) {

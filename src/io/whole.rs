@@ -1,5 +1,5 @@
-//! A file that appears whole or not at all: whatever can be refused is refused before the work, and
-//! whatever fails later leaves nothing behind.
+//! A file that appears completely or not at all: as many errors as possible are found before the
+//! work, and later errors leave nothing behind.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
@@ -15,43 +15,43 @@ use crate::system::past_cache::PastCache;
 use super::beside::{Folder, turn};
 use super::{WriteError, WriteFault};
 
-/// Prefix of temporary files' names, so that those that were left behind can be told.
+/// Prefix of temporary files' names, by which leftovers can be recognised.
 const PREFIX: &str = ".meniscus-";
 const SUFFIX: &str = ".tmp";
 
-/// Whether an output may take the place of a file.
+/// Whether an output may replace an existing file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Replace {
-    /// No: what is there stays.
+    /// No: an existing file stays.
     Refuse,
-    /// Yes, in one step, once the new file is whole.
+    /// Yes, atomically, once the new file is complete.
     Allow,
 }
 
-/// A file that is ready to be written.
+/// A file that is prepared for writing.
 ///
-/// Dropped without [`write`](Self::write), or when that fails, it leaves nothing.
+/// If it is dropped without [`write`](Self::write), or that fails, nothing remains.
 #[derive(Debug)]
 pub struct WholeFile {
-    /// The path as it was given, for messages.
+    /// The given path, for messages.
     path: PathBuf,
     target: Target,
 }
 
 #[derive(Debug)]
 enum Target {
-    /// Beside `place`, to be moved there.
+    /// A temporary file beside `place`, which will be renamed to it.
     Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
-    /// A pipe or a device, which is there and stays there.
+    /// An existing pipe or device, which is written directly.
     Direct,
 }
 
 impl WholeFile {
-    /// Makes sure, before the work, that `path` is free or may be replaced, and that a file can be
-    /// created in its folder, by creating one. Pipes and devices are written directly.
+    /// Checks before the work that `path` is free or may be replaced, and creates a temporary file
+    /// in its folder. Pipes and devices are written directly.
     ///
     /// # Errors
-    /// [`WriteFault::Exists`], and [`WriteFault::Io`] where the system refuses.
+    /// [`WriteFault::Exists`], and [`WriteFault::Io`] for errors of the system.
     pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
         let fail = |fault: WriteFault| WriteError::new(path, fault);
         let found = metadata(path).map_err(|e| fail(e.into()))?;
@@ -64,7 +64,7 @@ impl WholeFile {
         if replace == Replace::Refuse && path.symlink_metadata().is_ok() {
             return Err(fail(WriteFault::Exists));
         }
-        // Through a link, what it leads to is replaced, and not the link.
+        // For a symbolic link, its target is replaced, not the link.
         let there = found.and_then(|_| path.canonicalize().ok());
         let place = there.unwrap_or_else(|| path.to_owned());
         let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
@@ -76,12 +76,12 @@ impl WholeFile {
         matches!(self.target, Target::Direct)
     }
 
-    /// The path as it was given.
+    /// The given path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where the file will be, through links; `None` for a pipe or a device.
+    /// The final path of the file, through links; `None` for a pipe or a device.
     pub(super) fn place(&self) -> Option<&Path> {
         match &self.target {
             Target::Temporary { place, .. } => Some(place),
@@ -89,14 +89,13 @@ impl WholeFile {
         }
     }
 
-    /// The file that is written before it gets its name, and the folders that were made for it: what
-    /// an interrupt leaves behind.
+    /// The temporary file and the created folders, which an interrupt must remove.
     pub(crate) fn leftovers(&self, folders: &MadeFolders) -> Vec<PathBuf> {
         let folders = folders.paths().iter().map(PathBuf::as_path);
         self.temporary().into_iter().chain(folders).map(Path::to_owned).collect()
     }
 
-    /// The file that is written before it gets its name: what an interrupt leaves behind.
+    /// The temporary file, which an interrupt must remove.
     pub fn temporary(&self) -> Option<&Path> {
         match &self.target {
             Target::Temporary { file, .. } => Some(file.path()),
@@ -104,8 +103,8 @@ impl WholeFile {
         }
     }
 
-    /// Writes what `content` writes, waits until it is on disk, and gives the file its name.
-    /// Returns its size in bytes.
+    /// Writes the file with `content`, waits until it is on disk, and renames it. Returns its size
+    /// in bytes.
     pub fn write(
         self,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -113,11 +112,11 @@ impl WholeFile {
         self.filled(content, None)?.keep()
     }
 
-    /// Writes what `content` writes to a file that has no name yet, and sums it up.
+    /// Writes the temporary file with `content`, and computes its checksum.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system or `content` refuses, and [`WriteFault::Unsupported`]
-    /// where `content` fails as [`io::ErrorKind::InvalidInput`].
+    /// [`WriteFault::Io`] for errors of the system or of `content`, and [`WriteFault::Unsupported`]
+    /// if `content` fails with [`io::ErrorKind::InvalidInput`].
     pub fn fill(
         self,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -134,7 +133,7 @@ impl WholeFile {
             Target::Direct => {
                 let open = OpenOptions::new().write(true).open(&self.path);
                 match open.and_then(|mut file| counted(&mut file, crc, content)) {
-                    // A reader that has seen enough is no error.
+                    // If the reader of a pipe stops early, this is not an error.
                     Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok((0, None)),
                     outcome => outcome,
                 }
@@ -153,45 +152,45 @@ impl WholeFile {
     }
 }
 
-/// A file that is written, and has no name yet.
+/// A complete temporary file.
 #[derive(Debug)]
 pub struct FilledFile {
     file: WholeFile,
     bytes: u64,
     crc: u32,
-    /// Gets its name before the file does.
+    /// A folder that is renamed before the file.
     folder: Option<Folder>,
 }
 
 impl FilledFile {
-    /// Lets the folder of all files that this one names get its name before it.
+    /// Adds the folder of all files that this one names. It is renamed before this file.
     pub(super) fn after(self, folder: Folder) -> Self {
         Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
     }
 
-    /// CRC-32 of its bytes, and of those of the files that it names; 0 of a pipe that nobody reads
-    /// to its end.
+    /// CRC-32 of its bytes, and of those of the files that it names; 0 for a pipe whose reader
+    /// stopped early.
     pub fn crc(&self) -> u32 {
         self.crc
     }
 
-    /// Returns the file's size in bytes.
+    /// The file's size in bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Waits until the file is on disk, and gives it its name. Returns its size in bytes.
+    /// Waits until the file is on disk, and renames it. Returns its size in bytes.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system refuses, and [`WriteFault::Exists`] if the name was
-    /// taken meanwhile.
+    /// [`WriteFault::Io`] for errors of the system, and [`WriteFault::Exists`] if a file with this
+    /// name was created meanwhile.
     pub fn keep(self) -> Result<u64, WriteError> {
         let Self { file: WholeFile { path, target }, bytes, folder, .. } = self;
         let kept = match target {
             Target::Direct => Ok(()),
             Target::Temporary { file, place, replace } => {
                 let synced = file.as_file().sync_all();
-                // The folder and the file that names what is in it are to be of one job.
+                // The folder and the file that names its content must be from the same job.
                 let _turn = folder.as_ref().and_then(|_| turn(&place));
                 let before = |folder: Folder| folder.keep(&place, replace == Replace::Allow);
                 synced.and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| match replace {
@@ -204,10 +203,10 @@ impl FilledFile {
     }
 }
 
-/// Puts a small file in place of any other in one step. It may be lost where power is.
+/// Atomically replaces a small file. A power failure may lose it.
 ///
 /// # Errors
-/// Those of the system.
+/// Errors of the system.
 pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = temporary_beside(path)?;
     file.write_all(content)?;
@@ -215,8 +214,8 @@ pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes what processes that were killed have left half-written in `folder`. What belongs to a
-/// process that lives, on this machine or another that shares the folder, is locked, and stays.
+/// Removes temporary files of killed processes in `folder`. Files of running processes, on this
+/// machine or another that shares the folder, are locked, and stay.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
@@ -228,8 +227,8 @@ pub fn sweep(folder: &Path) {
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
             continue;
         }
-        // The file is taken until the name is gone: who just created it will find that, and begin
-        // again.
+        // The file stays locked until its name is removed. A process that has just created it
+        // detects this, and creates another.
         if let Ok(_taken) = held::take(&path) {
             let _ = fs::remove_file(&path);
             remove_belongings(&path);
@@ -237,20 +236,20 @@ pub fn sweep(folder: &Path) {
     }
 }
 
-/// [Sweeps](sweep) the folder that a file is in, or will be.
+/// [Sweeps](sweep) the folder of a file, which need not exist.
 pub fn sweep_beside(file: &Path) {
     sweep(folder_of(file));
 }
 
-/// The folders that were made for a file: removed again where nothing comes to be in them.
+/// The folders that were created for a file. They are removed again if they stay empty.
 #[derive(Debug)]
 pub struct MadeFolders(Vec<PathBuf>);
 
 impl MadeFolders {
-    /// Makes the folder that a file will be in, and those that this is in, unless they are there.
+    /// Creates the folder of a file with its parents, unless they exist.
     ///
     /// # Errors
-    /// The system's refusal.
+    /// Errors of the system.
     pub fn of(file: &Path) -> Result<Self, WriteError> {
         let folder = folder_of(file);
         let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
@@ -268,7 +267,7 @@ impl MadeFolders {
 
 impl Drop for MadeFolders {
     fn drop(&mut self) {
-        // The innermost first; one that holds something is not removed.
+        // The innermost first. A folder with content is not removed.
         self.0.iter().for_each(|folder| drop(fs::remove_dir(folder)));
     }
 }
@@ -277,14 +276,14 @@ fn folder_of(file: &Path) -> &Path {
     file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The temporary file that a folder belongs to, by its name.
+/// The temporary file of a folder, by its name.
 fn belongs_to(folder: &Path) -> Option<PathBuf> {
     let name = folder.file_name()?.to_str().filter(|name| name.starts_with(PREFIX))?;
     let file = BELONGINGS.iter().find_map(|ending| name.strip_suffix(ending))?;
     file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
 }
 
-/// Looks up the file at `path`, through links; None if its name is free.
+/// Looks up the file at `path`, through links; `None` if it does not exist.
 fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     match path.metadata() {
         Ok(metadata) => Ok(Some(metadata)),
@@ -293,32 +292,33 @@ fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     }
 }
 
-/// Names of what this process has open: that may be a file, but there is no room beside it.
+/// Paths of open files of this process: these may be files, but no other file can be created beside
+/// them.
 const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"];
 
-/// Whether the output is to be written where it is.
+/// Whether the output is written directly.
 fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
     let is_open = || OPEN.iter().any(|open| path.starts_with(open));
     found.is_some_and(|found| !found.is_dir() && (!found.is_file() || is_open()))
 }
 
-/// Makes a folder, and those that it is to be in, unless they are there.
+/// Creates a folder with its parents, unless they exist.
 ///
 /// # Errors
-/// The system's refusal, of which the kind and the words are kept.
+/// Errors of the system, with their kind and message.
 pub fn make_folder(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)
         .map_err(|fault| io::Error::new(fault.kind(), format!("cannot create the folder: {fault}")))
 }
 
-/// In the same folder, so that it can be moved there in one step; with the permissions of any new
-/// file.
+/// Creates a file in the same folder, so that it can be renamed atomically, with the permissions of
+/// a new file.
 fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     let folder = folder_of(place);
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
     loop {
-        // The system would name the temporary file, of which nobody has heard.
+        // The system's message would name the temporary file, which the user does not know.
         let refused = |fault: io::Error| match fault.kind() {
             kind @ io::ErrorKind::NotFound if !folder.exists() => {
                 io::Error::new(kind, format!("the folder {} does not exist", folder.display()))
@@ -338,7 +338,7 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     }
 }
 
-/// A refusal of the format's writer has no number of the system's.
+/// Errors of the format's writer have no error number of the system.
 pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     match (fault.kind(), fault.raw_os_error()) {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
@@ -347,11 +347,11 @@ pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     }
 }
 
-/// Bytes that are given to the system at once: of small pieces as many, and of large ones no more,
-/// for which it would look for memory that no program has used lately.
+/// Bytes per write: small pieces are combined, and large ones divided, because the system would
+/// need new memory for them.
 const AT_ONCE: usize = 256 << 10;
 
-/// How many bytes `content` writes to `out`, and what sums them up, if anything does.
+/// The number of bytes that `content` writes to `out`, and their checksum, if one is computed.
 pub(super) fn counted(
     out: impl Write,
     crc: Option<Hasher>,
@@ -365,8 +365,7 @@ pub(super) fn counted(
     Ok((bytes, crc))
 }
 
-/// Works like [`counted`] for a file that is empty, and goes past the system's cache where that
-/// becomes large.
+/// Like [`counted`] for an empty file, which bypasses the system's cache if it becomes large.
 pub(super) fn counted_in(
     file: &File,
     crc: Option<Hasher>,

@@ -1,9 +1,9 @@
-//! The bytes that columns lie in, window by window: in memory, in a mapped scratch file, or in the
-//! input itself.
+//! Access to the bytes of columns in windows: in memory, in a mapped scratch file, or in the input
+//! itself.
 //!
-//! The input is read by position into buffers, each thread in its own, and never mapped: a file
-//! that another program shortens or rewrites meanwhile is an error of that frame, where a map would
-//! end the process by a signal. All files of an input have their buffers in common.
+//! The input is read by position into buffers, one per thread, and never mapped: if another program
+//! shortens or rewrites a file meanwhile, this is an error of that frame, while a map would end the
+//! process with a signal. All files of an input share their buffers.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -15,37 +15,37 @@ use crate::system::reopened::{read_exact_at, will_read};
 
 use super::bytes::{Bytes, Kept};
 
-/// Bytes that are read at once where a thread goes on where it was.
+/// Bytes per read if a thread continues where it was.
 const LARGE: usize = 1 << 18;
-/// Bytes that are read at once anywhere else.
+/// Bytes per read at other positions.
 const SMALL: usize = 1 << 14;
-/// Bytes that the system is told to read ahead of a thread, at the least; it looks for each of them
-/// in what it has already, so it is told only once.
+/// Minimum number of bytes that the system is asked to read ahead of a thread. The system checks
+/// its cache for each request, so requests do not overlap.
 const AHEAD: usize = 1 << 22;
 
-/// Bytes that are handed out by windows.
+/// Bytes with access in windows.
 pub trait Windows: Sync + Debug {
-    /// How many there are.
+    /// Number of bytes.
     fn count(&self) -> usize;
 
-    /// Passes the bytes of a range on. Where they cannot be read, it passes zeros, and
+    /// Passes on the bytes of a range. If they cannot be read, passes on zeros, and
     /// [`check`](Self::check) fails from then on.
     ///
     /// # Panics
-    /// If the range exceeds them.
+    /// If the range exceeds the bytes.
     fn with<R>(&self, range: Range<usize>, read: impl FnOnce(&[u8]) -> R) -> R;
 
-    /// Bytes of memory that cannot be given back.
+    /// Bytes of memory that cannot be released.
     fn resident_bytes(&self) -> u64 {
         0
     }
 
-    /// Gives the memory of a range back; reading it again brings it back.
+    /// Releases the memory of a range; reading it again restores it.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }
 
-    /// Makes sure that all that was passed on is what the bytes were from the beginning.
+    /// Checks that the bytes have not changed since they were opened.
     fn check(&self) -> Result<(), Unread> {
         Ok(())
     }
@@ -61,10 +61,10 @@ impl Windows for &[u8] {
     }
 }
 
-/// Bytes of an input: kept, or read from its file.
+/// Bytes of an input, in memory or in its file.
 #[derive(Debug)]
 pub enum Source {
-    /// Kept in memory or in a scratch file.
+    /// In memory or in a scratch file.
     Kept(Kept),
     /// In the input's file.
     File(FileWindows),
@@ -80,7 +80,7 @@ impl Source {
         }
     }
 
-    /// Bytes that are read from the input's file by windows.
+    /// Bytes that are read from the input's file in windows.
     #[must_use]
     pub fn file_bytes(&self) -> u64 {
         match self {
@@ -89,7 +89,7 @@ impl Source {
         }
     }
 
-    /// Reads by windows of a shelf, with others that do.
+    /// Reads through the windows of a shared shelf.
     pub fn share(&mut self, shelf: &Arc<Shelf>) {
         if let Self::File(file) = self {
             file.shelf = Arc::clone(shelf);
@@ -157,22 +157,21 @@ pub struct FileWindows {
     fault: OnceLock<Unread>,
 }
 
-/// Windows that no thread reads in at the moment, of some files; that which was used last comes
-/// last.
+/// Unused windows of several files; the most recently used one is last.
 #[derive(Debug, Default)]
 pub struct Shelf {
     idle: Mutex<Vec<Window>>,
 }
 
-/// Some bytes of a file.
+/// A range of bytes of a file.
 #[derive(Debug, Default)]
 struct Window {
     /// The file's number.
     file: u64,
     at: usize,
     bytes: Vec<u8>,
-    /// Where that ends which the system was told to read.
-    told: usize,
+    /// The end of the range that the system was asked to read.
+    advised: usize,
 }
 
 impl Window {
@@ -182,20 +181,19 @@ impl Window {
 }
 
 impl Shelf {
-    /// Windows for each thread: it reads a few columns in turn.
+    /// Windows per thread, which reads a few columns in turn.
     const A_THREAD: usize = 4;
 
     fn most() -> usize {
         Self::A_THREAD * rayon::current_num_threads()
     }
 
-    /// Bytes of all windows of files that are so large together.
+    /// Bytes of all windows of files with this total size.
     pub fn resident_bytes(file_bytes: u64) -> u64 {
         file_bytes.min((Self::most() * LARGE) as u64)
     }
 
-    /// A window of a file that holds byte `at`, or else that ends there, or else the one that was
-    /// not used for longest.
+    /// A window of a file that contains byte `at`, or ends there, or the least recently used one.
     fn take(&self, file: u64, at: usize) -> Window {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let holds =
@@ -207,10 +205,10 @@ impl Shelf {
             None if idle.len() < Self::most() => Window::default(),
             None => idle.remove(0),
         };
-        // What it holds is of another place.
+        // The window has other bytes.
         let mut bytes = window.bytes;
         bytes.clear();
-        Window { file, at: 0, bytes, told: 0 }
+        Window { file, at: 0, bytes, advised: 0 }
     }
 
     fn put(&self, window: Window) {
@@ -238,10 +236,10 @@ impl FileWindows {
     fn read(&self, window: &mut Window, goes_on: bool) -> Result<(), Lost> {
         let file = self.file.file()?;
         let end = window.end();
-        if goes_on && window.told < end + AHEAD {
-            let from = end.max(window.told);
-            window.told = end + 2 * AHEAD;
-            will_read(&file, from as u64, (window.told - from) as u64);
+        if goes_on && window.advised < end + AHEAD {
+            let from = end.max(window.advised);
+            window.advised = end + 2 * AHEAD;
+            will_read(&file, from as u64, (window.advised - from) as u64);
         }
         Ok(read_exact_at(&file, window.at as u64, &mut window.bytes)?)
     }

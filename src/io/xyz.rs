@@ -1,9 +1,9 @@
-//! XYZ: the number of particles, a comment, and a row for each particle, frame after frame; and
-//! .xyz as raw f32 triples without any header.
+//! Reads XYZ: the number of particles, a comment, and a row per particle, frame by frame; and .xyz
+//! as raw f32 triples without a header.
 //!
 //! Columns are those of extended XYZ (`Properties=species:S:1:pos:R:3`), else those that the
-//! comment names; else the position is the first three numbers, behind the name or the atomic
-//! number of an element. `sim.xyz#3` is the fourth frame.
+//! comment names. Else the position is the first three numbers, after the name or the atomic number
+//! of an element. `sim.xyz#3` is the fourth frame.
 
 use super::bytes::{Bytes, Unpacking, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
@@ -15,7 +15,7 @@ use super::wanted::WantedAttributes;
 use super::windows::{Source, Windows};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Bytes of raw numbers by which f64 are told from f32.
+/// Bytes of raw numbers that distinguish f64 from f32.
 const SAMPLED: usize = 4080;
 
 /// Reads raw little-endian f32 triples.
@@ -46,34 +46,34 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 
-/// Whether raw numbers are lengths as f64 and, some of them, not as f32: the lower half of an f64
-/// is an f32 of any magnitude.
+/// Whether raw numbers are plausible lengths as f64, but some are not as f32: the lower half of an
+/// f64 is an f32 of arbitrary magnitude.
 fn are_f64(raw: &[u8]) -> bool {
     let is_length = |number: f64| number == 0.0 || (1e-12..1e12).contains(&number.abs());
     let wide = raw.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes));
     let narrow = raw.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes)));
     let far = narrow.filter(|&number| !is_length(number)).count();
-    // A few particles of f32 may be lost ones.
+    // A few particles in f32 may have flown away.
     wide.into_iter().all(is_length) && far * 8 > raw.len() / size_of::<f32>()
 }
 
 /// A frame of a file.
 struct Frame {
-    /// The number of particles that it announces.
+    /// The announced number of particles.
     count: u64,
     comment: String,
-    /// Rows that are there.
+    /// Number of existing rows.
     rows: u64,
     start: usize,
     end: usize,
     lines_above: u64,
 }
 
-/// Whether a text begins with the number of its particles. Where rows follow at once, as many as
-/// that, it is a table under a title; so is one whose columns are named, but not as a frame is.
+/// Whether a text starts with the number of its particles. If that many rows follow immediately, it
+/// is a table with a title; so is one with named columns that are not those of a frame.
 ///
 /// # Errors
-/// Those of reading.
+/// Errors of reading.
 pub(super) fn has_count(view: View) -> Result<bool, ReadFault> {
     let mut lines = TextLines::new(view)?;
     let count = lines.line().ok().flatten().and_then(|line| count_of(&line));
@@ -91,31 +91,30 @@ pub(super) fn has_count(view: View) -> Result<bool, ReadFault> {
     })
 }
 
-/// The number of particles, in a line that holds nothing else.
+/// The number of particles, in a line with nothing else.
 fn count_of(line: &str) -> Option<u64> {
     line.bytes().all(|byte| byte.is_ascii_digit()).then(|| line.parse().ok())?
 }
 
-/// The names that a comment holds.
+/// The names in a comment.
 fn names_in(comment: &str) -> Vec<String> {
     let comment = comment.trim_start_matches(['#', '%', '!', '/']);
     names_of(comment.as_bytes(), Separator::of(comment.as_bytes()))
 }
 
-/// Passes a frame; false at the end of the file.
+/// Skips a frame; false at the end of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line between frames that does not parse.
+/// [`ReadFault::Line`] for an invalid line between frames.
 pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
     Ok(Frame::next(lines)?.is_some())
 }
 
-/// Reads the frame that begins at a place.
+/// Reads the frame at a place.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a line that does not parse, for a frame that ends too early, and for
-/// columns without a position; [`ReadFault::Unsupported`] for columns of whole numbers without
-/// names.
+/// [`ReadFault::Line`] for an invalid line, an incomplete frame, and columns without a position;
+/// [`ReadFault::Unsupported`] for columns of integers without names.
 pub(super) fn read(
     bytes: Bytes,
     place: LinePlace,
@@ -131,7 +130,7 @@ pub(super) fn read(
 }
 
 impl Frame {
-    /// Passes a frame; None at the end of the file.
+    /// Reads the header of a frame and skips its rows; `None` at the end of the file.
     fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
         let line = loop {
             match lines.line()? {
@@ -223,7 +222,7 @@ fn value<'a>(comment: &'a str, key: &str) -> Option<&'a str> {
 
 /// The columns of `species:S:1:pos:R:3`.
 fn columns_of(properties: &str) -> Result<Named, String> {
-    /// Columns of a property.
+    /// Maximum number of columns of a property.
     const MOST: usize = 64;
     let shown = || format!("Properties={}", excerpt(properties.as_bytes()));
     let parts: Vec<&str> = properties.split(':').collect();
@@ -234,7 +233,7 @@ fn columns_of(properties: &str) -> Result<Named, String> {
         };
         let count = count.parse().ok().filter(|count| (1..=MOST).contains(count));
         let count = count.ok_or_else(|| format!("{}: {name} has no number of columns", shown()))?;
-        // As ASE abbreviates it.
+        // The abbreviation of ASE.
         let name = if name == "velo" { "velocity" } else { name };
         match count {
             1 => names.push(name.to_owned()),

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Conditions that particles must satisfy, all of them.
+/// A conjunction of conditions on particles.
 ///
 /// Written as `NAME=VALUE`, with `=`, `!=`, `<`, `<=`, `>` or `>=`, and joined by `and`. Several
 /// values of `=` are alternatives: `mk=0,2`. A component of a vector is `velocity.y` or
@@ -37,7 +37,7 @@ pub enum Comparison {
     GreaterOrEqual,
 }
 
-/// Comparisons as they are written, the longer ones first.
+/// The operators as text, longer ones first.
 const WRITTEN: [(&str, Comparison); 7] = [
     ("!=", Comparison::NotEqual),
     ("<=", Comparison::LessOrEqual),
@@ -101,7 +101,7 @@ impl Where {
         }
     }
 
-    /// The conjunction of several.
+    /// Joins several into one.
     #[must_use]
     pub fn joined(several: &[Self]) -> Option<Self> {
         let all: Vec<_> = several.iter().flat_map(|some| some.0.iter().cloned()).collect();
@@ -109,7 +109,7 @@ impl Where {
     }
 }
 
-/// The pieces of a text between separators that stand outside of quotes.
+/// Splits a text at separators outside of quotes.
 fn split(text: &str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&str> {
     let (mut pieces, mut start, mut quote) = (Vec::new(), 0, None);
     let mut at = 0;
@@ -146,7 +146,7 @@ fn and(text: &str) -> Option<usize> {
     (blanks > 0 && ends).then_some(blanks + word.len())
 }
 
-/// A name or a value without the quotes around it.
+/// A name or a value without its quotes.
 fn unquoted(text: &str) -> &str {
     let text = text.trim();
     let within = |quote| text.strip_prefix(quote).and_then(|rest| rest.strip_suffix(quote));
@@ -169,7 +169,7 @@ impl FromStr for Condition {
         let comparison = WRITTEN.iter().find(|(known, _)| *known == written);
         let (name, (_, comparison)) = (unquoted(name), comparison.ok_or_else(expected)?);
         let values = split(values, |text| text.starts_with(',').then_some(1));
-        // An empty value has to be quoted.
+        // An empty value must be quoted.
         if name.is_empty() || values.iter().any(|value| value.trim().is_empty()) {
             return Err(expected());
         }

@@ -1,5 +1,5 @@
-//! Kinds of attributes: plain numbers, colours, which programs look for by other names and types,
-//! and whole numbers such as identifiers, of which there are no means.
+//! Kinds of attributes: plain numbers; colours, for which programs expect other names and types;
+//! and integers such as identifiers, which must not be averaged.
 
 use std::ops::Range;
 
@@ -16,23 +16,23 @@ pub enum AttributeKind {
     /// Plain numbers, as of a density or a velocity.
     #[default]
     Number,
-    /// Shares of red, green and blue, and perhaps of alpha, from 0 to 1.
+    /// Red, green and blue, and optionally alpha, from 0 to 1.
     Colour,
-    /// Shares of red, green and blue, and perhaps of alpha, from 0 to 255.
+    /// Red, green and blue, and optionally alpha, from 0 to 255.
     ByteColour,
-    /// Whole numbers that 32 bits hold with a sign.
+    /// Integers that fit 32 bits with a sign.
     Signed,
-    /// Whole numbers that 32 bits hold without a sign.
+    /// Integers that fit 32 bits without a sign.
     Unsigned,
-    /// Whole numbers of 64 bits, as stored. None are carried to a mesh: it takes those that
-    /// [`settled`] finds to fit 32 bits.
+    /// 64-bit integers as stored. A mesh never has this kind: [`settled`] finds a kind of 32 bits
+    /// for its values.
     Wide,
 }
 
-/// An attribute whose values do not fit the kind of number that a mesh carries.
+/// An attribute whose values do not fit the number type of the mesh.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum KindFault {
-    /// A whole number that a mesh cannot carry.
+    /// An integer that the mesh cannot store.
     #[error(
         "attribute {name} has the value {value}, but the mesh stores it as integers from {} to \
          {}. Store the attribute as floating-point numbers, or leave it out",
@@ -42,9 +42,9 @@ pub enum KindFault {
     TooWide {
         /// The name of the attribute.
         name: String,
-        /// The value, or the greatest of 64 bits if it exceeds that.
+        /// The value, or the maximum i64 if it is greater.
         value: i64,
-        /// The least and the greatest value that the mesh can carry.
+        /// The range of integers that the mesh can store.
         limits: [i64; 2],
     },
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
@@ -61,24 +61,24 @@ pub enum KindFault {
     },
 }
 
-/// The kind that one frame's values settle for an attribute of all frames.
+/// The kind of an attribute in all frames, from the values of one frame.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SettledKind {
     /// The attribute as it is stored.
     pub stored: AttributeInfo,
-    /// The kind that its values settle.
+    /// The kind that fits its values.
     pub kind: AttributeKind,
-    /// Whether the values leave no doubt of it.
+    /// Whether the values determine the kind.
     pub is_evident: bool,
 }
 
-/// Shares of light that are brighter are numbers up to 255.
+/// Colour values above this are from 0 to 255.
 const BRIGHT: f32 = 16.0;
 
 /// Names of colours, in lower case.
 const COLOURS: [&str; 8] = ["cd", "color", "colors", "colour", "colours", "diffuse", "rgb", "rgba"];
 
-/// Names of shares of a colour, in lower case.
+/// Names of colour components, in lower case.
 pub const SHARES: [&str; 4] = ["red", "green", "blue", "alpha"];
 
 /// Whether an attribute of this name is a colour, if it has three or four components.
@@ -87,7 +87,7 @@ pub fn is_colour_name(name: &str) -> bool {
     COLOURS.contains(&&*name.to_ascii_lowercase())
 }
 
-/// Whether this names a colour, or one of its shares.
+/// Whether this is the name of a colour or of one of its components.
 #[must_use]
 pub fn asks_for_colour(name: &str) -> bool {
     is_colour_name(name) || SHARES.contains(&&*name.to_ascii_lowercase())
@@ -112,31 +112,31 @@ impl AttributeKind {
         }
     }
 
-    /// The kind of numbers of which some are of this kind, and some of another.
+    /// The common kind of numbers of both kinds.
     #[must_use]
     pub fn together(self, other: Self) -> Self {
         match (self, other) {
             _ if self == other => self,
-            // Pieces hand out bytes as shares beside others.
+            // Pieces with colours as bytes give fractions if others have fractions.
             _ if self.is_colour() && other.is_colour() => Self::Colour,
             _ if self.is_whole() && other.is_whole() => Self::Wide,
             _ => Self::Number,
         }
     }
 
-    /// Whether it is whole numbers: a vertex takes the one of the nearest particle.
+    /// Whether the values are integers: a vertex takes the value of the nearest particle.
     #[must_use]
     pub fn is_whole(self) -> bool {
         matches!(self, Self::Signed | Self::Unsigned | Self::Wide)
     }
 
-    /// A whole number as a mesh carries it: its low 32 bits, in place of those of an f32.
+    /// An integer as a mesh stores it: its low 32 bits, in place of the bits of an f32.
     #[must_use]
     pub fn word(whole: i64) -> f32 {
         f32::from_bits(whole as u32)
     }
 
-    /// The whole number that a mesh carries as `word`.
+    /// The integer that a mesh stores as `word`.
     #[must_use]
     pub fn whole(self, word: f32) -> i64 {
         match self {
@@ -145,13 +145,13 @@ impl AttributeKind {
         }
     }
 
-    /// The number that a mesh carries as `word`, rounded to f32.
+    /// The number that a mesh stores as `word`, rounded to f32.
     #[must_use]
     pub fn number(self, word: f32) -> f32 {
         if self.is_whole() { self.whole(word) as f32 } else { word }
     }
 
-    /// The least and the greatest whole number that a mesh can carry.
+    /// The range of integers that a mesh can store.
     fn limits(self) -> [i64; 2] {
         match self {
             Self::Unsigned => [0, u32::MAX.into()],
@@ -170,18 +170,17 @@ impl AttributeKind {
         *self == Self::Number
     }
 
-    /// A share of a colour from 0 to 1, which programs expect: what lies beyond is cut off, and NaN
-    /// is 0.
+    /// A colour component from 0 to 1, as programs expect it: clamped, with NaN as 0.
     #[must_use]
     pub fn share(self, value: f32) -> f32 {
         let share = if self == Self::ByteColour { value / 255.0 } else { value };
         if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
     }
 
-    /// A share of a colour from 0 to 255, by [`share`](Self::share).
+    /// A colour component from 0 to 255, from [`share`](Self::share).
     #[must_use]
     pub fn byte(self, value: f32) -> u8 {
-        // A whole byte comes back as it was.
+        // Integers from 0 to 255 stay unchanged.
         (f64::from(self.share(value)) * 255.0).round() as u8
     }
 }
@@ -192,9 +191,9 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     attributes.iter().position(|info| info.kind.is_colour())
 }
 
-/// The carried attributes with the kinds that their values settle: whole numbers of 64 bits that fit
-/// 32, and colours of floating-point numbers that are from 0 to 255, of which some are far beyond
-/// what is bright for shares. An attribute that is stored as in `known` has the kind known of it.
+/// The vertex attributes with kinds that fit their values: 64-bit integers that fit 32 bits, and
+/// floating-point colours from 0 to 255, if some values are too large for a scale from 0 to 1. An
+/// attribute in `known` with the same storage keeps its known kind.
 ///
 /// # Errors
 /// [`KindFault`] for values that do not fit their kind.
@@ -207,8 +206,8 @@ pub fn settled(
     infos.map(|(info, &index)| of_values(particles, index, info, known)).collect()
 }
 
-/// The kinds that the values of the carried attributes settle for all frames; without attributes
-/// whose values do not fit, which are an error of this frame alone.
+/// The kinds of the vertex attributes for all frames, from the values of one frame. Attributes
+/// whose values do not fit are left out: they are an error of this frame only.
 pub fn settled_for_all(
     particles: &(impl Particles + ?Sized),
     carried: &[usize],
@@ -223,7 +222,7 @@ pub fn settled_for_all(
     settled.collect()
 }
 
-/// Attributes with their known kinds, where no value determines them.
+/// Gives attributes their known kinds.
 #[must_use]
 pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<AttributeInfo> {
     for info in &mut infos {
@@ -234,8 +233,7 @@ pub fn known_of(mut infos: Vec<AttributeInfo>, known: &[SettledKind]) -> Vec<Att
     infos
 }
 
-/// An attribute with the kind that is known of it, if its values fit that, else with the kind that
-/// they settle.
+/// An attribute with its known kind, if the values fit, or with the kind that fits the values.
 fn of_values(
     particles: &(impl Particles + ?Sized),
     index: usize,
@@ -274,15 +272,15 @@ fn of_values(
 }
 
 impl AttributeKind {
-    /// The kind of colours of floating-point numbers between these extremes.
+    /// The kind of floating-point colours between these extremes.
     fn of_shares([least, greatest]: [f32; 2]) -> Self {
         let is_bytes = least >= 0.0 && greatest > BRIGHT && greatest <= 255.0;
         if is_bytes { Self::ByteColour } else { Self::Colour }
     }
 }
 
-/// The scale that the values of a colour leave no doubt of: bytes, or shares some of which are
-/// above 0 and none above 1. `None` where they may be either.
+/// The scale of a colour's values: bytes, or fractions if some values are above 0 and none is above
+/// 1. `None` if both are possible.
 pub fn evident_scale(particles: &(impl Particles + ?Sized), index: usize) -> Option<AttributeKind> {
     let extremes = extremes(particles, index);
     let kind = AttributeKind::of_shares(extremes);
@@ -290,7 +288,7 @@ pub fn evident_scale(particles: &(impl Particles + ?Sized), index: usize) -> Opt
     is_evident.then_some(kind)
 }
 
-/// The least and the greatest finite value of an attribute, and 0.
+/// The minimum and maximum of 0 and the finite values of an attribute.
 fn extremes(particles: &(impl Particles + ?Sized), index: usize) -> [f32; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
@@ -302,7 +300,7 @@ fn extremes(particles: &(impl Particles + ?Sized), index: usize) -> [f32; 2] {
     chunks(particles, of_chunk).reduce(|| [0.0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
-/// The least and the greatest whole number of an attribute, and 0.
+/// The minimum and maximum of 0 and the integers of an attribute.
 fn whole_extremes(particles: &(impl Particles + ?Sized), index: usize) -> [i64; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
@@ -313,7 +311,7 @@ fn whole_extremes(particles: &(impl Particles + ?Sized), index: usize) -> [i64; 
     chunks(particles, of_chunk).reduce(|| [0; 2], |[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
-/// Whether whole numbers under this name are a direction nevertheless.
+/// Whether integers with this name are a direction nevertheless.
 pub(crate) fn is_direction_name(info: &AttributeInfo) -> bool {
     info.components == 3 && VELOCITY_NAMES.contains(&&*info.name)
 }

@@ -1,11 +1,12 @@
-//! Whether particles stand on a lattice that beats with the grid, and the origin that suits it.
+//! Detects particles on a lattice whose step divides the cells' edge, and finds an origin that
+//! suits them.
 //!
-//! Simulations begin with particles on a lattice. Where its step divides the cells' edge, all
-//! particles have the same place in their cell, and symmetry's theta is anything from 0 (on a
-//! corner) to 1 (in the centre), while the same fluid a few frames later, in disorder, has 1 - 2
-//! E|u| / sqrt 3 = 0.445: the mean over all places u in a cell of edge 1. A grid that holds the
-//! lattice at a place of just that theta measures on the first frame what suits all. On such a
-//! place a lattice is also far from cell faces, where rounding would scramble the counts.
+//! Simulations often start with particles on a lattice. If its step divides the cells' edge, all
+//! particles have the same position in their cell, and symmetry's theta can be anything from 0 (on
+//! a corner) to 1 (in the centre). A few frames later, the same fluid is disordered, with theta 1 -
+//! 2 E|u| / sqrt 3 = 0.445: the mean over all positions u in a cell of edge 1. An origin at which
+//! the lattice has exactly this theta gives measurements on the first frame that hold for all.
+//! There, the lattice is also far from cell faces, where rounding would scramble the counts.
 
 use std::f64::consts::TAU;
 
@@ -16,19 +17,19 @@ use crate::particles::Particles;
 
 /// Maximum number of lattice particles per cell along an axis that is tried.
 const DIVISIONS: u32 = 4;
-/// Number of distinguished places in a lattice's step.
+/// Number of distinguished positions within a lattice's step.
 const PLACES: usize = 256;
-/// The place of theta = 0.445: 0.277 from the middle along each axis.
+/// The position with theta = 0.445: 0.277 from the middle along each axis.
 const SOUND: f64 = 57.0;
-/// Mean resultant of the places above which they are one: particles jittered by 0.19 of a step have
+/// Mean resultant above which positions count as equal: particles jittered by 0.19 of a step have
 /// 0.5.
 const COHERENT: f64 = 0.5;
-/// Scale of the integer cosines, so that neither order nor threads matter to their sums.
+/// Scale of the integer cosines. Integer sums do not depend on order or threads.
 const ONE: f64 = 32768.0;
 const CHUNK: usize = 1 << 12;
 
 /// The origin nearest to `origin` that suits a lattice of particles in cells of edge `cell_size`;
-/// `None` where there is no lattice along any axis, or none that beats with the cells.
+/// `None` if there is no lattice along any axis, or its step does not divide the cells' edge.
 pub fn sound_origin(
     particles: &(impl Particles + ?Sized),
     origin: DVec3,
@@ -48,7 +49,7 @@ pub fn sound_origin(
     })
 }
 
-/// Where along each axis the particles stand in their step, if most stand in one place.
+/// The position of the particles within a lattice's step along each axis, if most have the same.
 fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [Option<f64>; 3] {
     let circle: Vec<[i64; 2]> = (0..PLACES)
         .map(|place| {
@@ -68,8 +69,8 @@ fn places(particles: &(impl Particles + ?Sized), origin: DVec3, step: f64) -> [O
                 continue;
             }
             for (sum, x) in sums.iter_mut().zip(steps.to_array()) {
-                // Nearest place, not the one below: a lattice on faces is rounded to either side of
-                // them.
+                // Rounded to nearest, not down: a lattice on cell faces is on either side of them
+                // after rounding.
                 let place = ((x - x.floor()) * PLACES as f64).round() as usize % PLACES;
                 let [cos, sin] = circle[place];
                 sum[0] += cos;

@@ -1,4 +1,4 @@
-//! Particles whose readings are counted, and end early once their caller asks for that.
+//! Particles whose reads are counted, and end early after a cancel.
 
 use std::ops::Range;
 
@@ -6,8 +6,7 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::{AttributeInfo, Label, Particles, Unread};
 
-/// Particles as they are, until the work is cancelled: from then on they have no positions, so that
-/// every reading soon comes to its end.
+/// Particles that have no positions after a cancel, so that every read ends soon.
 #[derive(Debug)]
 pub struct Metered<'a, P: ?Sized> {
     particles: &'a P,
@@ -21,7 +20,7 @@ impl<'a, P: Particles + ?Sized> Metered<'a, P> {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
     }
 
-    /// Counts them anew, as the share of a stage that ends there.
+    /// Starts to count again, for the part of a stage that ends at `to`.
     pub fn begin(&mut self, stage: Stage, to: f64) {
         self.meter = self.control.meter(stage, self.particles.len()).between(0.0, to);
     }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::occurring::{Source, Value, values_of};
 use super::{Particles, chunks};
 
-/// Names of attributes for the material of a particle, in lower case and without `_`.
+/// Names of attributes that distinguish materials, in lower case and without `_`.
 const KINDS: [&str; 26] = [
     "type",
     "ptype",
@@ -39,33 +39,33 @@ const KINDS: [&str; 26] = [
     "species",
 ];
 
-/// Values of such an attribute, at most; more are no fluid and its boundary.
+/// Maximum number of different values of such an attribute.
 const MOST: usize = 3;
-/// Cells along each axis in which the inside of the fluid is looked for, at most.
+/// Maximum number of cells along each axis of the grid that finds the inside of the fluid.
 const FINEST: f64 = 32.0;
-/// Particles of the fluid in such a cell, on average.
+/// Average number of fluid particles in such a cell.
 const IN_CELL: f64 = 8.0;
-/// Share of a boundary that may be within the fluid.
+/// Maximum fraction of a boundary inside the fluid.
 const WITHIN: f64 = 0.02;
 
-/// Whether an attribute's name means the material of a particle.
+/// Whether the name of an attribute suggests materials.
 pub fn is_kind(name: &str) -> bool {
     let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
     KINDS.contains(&plain.to_ascii_lowercase().as_str())
 }
 
-/// Particles that lie around others as a boundary lies around a fluid.
+/// A fluid and the particles around it that look like its boundary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Mixture {
     /// The attribute that distinguishes them.
     pub attribute: String,
-    /// The attribute's value on the boundary, and the number of particles there.
+    /// The attribute's value on the boundary, and the number of boundary particles.
     pub boundary: (Value, usize),
-    /// The attribute's value within, and the number of particles there.
+    /// The attribute's value in the fluid, and the number of fluid particles.
     pub fluid: (Value, usize),
 }
 
-/// The box around some particles.
+/// The bounding box of some particles.
 #[derive(Clone, Copy)]
 struct Extent([DVec3; 2]);
 
@@ -77,7 +77,7 @@ impl Extent {
         Self([lo.min(other_lo), hi.max(other_hi)])
     }
 
-    /// Whether it lies beyond another on all sides but one at the most: a tank may be open.
+    /// Whether it extends beyond another box on all sides except at most one: a tank may be open.
     fn is_around(self, inner: Self) -> bool {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
@@ -97,7 +97,7 @@ pub fn mixture(particles: &(impl Particles + ?Sized)) -> Option<Mixture> {
     sources.find_map(|(source, name)| by(particles, source, name))
 }
 
-/// Calls `take` with the places and the numbers of some thousand particles after the other.
+/// Calls `take` with the positions and the values of some thousand particles at a time.
 fn each<T: Send>(
     particles: &(impl Particles + ?Sized),
     source: Source,
@@ -167,7 +167,7 @@ fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Opti
     )
 }
 
-/// Cells in the box around the fluid.
+/// Cells in the bounding box of the fluid.
 struct Cells {
     lo: DVec3,
     scale: DVec3,
@@ -202,7 +202,7 @@ impl Cells {
         is_in.then(|| self.number(cell.as_ivec3())).flatten()
     }
 
-    /// Whether fluid is in a cell and in all around it.
+    /// Whether a cell and all cells around it contain fluid.
     fn is_inside(&self, wet: &[bool], cell: usize) -> bool {
         let (cell, count) = (cell as i32, self.count);
         let at = IVec3::new(cell % count, cell / count % count, cell / (count * count));
@@ -218,7 +218,7 @@ mod tests {
     use super::*;
     use crate::particles::Cloud;
 
-    /// Points of a lattice around the origin, and a number of each.
+    /// Points of a lattice around the origin, each with a value.
     fn lattice(half: i32, number: impl Fn(IVec3) -> Option<f32>) -> (Vec<[f64; 3]>, Vec<f32>) {
         let axis = || -half..=half;
         let points =
@@ -243,7 +243,7 @@ mod tests {
         );
         assert_eq!(boundary.1 + fluid.1, tank.0.len());
         assert_eq!(found("temperature", &tank), None);
-        // A round tank, whose walls are within the box around the fluid.
+        // A round tank, whose walls are inside the bounding box of the fluid.
         let round = lattice(12, |p| {
             let r = p.as_dvec3().truncate().length();
             let is_wall = r > 10.5 || p.z < -10;
@@ -261,7 +261,7 @@ mod tests {
         for one in [layers, mixed] {
             assert_eq!(found("phase", &one), None);
         }
-        // Water around a drop of oil is around it indeed.
+        // Water around a drop of oil looks like a boundary.
         assert!(found("phase", &drop).is_some());
     }
 }

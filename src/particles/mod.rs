@@ -25,7 +25,7 @@ pub use cloud::{AttributeValue, Cloud};
 pub use kind::{AttributeKind, colour_attribute};
 pub use metered::Metered;
 
-/// A value that every particle carries.
+/// A value of every particle.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct AttributeInfo {
     /// The name of the attribute in the file.
@@ -47,7 +47,8 @@ pub struct Label {
 }
 
 impl AttributeInfo {
-    /// An attribute of floating-point numbers: a colour if its name says so, else plain numbers.
+    /// An attribute of floating-point numbers: a colour if it has the name of a colour, else plain
+    /// numbers.
     #[must_use]
     pub fn new(name: impl Into<String>, components: usize) -> Self {
         let name = name.into();
@@ -62,7 +63,7 @@ impl AttributeInfo {
     }
 }
 
-/// Particles that could not be read again without a change.
+/// An error of reading particles again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum Unread {
     /// The file of the particles was changed meanwhile.
@@ -112,13 +113,13 @@ pub trait Particles: Sync {
         let _ = range;
     }
 
-    /// The attributes that [`attribute`](Self::attribute) serves, positions excluded.
+    /// The attributes that [`attribute`](Self::attribute) reads, without positions.
     fn attributes(&self) -> &[AttributeInfo] {
         &[]
     }
 
-    /// Fills `out` with attribute number `index` of the particles from `first` on, all components
-    /// of one particle after the other.
+    /// Fills `out` with attribute number `index` of the particles from `first` on, with the
+    /// components of each particle together.
     ///
     /// # Panics
     /// If the range exceeds the particles or there is no such attribute.
@@ -127,13 +128,13 @@ pub trait Particles: Sync {
         panic!("there is no attribute number {index}");
     }
 
-    /// The texts that [`label`](Self::label) serves.
+    /// The labels that [`label`](Self::label) reads.
     fn labels(&self) -> &[Label] {
         &[]
     }
 
-    /// Fills `out` with the texts of label number `index` of the particles from `first` on, by their
-    /// numbers among the label's texts.
+    /// Fills `out` with label number `index` of the particles from `first` on, as indices into the
+    /// label's texts.
     ///
     /// # Panics
     /// If the range exceeds the particles or there is no such label.
@@ -142,8 +143,8 @@ pub trait Particles: Sync {
         panic!("there is no label number {index}");
     }
 
-    /// Fills `out` with one component of an attribute, both by their numbers, of the particles from
-    /// `first` on, as stored if that is more exact than [`attribute`](Self::attribute).
+    /// Fills `out` with one component of an attribute of the particles from `first` on, in the
+    /// stored precision if that is greater than the precision of [`attribute`](Self::attribute).
     ///
     /// # Panics
     /// If the range exceeds the particles or there is no such attribute.
@@ -160,7 +161,7 @@ pub trait Particles: Sync {
     /// i64 become the greatest i64.
     ///
     /// # Panics
-    /// As [`attribute`](Self::attribute).
+    /// Like [`attribute`](Self::attribute).
     fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
         let mut values = vec![0.0; out.len()];
         self.attribute(index, first, &mut values);
@@ -242,7 +243,7 @@ impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
 }
 
 impl<T: Copy + Into<f64> + Sync> Particles for StridedPositions<'_, T> {
-    /// Counts whole positions.
+    /// Number of complete positions.
     fn len(&self) -> usize {
         (self.numbers.len() + self.stride - 3) / self.stride
     }
@@ -259,12 +260,12 @@ fn widen(to: &mut [f64], from: &[f32]) {
     to.iter_mut().zip(from).for_each(|(to, &from)| *to = from.into());
 }
 
-/// The names under which simulators store a particle's velocity.
+/// The names that simulators use for the velocity of particles.
 pub const VELOCITY_NAMES: [&str; 9] =
     ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", "Velocities", ".velocities"];
 
-/// The number of the attribute that holds velocities, if there is one: three components under a
-/// usual name.
+/// The number of the velocity among the attributes, if there is one: three components under a usual
+/// name.
 #[must_use]
 pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     VELOCITY_NAMES
@@ -288,8 +289,7 @@ pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usiz
     named.or_else(velocity).or_else(alike).or_else(colour)
 }
 
-/// The attributes on the mesh: the velocity under the name that other programs read, others under
-/// their own.
+/// The attributes of the mesh: the velocity under its usual name, and others under their own.
 pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);
@@ -307,9 +307,9 @@ pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<Att
 /// Bounding box of particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
-    /// Least coordinates.
+    /// Minimum coordinates.
     pub lo: DVec3,
-    /// Greatest coordinates.
+    /// Maximum coordinates.
     pub hi: DVec3,
     /// Number of particles with finite coordinates; the others are ignored.
     pub finite: usize,
@@ -337,7 +337,7 @@ impl Bounds {
         }
     }
 
-    /// Bounds of two lots of particles together.
+    /// The bounds of both.
     pub fn joined(self, other: Self) -> Self {
         Self {
             lo: self.lo.min(other.lo),
@@ -347,8 +347,8 @@ impl Bounds {
     }
 }
 
-/// Finds the bounds of positions, whose coordinates are whole vectors by fours: `None` where one is
-/// not finite.
+/// Finds the bounds of positions in groups of four, which are whole vectors; `None` if one is not
+/// finite.
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
     let (mut lo, mut hi, mut zero) = ([f64::MAX; 12], [f64::MIN; 12], [0.0; 12]);
@@ -358,7 +358,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
             let c = four[lane];
             lo[lane] = if c < lo[lane] { c } else { lo[lane] };
             hi[lane] = if c > hi[lane] { c } else { hi[lane] };
-            // NaN, where a coordinate is not finite.
+            // NaN if a coordinate is not finite.
             zero[lane] += c * 0.0;
         }
     }
@@ -384,7 +384,7 @@ pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
     (bounds.finite > 0).then_some(bounds)
 }
 
-/// Particles that are looked at together.
+/// Number of particles that are processed together.
 pub(crate) const CHUNK: usize = 1 << 12;
 
 /// Calls `look` with ranges of some thousands of particles, on all threads. A mapped file releases

@@ -1,4 +1,4 @@
-//! Values that occur among particles, and how often, for attributes of few values.
+//! Counts the values of attributes that have few different values.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{Particles, chunks};
 
-/// Most values of an attribute that are listed.
+/// Maximum number of different values of a listed attribute.
 const MOST: usize = 8;
 
-/// An attribute of few values.
+/// An attribute with few different values.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Occurring {
+pub struct ValueCounts {
     /// The name of the attribute or label.
     pub name: String,
     /// The values, in order, each with the number of its particles.
@@ -39,8 +39,8 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Finds the attributes of one number and the labels that have no more than a few values.
-pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<Occurring> {
+/// Finds the scalar attributes and labels with few different values.
+pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<ValueCounts> {
     let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
     let sources = scalars.map(|(index, info)| (Source::Attribute(index), &info.name));
     let labels = particles.labels().iter().enumerate();
@@ -48,22 +48,22 @@ pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<Occurring> {
     let found = sources.filter_map(|(source, name)| {
         let values = values_of(particles, source)?;
         let values = values.into_iter().map(|(_, value, count)| (value, count)).collect();
-        Some(Occurring { name: name.clone(), values })
+        Some(ValueCounts { name: name.clone(), values })
     });
     found.collect()
 }
 
-/// The value of every particle by which it is distinguished.
+/// A scalar attribute or a label.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Source {
-    /// An attribute of one number.
+    /// A scalar attribute.
     Attribute(usize),
     /// A label.
     Label(usize),
 }
 
 impl Source {
-    /// Keys of a range of particles, in the order of their values.
+    /// Sort keys of the values of a range of particles.
     pub(super) fn keys(
         self,
         particles: &(impl Particles + ?Sized),
@@ -93,8 +93,8 @@ impl Source {
     }
 }
 
-/// The values that occur, each with its key and the number of its particles; `None` where they are
-/// more than a few, or hardly any occurs twice.
+/// The different values, each with its key and its number of particles; `None` if there are too
+/// many, or almost all occur once.
 pub(super) fn values_of(
     particles: &(impl Particles + ?Sized),
     source: Source,
@@ -104,7 +104,8 @@ pub(super) fn values_of(
     Some(values.collect())
 }
 
-/// How often each key occurs; `None` where more than a few do, or hardly any occurs twice.
+/// The number of particles with each key; `None` if there are too many keys, or almost all occur
+/// once.
 fn counted(particles: &(impl Particles + ?Sized), source: Source) -> Option<BTreeMap<u64, usize>> {
     let all = particles.len();
     let counts = chunks(particles, |range| {
@@ -124,13 +125,13 @@ fn counted(particles: &(impl Particles + ?Sized), source: Source) -> Option<BTre
     (!joined.is_empty() && joined.len() * 2 <= all).then_some(joined)
 }
 
-/// The bits of a number, in the order of numbers; zeros are one.
+/// The bits of a number, in the order of numbers. Both zeros give the same key.
 fn ordered(number: f64) -> u64 {
     let bits = (number + 0.0).to_bits();
     if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }
 }
 
-/// The number that [`ordered`] made so.
+/// The inverse of [`ordered`].
 fn number(key: u64) -> f64 {
     f64::from_bits(if key >> 63 == 1 { key & !(1 << 63) } else { !key })
 }
@@ -152,6 +153,6 @@ mod tests {
         let quarter = count / 4;
         let values = [(-1.0, quarter), (0.0, 2 * quarter), (2.5, quarter)];
         let values = values.map(|(number, count)| (Value::Number(number), count)).to_vec();
-        assert_eq!(occurring(&cloud), [Occurring { name: "phase".into(), values }]);
+        assert_eq!(occurring(&cloud), [ValueCounts { name: "phase".into(), values }]);
     }
 }

@@ -6,14 +6,14 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::condition::{Comparison, Condition, Where};
-use super::occurring::{Occurring, occurring};
+use super::occurring::{ValueCounts, occurring};
 use super::sieve::{GROUP, Sieve};
 use super::{AttributeInfo, Label, Particles, Unread, attribute_called};
 
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// A condition that cannot be applied to some particles.
+/// An error of applying a condition to particles.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SelectionFault {
     /// An attribute that the particles do not have.
@@ -24,7 +24,7 @@ pub enum SelectionFault {
     NoAttribute {
         /// The name in the condition.
         name: String,
-        /// The names of the attributes that there are.
+        /// The names of the available attributes.
         known: Vec<String>,
     },
     /// A vector where a number is needed, or a component that it does not have.
@@ -40,7 +40,7 @@ pub enum SelectionFault {
         /// The number of its components.
         components: usize,
     },
-    /// A text that is compared with numbers.
+    /// A text that cannot be compared with numbers.
     #[error("cannot select particles by {name:?}: its values are numbers, got {value:?}")]
     Text {
         /// The name in the condition.
@@ -48,7 +48,7 @@ pub enum SelectionFault {
         /// The text.
         value: String,
     },
-    /// A text of which larger and smaller are asked.
+    /// An order comparison of texts.
     #[error(
         "cannot select particles by {name:?}: its values are texts, which can only be compared \
          by = and !="
@@ -57,7 +57,7 @@ pub enum SelectionFault {
         /// The name in the condition.
         name: String,
     },
-    /// Several types where particles of one are read at a time.
+    /// Several types, although one type is read at a time.
     #[error("cannot select several types of particles at once; name one type of this file")]
     Types,
     /// No particle satisfies all conditions.
@@ -67,13 +67,13 @@ pub enum SelectionFault {
         of: usize,
         /// The conditions.
         conditions: String,
-        /// The values that occur, of attributes of few values that are in conditions.
-        values: Vec<Occurring>,
+        /// The different values of attributes in the conditions, if there are few.
+        values: Vec<ValueCounts>,
     },
-    /// Particles that could not be read.
+    /// The particles cannot be read.
     #[error("{0}")]
     Unread(#[from] Unread),
-    /// The caller's request to end.
+    /// The caller cancelled the work.
     #[error("cancelled")]
     Cancelled,
 }
@@ -82,15 +82,15 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-fn occur(values: &[Occurring]) -> String {
-    let one = |of: &Occurring| {
+fn occur(values: &[ValueCounts]) -> String {
+    let one = |of: &ValueCounts| {
         let listed = of.values.iter().map(|(value, count)| format!("{value} ({count})"));
         format!("; {} is {}", of.name, listed.collect::<Vec<_>>().join(", "))
     };
     values.iter().map(one).collect()
 }
 
-/// An example of how to name a component, for people.
+/// An example of the name of a component, for a message.
 fn example(attribute: &str, components: usize) -> String {
     match components {
         1 => format!("which is {attribute}"),
@@ -99,7 +99,7 @@ fn example(attribute: &str, components: usize) -> String {
     }
 }
 
-/// A number of every particle.
+/// A number that every particle has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Number {
     /// A component of an attribute.
@@ -108,14 +108,14 @@ enum Number {
     Position(usize),
 }
 
-/// A condition on what particles hold.
+/// A condition on stored values.
 #[derive(Debug)]
 enum Test {
-    /// A comparison of a number with some.
+    /// Compares a number with values.
     Number(Number, Comparison, Vec<f64>),
-    /// A comparison of whole numbers, of an attribute and a component, for equality.
+    /// Compares an integer component of an attribute for equality.
     Whole((usize, usize), Comparison, Vec<i64>),
-    /// A label, and for each of its texts whether it passes.
+    /// A label, with whether each of its texts satisfies the condition.
     Label(usize, Vec<bool>),
 }
 
@@ -129,14 +129,14 @@ fn component(name: &str) -> Option<(&str, usize)> {
 }
 
 impl Condition {
-    /// The number of the attribute that it is on; `None` where that is the position, or missing.
+    /// The number of its attribute; `None` for a position, or if there is no such attribute.
     pub(crate) fn attribute(&self, infos: &[AttributeInfo]) -> Option<usize> {
         let of_component =
             || component(&self.name).and_then(|(name, _)| attribute_called(name, infos));
         attribute_called(&self.name, infos).or_else(of_component)
     }
 
-    /// Whether it holds for a text; `None` if it asks for an order.
+    /// Whether a text satisfies the condition; `None` for an order comparison.
     pub(crate) fn of_text(&self, text: &str) -> Option<bool> {
         let is_one = self.values.iter().any(|value| value == text.trim());
         match self.comparison {
@@ -196,7 +196,7 @@ impl Condition {
 }
 
 impl Test {
-    /// Clears the bits of those particles from `first` on that fail.
+    /// Clears the bits of the particles in `range` that fail.
     fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
         let (first, count) = (range.start, range.len());
         match self {
@@ -233,7 +233,7 @@ impl Test {
     }
 }
 
-/// Clears the bits of those values that fail.
+/// Clears the bits of the values that fail.
 fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
     for (word, values) in words.iter_mut().zip(values.chunks(64)) {
         let bits = values.iter().map(&holds).enumerate();
@@ -241,7 +241,7 @@ fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
     }
 }
 
-/// Selects the particles that satisfy all conditions, as long as `goes_on` says so.
+/// Selects the particles that satisfy all conditions. Stops when `goes_on` returns false.
 ///
 /// # Errors
 /// [`SelectionFault`].
@@ -270,7 +270,7 @@ pub fn select<'a>(
 }
 
 impl SelectionFault {
-    /// The fault of particles none of which satisfies the conditions.
+    /// The error if no particle satisfies the conditions.
     pub(crate) fn none(particles: &(impl Particles + ?Sized), conditions: &[Where]) -> Self {
         let conditions = Where::joined(conditions);
         let names = conditions.iter().flat_map(Where::conditions).map(|c| c.name.as_str());
@@ -282,7 +282,7 @@ impl SelectionFault {
     }
 }
 
-/// Some of other particles, selected by a sieve.
+/// A selection of other particles.
 #[derive(Debug)]
 pub struct Selected<'a, P: ?Sized> {
     particles: &'a P,
@@ -290,13 +290,13 @@ pub struct Selected<'a, P: ?Sized> {
 }
 
 impl<'a, P: Particles + ?Sized> Selected<'a, P> {
-    /// Keeps those of the particles that a sieve selects.
+    /// Selects particles with a sieve.
     pub fn new(particles: &'a P, sieve: Sieve) -> Self {
         Self { particles, sieve }
     }
 
-    /// Calls `take` with each range of particles that are neighbours, and the number of its first
-    /// one among `count` selected ones from `first` on.
+    /// Calls `take` with each contiguous range of particles and the index of its first particle,
+    /// for `count` selected particles from `first` on.
     fn each_run(&self, first: usize, count: usize, mut take: impl FnMut(Range<usize>, usize)) {
         let mut rows = self.sieve.rows(first).take(count).peekable();
         let mut at = 0;

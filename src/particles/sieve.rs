@@ -1,14 +1,14 @@
-//! A selection among rows: a bit for each, and counts that find the row of a selected one.
+//! A selection of rows: one bit per row, and counts that find a selected row by its index.
 
 use std::ops::Range;
 
 use crate::system::bits::ones;
 
-/// Rows of a word.
+/// Rows per word.
 const WORD: usize = 64;
-/// Words between two counts.
+/// Words per count.
 const WORDS: usize = 64;
-/// Rows between two counts.
+/// Rows per count.
 pub(super) const GROUP: usize = WORD * WORDS;
 
 /// Some of the rows of a table, in order.
@@ -46,18 +46,18 @@ impl Sieve {
         self.count
     }
 
-    /// The bytes that it takes.
+    /// Bytes of memory.
     pub fn bytes(&self) -> u64 {
         (size_of_val(&*self.words) + size_of_val(&*self.before)) as u64
     }
 
-    /// The last row that is selected.
+    /// The last selected row.
     pub fn last(&self) -> Option<usize> {
         let (at, word) = self.words.iter().enumerate().rev().find(|(_, word)| **word != 0)?;
         Some(at * WORD + WORD - 1 - word.leading_zeros() as usize)
     }
 
-    /// Selects among the selected rows, by their numbers among these.
+    /// Selects some of the selected rows, by their indices among them.
     pub fn within(&self, inner: &Self) -> Self {
         let mut words = vec![0; self.words.len()];
         let rows = self.rows(0).enumerate().filter(|(number, _)| inner.holds(*number));
@@ -65,8 +65,7 @@ impl Sieve {
         Self::new(words)
     }
 
-    /// The range of rows around a range of the selected ones, without those beside it that are
-    /// selected too.
+    /// The smallest range of rows that contains a range of selected rows.
     pub fn around(&self, selected: Range<usize>) -> Range<usize> {
         let row = |number| self.rows(number).next();
         match (row(selected.start), selected.end.checked_sub(1).and_then(row)) {
@@ -80,7 +79,7 @@ impl Sieve {
         self.words[row / WORD] >> (row % WORD) & 1 != 0
     }
 
-    /// The selected rows in order, from the one on that `first` others precede.
+    /// The selected rows in order, from number `first` on.
     pub fn rows(&self, first: usize) -> impl Iterator<Item = usize> + '_ {
         let group = self.before.partition_point(|&before| before <= first).saturating_sub(1);
         let mut skipped = first - self.before.get(group).copied().unwrap_or(first);

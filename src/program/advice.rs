@@ -1,31 +1,34 @@
-//! Advice for errors and warnings: the options that help. The library says what is wrong, but does
-//! not know the options.
+//! Adds advice to errors and warnings: options that help. The library describes the problem, but
+//! does not know the options of the program.
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Error, FrameError, PartsError, ReadFault, Remedy, SimulationError, TooFine, Unread,
-    Untold, WriteFault, shown, significant,
+    BinError, Error, FrameError, NoEstimate, PartsError, ReadFault, Remedy, SimulationError,
+    TooFine, Unread, WriteFault, shown, significant,
 };
 use meniscus::{
-    Comparison, Condition, Doubt, Emptiness, Mistake, Mixture, SpacingSource, TooSmall, Warning,
+    Comparison, Condition, EmptyReason, Mixture, SpacingMistake, SpacingSource, SpacingWarning,
+    TooSmall, Warning,
 };
 
 use super::options::Options;
 
 /// Prints an error with advice.
 pub fn say_error(error: &Error) {
-    super::notes::say(&format!("meniscus: {}", told(error)));
+    super::notes::say(&format!("meniscus: {}", error_message(error)));
 }
 
 /// The text of an error with advice.
-pub fn told(error: &Error) -> String {
+pub fn error_message(error: &Error) -> String {
     in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))
 }
 
 /// The text of an error that names options.
 fn in_options(error: &Error) -> Option<String> {
     Some(match error {
-        Error::Unfit(_) | Error::Unit(_) => error.told(&|setting| format!("--{setting}")),
+        Error::SettingConflict(_) | Error::Unit(_) => {
+            error.message_with(&|setting| format!("--{setting}"))
+        }
         Error::LittleMemory { least, simplifying: None } => {
             format!("--memory must be at least {}", ByteSize(*least))
         }
@@ -36,7 +39,7 @@ fn in_options(error: &Error) -> Option<String> {
             "--simplify with {threads} threads needs a --memory of at least {}; fewer --threads need less",
             ByteSize(*least)
         ),
-        Error::Simulation(SimulationError::Rate { .. } | SimulationError::Wait(_)) => {
+        Error::Simulation(SimulationError::Rate { .. } | SimulationError::Timeout(_)) => {
             format!("--{error}")
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
@@ -45,21 +48,21 @@ fn in_options(error: &Error) -> Option<String> {
         Error::Simulation(SimulationError::Range { first, last }) => {
             format!("--start {first} is after --end {last}")
         }
-        Error::Simulation(SimulationError::NoneWanted(inputs)) => {
+        Error::Simulation(SimulationError::NoFrameSelected(inputs)) => {
             format!("{inputs}: no frame matches --frames")
         }
         _ => return None,
     })
 }
 
-/// Whether a file of unknown extension is read as particles.
+/// Whether the error is about the unknown extension of an input.
 fn is_of_unknown_particles(fault: &ReadFault) -> bool {
     matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
 }
 
 fn advice(error: &Error) -> String {
     match error {
-        Error::NoSpacing { why: Untold::SinglePrecision { .. }, .. } => {
+        Error::NoSpacing { why: NoEstimate::SinglePrecision { .. }, .. } => {
             "; store the coordinates in double precision or move them to the origin, or use --spacing"
         }
         Error::NoSpacing { .. } => "; use --spacing, --radius or --cell-size",
@@ -91,7 +94,7 @@ fn advice(error: &Error) -> String {
             PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. },
         ) => "; use --plan with --resume or --overwrite to replace the plan",
         Error::Parts(PartsError::Missing { .. }) => "; make them with --part",
-        Error::Parts(PartsError::Damaged { .. } | PartsError::Foreign(_)) => {
+        Error::Parts(PartsError::Damaged { .. } | PartsError::OtherPlan(_)) => {
             "; make it again with --part"
         }
         Error::Frame { fault, .. } => advice_on_frame(fault),
@@ -131,37 +134,44 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
     }
 }
 
-/// The text of a doubt about a spacing, with advice.
-pub fn doubted(doubt: &Doubt) -> String {
-    match doubt {
-        Doubt::Contradicted { found, source: SpacingSource::Packed, .. } => {
-            format!("{doubt}; pack the particles again with --spacing {}", significant(*found, 3))
+/// The text of a warning about a spacing, with advice.
+pub fn spacing_message(warning: &SpacingWarning) -> String {
+    match warning {
+        SpacingWarning::Contradicted { found, source: SpacingSource::Packed, .. } => {
+            format!("{warning}; pack the particles again with --spacing {}", significant(*found, 3))
         }
-        Doubt::Contradicted { said, found, mistake: Some(Mistake::Radius), .. } => {
+        SpacingWarning::Contradicted {
+            given,
+            found,
+            mistake: Some(SpacingMistake::Radius),
+            ..
+        } => {
             format!(
-                "{doubt}; use --radius {} or --spacing {}",
-                shown(*said),
+                "{warning}; use --radius {} or --spacing {}",
+                shown(*given),
                 significant(*found, 3)
             )
         }
-        Doubt::Contradicted { found, .. } => {
-            format!("{doubt}; use --spacing {}", significant(*found, 3))
+        SpacingWarning::Contradicted { found, .. } => {
+            format!("{warning}; use --spacing {}", significant(*found, 3))
         }
-        Doubt::SinglePrecision { .. } => {
-            format!("{doubt}; store them in double precision, or move them to the origin")
+        SpacingWarning::SinglePrecision { .. } => {
+            format!("{warning}; store them in double precision, or move them to the origin")
         }
-        Doubt::Mixed(Mixture { attribute, fluid: (value, _), .. }) => {
+        SpacingWarning::Mixed(Mixture { attribute, fluid: (value, _), .. }) => {
             let values = vec![value.to_string()];
             let fluid =
                 Condition { name: attribute.clone(), comparison: Comparison::Equal, values };
-            format!("{doubt}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
+            format!("{warning}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
-        Doubt::TwoResolutions { .. } => format!(
-            "{doubt}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
+        SpacingWarning::TwoResolutions { .. } => format!(
+            "{warning}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
              choose another"
         ),
-        Doubt::Sizes { .. } => format!("{doubt}; use --size none to treat all as one size"),
-        _ => format!("{doubt}; use --spacing if you know it"),
+        SpacingWarning::Sizes { .. } => {
+            format!("{warning}; use --size none to treat all as one size")
+        }
+        _ => format!("{warning}; use --spacing if you know it"),
     }
 }
 
@@ -180,9 +190,9 @@ fn on_lost(smoothed: bool) -> &'static str {
 }
 
 /// The text of a warning, with advice that suits the other options.
-pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
+pub fn warning_message(warning: &Warning, options: Option<&Options>) -> String {
     match warning {
-        Warning::Spacing(doubt) => doubted(doubt),
+        Warning::Spacing(warning) => spacing_message(warning),
         Warning::Coincident { found, .. } if found.alone => {
             format!("{warning}; use --domain to leave them out")
         }
@@ -195,11 +205,11 @@ pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
         Warning::ThinSolid { .. } => {
             "; use smaller cells, a thicker mesh or a greater --solid-offset".into()
         }
-        Warning::Shortfall { clouds, measured_on, .. }
-        | Warning::Empty { why: Emptiness::Field, clouds, measured_on } => {
-            format!("{warning}{}", on_shortfall(options, *clouds, *measured_on))
+        Warning::Shortfall { clouds, calibration_frame, .. }
+        | Warning::Empty { why: EmptyReason::Field, clouds, calibration_frame } => {
+            format!("{warning}{}", on_shortfall(options, *clouds, *calibration_frame))
         }
-        Warning::Empty { why: Emptiness::TooSmall(all), .. } => {
+        Warning::Empty { why: EmptyReason::TooSmall(all), .. } => {
             format!("the mesh is empty: all components are below {}", limits(*all))
         }
         _ => warning.to_string(),
@@ -207,9 +217,9 @@ pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
 }
 
 /// Advice for a surface that encloses too little.
-fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<i64>) -> String {
+fn on_shortfall(options: Option<&Options>, clouds: bool, calibration_frame: Option<i64>) -> String {
     let mut advice = String::new();
-    if let Some(frame) = measured_on {
+    if let Some(frame) = calibration_frame {
         let what = if clouds { "its plateau" } else { "its isovalue" };
         advice += &format!("; {what} was measured on frame {frame}");
     }
@@ -255,7 +265,7 @@ mod tests {
         text.into()
     }
 
-    /// Errors for which there is advice, or which are told in the names of options.
+    /// Errors with advice, or with names of options in their text.
     fn errors() -> Vec<Error> {
         let frame = |fault| Error::Frame { path: Some(path("f_1.vtk")), fault };
         let spacing = |why| Error::NoSpacing { path: None, particles: 7, why, suggested: None };
@@ -269,15 +279,15 @@ mod tests {
             memory(None),
             memory(Some(1)),
             memory(Some(4)),
-            SimulationError::Wait(-1.0).into(),
+            SimulationError::Timeout(-1.0).into(),
             SimulationError::Steps("sim.h5part".into()).into(),
             SimulationError::Range { first: 5, last: 3 }.into(),
-            SimulationError::NoneWanted("f_{}.vtk".into()).into(),
+            SimulationError::NoFrameSelected("f_{}.vtk".into()).into(),
             SimulationError::State { path: path("state.json"), what: "expected value".into() }
                 .into(),
             SimulationError::Settings { path: path("state.json"), differing: "cell".into() }.into(),
-            spacing(Untold::TooFew),
-            spacing(Untold::SinglePrecision { step: 0.03 }),
+            spacing(NoEstimate::TooFew),
+            spacing(NoEstimate::SinglePrecision { step: 0.03 }),
             write(WriteFault::Exists),
             write(WriteFault::ExistsInSimulation),
             ReadError::new("f.abc", ReadFault::UnknownExtension { known: ".bgeo, .csv" }).into(),
@@ -295,35 +305,36 @@ mod tests {
             PartsError::NoPlan(plan()).into(),
             PartsError::Settings { path: plan(), differing: "smooth".into() }.into(),
             PartsError::Missing { folder: path("parts"), missing: vec![0, 2], of: 3 }.into(),
-            PartsError::Foreign(path("parts/part_3")).into(),
+            PartsError::OtherPlan(path("parts/part_3")).into(),
             PartsError::Io { path: plan(), fault: io::ErrorKind::StorageFull.into() }.into(),
         ]
     }
 
     fn warnings() -> Vec<Warning> {
         let spacing = |source, mistake| {
-            Warning::Spacing(Doubt::Contradicted {
-                said: 0.025,
+            Warning::Spacing(SpacingWarning::Contradicted {
+                given: 0.025,
                 source,
                 found: 0.05,
                 mistake,
                 spray: false,
             })
         };
-        let empty = |why, measured_on| Warning::Empty { why, clouds: false, measured_on };
+        let empty =
+            |why, calibration_frame| Warning::Empty { why, clouds: false, calibration_frame };
         vec![
-            spacing(SpacingSource::Given, Some(Mistake::Radius)),
+            spacing(SpacingSource::Given, Some(SpacingMistake::Radius)),
             spacing(SpacingSource::Given, None),
             spacing(SpacingSource::Packed, None),
-            Warning::Spacing(Doubt::Random { taken: 0.05 }),
-            Warning::Spacing(Doubt::SinglePrecision { step: 0.03, spacing: 0.05 }),
-            Warning::Spacing(Doubt::TwoResolutions { spacings: [0.05, 0.1], taken: 0.05 }),
+            Warning::Spacing(SpacingWarning::Random { used: 0.05 }),
+            Warning::Spacing(SpacingWarning::SinglePrecision { step: 0.03, spacing: 0.05 }),
+            Warning::Spacing(SpacingWarning::TwoResolutions { spacings: [0.05, 0.1], used: 0.05 }),
             Warning::Crowded { times: 8.5, spacing: 0.1 },
             Warning::OnCorners { mean: 0.02, origin: [0.5; 3] },
             Warning::Lost { lost: 12, of: 1000, smoothed: true },
             Warning::Lost { lost: 12, of: 1000, smoothed: false },
-            empty(Emptiness::Field, Some(1)),
-            empty(Emptiness::TooSmall(TooSmall { components: 1, drops: 2 }), None),
+            empty(EmptyReason::Field, Some(1)),
+            empty(EmptyReason::TooSmall(TooSmall { components: 1, drops: 2 }), None),
         ]
     }
 
@@ -331,8 +342,8 @@ mod tests {
     #[test]
     fn advice_is_as_the_list_has_it() {
         let warnings = warnings();
-        let lines = errors().iter().map(told).collect::<Vec<_>>().into_iter();
-        let lines = lines.chain(warnings.iter().map(|warning| warned(warning, None)));
+        let lines = errors().iter().map(error_message).collect::<Vec<_>>().into_iter();
+        let lines = lines.chain(warnings.iter().map(|warning| warning_message(warning, None)));
         let listed: String = lines.map(|line| format!("{line}\n")).collect();
         let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/program/advice.txt");
         if std::env::var_os("MENISCUS_UPDATE").is_some() {

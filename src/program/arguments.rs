@@ -38,7 +38,7 @@ pub enum Command {
 }
 
 impl Arguments {
-    /// Parses a command line. `--help` and `--version` are errors that hold the text to print.
+    /// Parses a command line. `--help` and `--version` are errors that contain the text to print.
     pub fn of_command_line(arguments: &[OsString]) -> Result<Self, clap::Error> {
         let mut command = Self::as_command();
         let matches = command.try_get_matches_from_mut(arguments);
@@ -49,8 +49,8 @@ impl Arguments {
         Self::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
     }
 
-    /// The commands and options, as help, completions and man pages show them. `pack` accepts
-    /// settings of a surface, but hidden, and only to reject them with a reason.
+    /// The commands and options for help, completions and man pages. `pack` has hidden options for
+    /// settings of a surface, to reject them with a reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {
             Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())

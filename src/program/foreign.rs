@@ -1,9 +1,9 @@
-//! Options of other programs, with ours that do the same: a tip for those who type the former.
+//! Tips for users of other programs' options, with the option of this program that does the same.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
 
-/// Names in other programs, our option, and what to know of it.
+/// Names in other programs, the option here, and a short explanation.
 const FOREIGN: &[(&[&str], &str, &str)] = &[
     (&["-r", "--particle-radius"], "radius", "is the same length"),
     (
@@ -49,8 +49,7 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
 /// Options that name the input in other programs.
 const INPUT: &[&str] = &["-i", "--input", "--input-file", "--input-dir"];
 
-/// Adds a tip to an error of the arguments of `command` where it is about an option of another
-/// program.
+/// Adds a tip to an error about an option of another program.
 pub fn explained(mut error: Error, command: &mut Command, subcommand: Option<&str>) -> Error {
     let Some(command) = subcommand.and_then(|name| command.find_subcommand_mut(name)) else {
         return error;

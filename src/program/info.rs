@@ -6,8 +6,8 @@ use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::{shown, significant};
 use meniscus::files::{
-    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, Occurring, ParticlesInfo,
-    files, info_by, is_packed,
+    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, ValueCounts,
+    files, info_with, is_packed,
 };
 use meniscus::{Error, Settings, Where};
 
@@ -36,8 +36,8 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let Options { format, r#where, .. } = options;
     let settings = Settings { format: *format, r#where: r#where.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
-    for file in files(&options.files, is_told)? {
-        match info_by(&file, &settings) {
+    for file in files(&options.files, is_listed)? {
+        match info_with(&file, &settings) {
             Ok(info) if options.json => infos.push(info),
             Ok(info) => print(&describe(&info))?,
             Err(error) => errors.push(error),
@@ -53,7 +53,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 }
 
 /// Whether `info` lists this file of a folder.
-fn is_told(file: &Path) -> bool {
+fn is_listed(file: &Path) -> bool {
     InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
 }
 
@@ -75,7 +75,7 @@ fn describe(info: &Info) -> String {
             attributes,
             spacing,
             spacing_source,
-            spacing_doubts,
+            spacing_warnings,
             spacing_unknown,
             nearest_neighbours,
             slab,
@@ -119,7 +119,7 @@ fn describe(info: &Info) -> String {
                 line("left out", format!("{unselected} particles that fail the conditions"));
             }
             line("attributes", names(attributes));
-            for Occurring { name, values } in values {
+            for ValueCounts { name, values } in values {
                 let listed = values.iter().map(|(value, count)| format!("{value} ({count})"));
                 line(name, listed.collect::<Vec<_>>().join(", "));
             }
@@ -135,7 +135,7 @@ fn describe(info: &Info) -> String {
                 "spacing",
                 spacing.map_or_else(unknown, |s| format!("{}, from {source}", shown(s))),
             );
-            spacing_doubts.iter().for_each(|doubt| line("", format!("warning: {doubt}")));
+            spacing_warnings.iter().for_each(|warning| line("", format!("warning: {warning}")));
             slab.iter().for_each(|slab| line("plane", slab.to_string()));
             if let Some(found) = walls.as_ref().filter(|found| !found.walls.is_open()) {
                 line("domain", format!("{found}, with --domain auto"));

@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use meniscus::Cancel;
 
-/// The handle of all work of this process.
+/// The cancel handle of this process.
 static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
-    // Where there is a handler already, it is another's.
+    // Fails if the caller of the library has installed a handler.
     let _ = ctrlc::set_handler(|| {
         CANCEL.abandon();
         let what = if RESUMABLE.load(Ordering::Relaxed) {
@@ -21,15 +21,15 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
     Cancel::new()
 });
 
-/// Whether frames that are done stay when an interrupt comes.
+/// Whether an interrupt keeps finished frames.
 static RESUMABLE: AtomicBool = AtomicBool::new(false);
 
-/// The handle that work has to take, so that an interrupt removes what it has half written.
+/// The handle to pass to all work, so that an interrupt removes half-written files.
 pub fn handle() -> Cancel {
     CANCEL.clone()
 }
 
-/// From now on frames are done one by one, and stay.
+/// Declares that from now on frames are finished one by one, and are kept.
 pub fn resumable() {
     RESUMABLE.store(true, Ordering::Relaxed);
 }

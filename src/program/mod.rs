@@ -29,26 +29,25 @@ use meniscus::{Cause, Error, Reconstruction, Settings};
 use arguments::{Arguments, Command};
 use notes::Verdict;
 
-/// Runs a command line, whose first word is the program's name, and returns the exit code.
+/// Runs a command line, with the program's name as its first word, and returns the exit code.
 ///
-/// This is all that the program does: programs and packages in other languages may offer it as
-/// their own. The process becomes the program's: signals are caught, and an interrupt ends it with
-/// 130.
+/// Programs and packages in other languages can offer the program with this function. It catches
+/// signals of the process, and an interrupt ends the process with 130.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     process::set_up();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     process::on_own_stack(move || match Arguments::of_command_line(&arguments) {
         Ok(Arguments { command }) => code(execute(command)),
         Err(error) => {
-            // A closed pipe has nobody who could read why.
+            // If the pipe is closed, there is no reader for an error message.
             let _ = error.print();
             error.exit_code() as u8
         }
     })
 }
 
-/// Parses a command line and makes the request of `reconstruct` and the settings that it was given,
-/// without running it: for tests.
+/// Parses a command line, and returns the request and the settings of `reconstruct` without running
+/// it: for tests.
 #[doc(hidden)]
 pub fn parsed(
     arguments: impl IntoIterator<Item = OsString>,
@@ -56,17 +55,17 @@ pub fn parsed(
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     match Arguments::of_command_line(&arguments).map_err(|error| error.to_string())?.command {
         Command::Reconstruct(options) => {
-            let request = options.request().map_err(|error| told(&error))?;
+            let request = options.request().map_err(|error| error_message(&error))?;
             Ok(Some((options.settings.clone(), request)))
         }
         _ => Ok(None),
     }
 }
 
-/// The sentence that the program prints of an error: for tests.
+/// The text that the program prints for an error: for tests.
 #[doc(hidden)]
-pub fn told(error: &Error) -> String {
-    advice::told(error)
+pub fn error_message(error: &Error) -> String {
+    advice::error_message(error)
 }
 
 fn execute(command: Command) -> Result<Verdict, Error> {

@@ -17,7 +17,7 @@ use super::stats::{Made, record};
 /// Rejects a file that is both an input and an output, or two outputs.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(one, other) {
-        return Err(Error::TwoPurposes { path: other.to_owned(), other: one.to_owned() });
+        return Err(Error::SameFile { path: other.to_owned(), other: one.to_owned() });
     }
     Ok(())
 }
@@ -51,7 +51,7 @@ pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // The folder of the output exists now.
+    // Preparing the output has created its folder.
     options.prepare_stats()?;
     let preview =
         options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;

@@ -58,7 +58,7 @@ pub struct Options {
 impl Options {
     /// The request for a surface, without threads, memory and backend.
     pub fn request(&self) -> Result<Reconstruction, Error> {
-        let request = Reconstruction::by(self.settings.clone());
+        let request = Reconstruction::new().with_settings(self.settings.clone());
         if self.run.vulkan_given() && !request.uses_backend() {
             return Err(Error::Request(
                 "--backend vulkan does not support this --method; use --backend cpu".into(),

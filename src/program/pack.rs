@@ -30,7 +30,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     let Options { input, output, settings, run } = options;
     let notes = run.notes();
-    let request = Reconstruction::by(settings.clone());
+    let request = Reconstruction::new().with_settings(settings.clone());
     request.check_packing()?;
     request.check(input)?;
     // Packed frames have no attributes.

@@ -6,7 +6,7 @@ use std::path::Path;
 use bytesize::ByteSize;
 use clap::{Args, value_parser};
 use meniscus::files::Replace;
-use meniscus::{Error, Indicator, PartMade, PartTakes, Parts, Planned, Reconstruction};
+use meniscus::{Error, Indicator, PartDone, PartNeeds, Parts, PartsPlan, Reconstruction};
 
 use super::notes::Notes;
 use super::notes::{Verdict, print};
@@ -76,28 +76,28 @@ fn replace(options: &Options) -> Replace {
 
 fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Error> {
     let planned = parts.plan()?;
-    let Planned { particles, format, cells, moved_to, indicator, .. } = &planned;
+    let PartsPlan { particles, format, cells, moved_to, indicator, .. } = &planned;
     notes.say(format!("{}: {particles} particles, {format}", options.inputs[0].display()));
     report_cells(cells, Some(*indicator), *moved_to, notes);
     cells.walls.iter().for_each(|found| notes.say(found.to_string()));
     report_census(&planned.census, notes);
     print(&listed(&planned))?;
     report_stages(&planned.timings, notes);
-    if planned.parts.iter().any(|part| part.takes.is_none()) {
+    if planned.parts.iter().any(|part| part.needs.is_none()) {
         notes.say(format!("{}: the plan exists already", planned.path.display()));
     }
     Ok(Verdict::Good)
 }
 
-/// A line for each part: what it holds, and what it takes.
-fn listed(planned: &Planned) -> String {
+/// A line for each part: its particles and its resources.
+fn listed(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
         let mut line = format!(
             "part {number}: {} particles, {} with its surroundings",
             part.particles, part.kept
         );
-        if let Some(PartTakes { memory, in_core, scratch, .. }) = part.takes {
+        if let Some(PartNeeds { memory, in_core, scratch, .. }) = part.needs {
             let [memory, budget, in_core, scratch] =
                 [memory, planned.budget, in_core, scratch].map(ByteSize);
             line += &format!("; memory: about {memory} of {budget}");
@@ -113,12 +113,12 @@ fn listed(planned: &Planned) -> String {
 }
 
 fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Verdict, Error> {
-    let PartMade { path, bytes, blocks, triangles, read, was_there, warnings, timings, .. } =
+    let PartDone { path, bytes, blocks, triangles, read, reused, warnings, timings, .. } =
         parts.part(part)?;
     warn_all(&warnings, Some(options), notes);
     let what =
         format!("{}: {blocks} blocks, {triangles} triangles, {}", path.display(), ByteSize(bytes));
-    if was_there {
+    if reused {
         notes.say(format!("{what}, made earlier"));
     } else {
         notes.say(format!("{what} from {read} particles in {:.2} s", timings.total()));
@@ -157,7 +157,7 @@ pub struct PartsOptions {
     merge: bool,
 }
 
-/// A step on the way to a mesh in parts.
+/// A step of a mesh in parts.
 pub enum Step {
     Plan,
     Part(u32),

@@ -4,7 +4,7 @@ use std::panic::resume_unwind;
 use std::sync::mpsc::channel;
 use std::thread;
 
-/// Bytes of the stack that commands run on: as much as most systems give to a process.
+/// Bytes of the stack of commands: the default size on most systems.
 const STACK: usize = 8 << 20;
 
 /// Sets up the process, before any other thread is started.
@@ -26,7 +26,8 @@ pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send +
 /// system starts none.
 pub fn start_threads() {
     let all = rayon::ThreadPoolBuilder::new;
-    // The global pool can be built only once, so another one is tried first, and ended.
+    // The global pool can be built only once, so this first tries to start another pool, and ends
+    // it.
     let (ended, ends) = channel();
     let end = move |_| {
         let _ = ended.send(());

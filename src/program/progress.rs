@@ -90,7 +90,7 @@ impl Progress {
     }
 }
 
-/// Standard error as if it were a terminal, for callers that forward it to one. Write errors are
+/// A terminal on standard error, also for callers that forward it to a terminal. Write errors are
 /// ignored.
 #[derive(Debug)]
 struct Pretended;

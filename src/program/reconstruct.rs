@@ -19,7 +19,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     if options.together {
         return run_together(options);
     }
-    match (Simulation::if_several(&options.inputs, &options.output)?, options.parts.parts) {
+    match (Simulation::detect(&options.inputs, &options.output)?, options.parts.parts) {
         (Some(_), Some(_)) => {
             let what = "--parts is for one frame; divide a simulation by --frames";
             Err(Error::Request(what.into()))
@@ -37,7 +37,7 @@ fn run_together(options: &Options) -> Result<Verdict, Error> {
             "--parts reads a single file and cannot be used with --together".into(),
         ));
     }
-    match Simulation::if_together(&options.inputs, &options.output)? {
+    match Simulation::detect_together(&options.inputs, &options.output)? {
         Some(simulation) => simulation::run(options, simulation),
         None => {
             let is_known =

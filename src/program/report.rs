@@ -1,4 +1,4 @@
-//! The report of a frame, for people.
+//! Prints the report of a frame.
 
 use std::path::PathBuf;
 
@@ -7,11 +7,11 @@ use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::{shown, significant};
 use meniscus::mesh::MeshSource;
 use meniscus::{
-    Calibrated, Cells, Census, Doubt, IndicatorKind, Isovalue, Opened, Plateau, Report,
-    SpacingSource, Timings, Warning,
+    Calibrated, Cells, Census, IndicatorKind, Isovalue, Opened, Plateau, Report, SpacingSource,
+    SpacingWarning, Timings, Warning,
 };
 
-use super::advice::{doubted, warned};
+use super::advice::{spacing_message, warning_message};
 use super::notes::Notes;
 use super::options::Options;
 
@@ -45,7 +45,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
     }
 }
 
-/// Prints the cells, the indicator, and the origin of a grid that was moved.
+/// Prints the cells, the indicator, and the new origin of a grid that was moved.
 pub fn report_cells(
     cells: &Cells,
     indicator: Option<IndicatorKind>,
@@ -55,7 +55,7 @@ pub fn report_cells(
     let by = indicator.map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
     notes.say(format!("{cells}{by}"));
     cells.slab.iter().for_each(|slab| notes.say(slab.to_string()));
-    cells.doubts.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
+    cells.warnings.iter().for_each(|warning| notes.warn(&spacing_message(warning)));
     if let Some(corner) = moved_to {
         let corner = corner.map(shown).join(",");
         notes.say(format!(
@@ -172,13 +172,15 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Prints the warnings about a surface, with advice. Doubts about the spacing were printed when it
-/// was chosen.
+/// Prints the warnings about a surface, with advice. Warnings about the spacing were already
+/// printed when it was chosen.
 pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
-        Warning::Spacing(Doubt::Contradicted { source, .. }) => *source != SpacingSource::Packed,
+        Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {
+            *source != SpacingSource::Packed
+        }
         warning => matches!(warning, Warning::Spacing(_)),
     };
     let others = warnings.iter().filter(|warning| !was_said(warning));
-    others.for_each(|warning| notes.warn(&warned(warning, options)));
+    others.for_each(|warning| notes.warn(&warning_message(warning, options)));
 }

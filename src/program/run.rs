@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
-use meniscus::devices::{self, Backend, DeviceChoice, OnCpu};
+use meniscus::devices::{self, Backend, CpuReason, DeviceChoice};
 use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
 use super::notes::Notes;
@@ -72,7 +72,7 @@ impl RunOptions {
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        // Missing folders will be created in the first existing one.
+        // Missing folders will be created below the first existing one.
         let beside =
             output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
         let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
@@ -106,8 +106,8 @@ impl RunOptions {
                 let (backend, on_cpu) = devices::fastest(budget, input_bytes, cache.as_deref());
                 if let Some(why) = on_cpu {
                     let advice = match why {
-                        OnCpu::LittleMemory(_) => "; use a larger --memory",
-                        OnCpu::NotConformant(_) => "; --backend vulkan uses it anyway",
+                        CpuReason::LittleMemory(_) => "; use a larger --memory",
+                        CpuReason::NotConformant(_) => "; --backend vulkan uses it anyway",
                         _ => "",
                     };
                     self.notes().detail(format!("using the CPU: {why}{advice}"));
@@ -131,7 +131,7 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     devices::bytes_of(files)
 }
 
-/// Whether an output is a device file, whose folder takes no other files.
+/// Whether an output is a device file, beside which no other files can be created.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
 }

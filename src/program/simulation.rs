@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use clap::Args;
 use meniscus::devices::Device;
 use meniscus::{
-    Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied, Warning,
+    Cancel, Error, Event, FrameCounts, FrameDone, FrameFailed, Simulation, Summary, Warning,
 };
 
-use super::advice::{doubted, told, warned};
+use super::advice::{error_message, spacing_message, warning_message};
 use super::interrupt;
 use super::notes::Notes;
 use super::notes::{Verdict, print};
@@ -38,7 +38,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     simulation.check()?;
     options.prepare_stats()?;
     let notes = options.run.notes();
-    let mut teller = Teller {
+    let mut listener = Listener {
         options,
         notes,
         bars: None,
@@ -48,36 +48,36 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
         cancel,
         device,
     };
-    let hear = |event: Event| teller.hear(&event);
+    let hear = |event: Event| listener.hear(&event);
     if options.dry_run {
         for forecast in simulation.forecast(hear)? {
             print(&forecast.to_string())?;
         }
-        return Ok(teller.verdict());
+        return Ok(listener.verdict());
     }
     let sheet = options.preview.then(|| simulation.sheet()).transpose()?;
     interrupt::resumable();
     if options.simulation.plan {
         let numbers: Vec<String> = simulation.plan(hear)?.iter().map(i64::to_string).collect();
         print(&numbers.join("\n"))?;
-        return Ok(teller.verdict());
+        return Ok(listener.verdict());
     }
     let converted = simulation.run(hear);
     // This failure cancelled the conversion, so it is the cause.
-    if let Some(error) = teller.broken.take() {
+    if let Some(error) = listener.broken.take() {
         return Err(error);
     }
     converted?;
     if let Some(sheet) = sheet {
         let done = sheet.draw()?;
-        done.warning().iter().for_each(|warning| teller.notes.warn(warning));
-        teller.notes.say(done.to_string());
+        done.warning().iter().for_each(|warning| listener.notes.warn(warning));
+        listener.notes.say(done.to_string());
     }
-    Ok(teller.verdict())
+    Ok(listener.verdict())
 }
 
 /// Prints messages for events.
-struct Teller<'a> {
+struct Listener<'a> {
     options: &'a Options,
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
@@ -91,7 +91,7 @@ struct Teller<'a> {
     device: Option<Device>,
 }
 
-impl Teller<'_> {
+impl Listener<'_> {
     fn verdict(&self) -> Verdict {
         if self.bad { Verdict::Bad } else { Verdict::Good }
     }
@@ -106,14 +106,14 @@ impl Teller<'_> {
 
     fn hear(&mut self, event: &Event) {
         match event {
-            Event::Doubted(doubt) => self.notes().warn(&doubted(doubt)),
+            Event::SpacingWarning(warning) => self.notes().warn(&spacing_message(warning)),
             Event::Waiting { .. }
-            | Event::Anew { .. }
-            | Event::GoesOn { .. }
+            | Event::Restarted { .. }
+            | Event::Resumed { .. }
             | Event::Measured { .. } => {
                 self.notes().say(event.to_string());
             }
-            &Event::Begins { frames, done, bytes, lanes, followed } => {
+            &Event::Started { frames, done, bytes, lanes, followed } => {
                 if done > 0 {
                     self.notes().say(event.to_string());
                 }
@@ -122,7 +122,7 @@ impl Teller<'_> {
                     if idle { ProgressMode::Never } else { self.options.simulation.progress };
                 self.bars = Some(Progress::start(mode, bytes, lanes, self.notes.clone()));
             }
-            Event::Came { bytes } => {
+            Event::FrameAppeared { bytes } => {
                 self.progress().into_iter().for_each(|bars| bars.lengthen(*bytes))
             }
             &Event::Stage { lane, progress, .. } => {
@@ -134,7 +134,7 @@ impl Teller<'_> {
             Event::Done(done) => self.done(done),
             Event::Failed(failed) => self.failed(failed),
             Event::SimulationFailed(error) => {
-                self.notes().error(format!("meniscus: {}", told(error)));
+                self.notes().error(format!("meniscus: {}", error_message(error)));
                 self.bad = true;
             }
             Event::Ended(summary) => {
@@ -162,7 +162,7 @@ impl Teller<'_> {
                     continue;
                 }
             }
-            let warning = warned(warning, Some(self.options));
+            let warning = warning_message(warning, Some(self.options));
             self.notes().warn(&format!("{}: {warning}", done.input.display()));
         }
         if self.progress().is_some_and(Progress::has_bars) {
@@ -175,12 +175,12 @@ impl Teller<'_> {
     }
 
     fn failed(&mut self, failed: &FrameFailed) {
-        self.notes().error(format!("meniscus: {}", told(&failed.error)));
+        self.notes().error(format!("meniscus: {}", error_message(&failed.error)));
         self.append(|| of_failed(failed));
         self.advance(&failed.progress);
     }
 
-    fn advance(&self, &Tallied { done, total, failed, bytes, .. }: &Tallied) {
+    fn advance(&self, &FrameCounts { done, total, failed, bytes, .. }: &FrameCounts) {
         self.progress().into_iter().for_each(|bars| bars.advance(done, total, failed, bytes));
     }
 
@@ -209,21 +209,21 @@ impl Teller<'_> {
         warn_all(summary.lost().as_slice(), None, notes);
         if !summary.is_complete() {
             self.bad = true;
-            notes.error(lacking(summary));
+            notes.error(incomplete(summary));
         }
     }
 }
 
 /// A line for each failed or missing frame, in order.
-fn lacking(summary: &Summary) -> String {
+fn incomplete(summary: &Summary) -> String {
     let failed = summary.failed.iter();
-    let failed = failed
-        .map(|failed| (failed.frame, format!("frame {}: {}", failed.frame, told(&failed.error))));
+    let failed = failed.map(|failed| {
+        (failed.frame, format!("frame {}: {}", failed.frame, error_message(&failed.error)))
+    });
     let missing = summary.missing.iter().map(|missing| (missing.first, missing.to_string()));
     let lines: BTreeSet<(i64, String)> = failed.chain(missing).collect();
-    let lacking = summary.lacking();
-    let mut list =
-        format!("meniscus: {lacking} frame{} failed:", if lacking == 1 { "" } else { "s" });
+    let count = summary.incomplete_frames();
+    let mut list = format!("meniscus: {count} frame{} failed:", if count == 1 { "" } else { "s" });
     lines.iter().for_each(|(_, line)| list += &format!("\n  {line}"));
     list
 }

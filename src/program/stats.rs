@@ -1,4 +1,4 @@
-//! `--stats`: what a program wants to know of a frame, a line of JSON each.
+//! `--stats`: a line of JSON for each frame, for other programs.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -8,23 +8,23 @@ use meniscus::error::WriteError;
 use meniscus::{Error, FrameDone, FrameFailed, MethodName, Report, Timings, peak_memory};
 use serde_json::{Map, Value, json};
 
-use super::advice::told;
+use super::advice::error_message;
 use super::options::Options;
 
-/// A mesh that was made of a frame.
+/// The mesh of a frame.
 pub struct Made<'a> {
     pub input: &'a Path,
     pub output: &'a Path,
     /// Vertices, triangles, and bytes of the file.
     pub counts: [u64; 3],
     pub stages: &'a Timings,
-    /// Particles in no surface, at the least.
+    /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
 }
 
 impl Options {
-    /// Makes sure, before the work, that statistics can be appended; a file that was not there is
-    /// not there then. A folder that is made for the meshes need not be there yet.
+    /// Checks before the work that statistics can be appended, without creating the file. A folder
+    /// that will be created for the meshes need not exist yet.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats
@@ -46,7 +46,7 @@ impl Options {
         Ok(())
     }
 
-    /// Appends a line to the statistics, if they are asked for.
+    /// Appends a line to the statistics, if requested.
     pub fn append_stats(&self, record: impl FnOnce() -> Value) -> Result<(), Error> {
         let Some(path) = &self.stats else { return Ok(()) };
         let file = OpenOptions::new().create(true).append(true).open(path);
@@ -55,7 +55,7 @@ impl Options {
     }
 }
 
-/// Writes the record of a frame among others.
+/// The record of a frame of a simulation.
 pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
     let FrameDone { input, output, mesh, report, lost, .. } = done;
     let mut stats = match report {
@@ -77,12 +77,12 @@ pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
     stats
 }
 
-/// Writes the record of a frame that failed.
+/// The record of a failed frame.
 pub fn of_failed(failed: &FrameFailed) -> Value {
-    json!({ "frame": failed.frame, "input": failed.input, "error": told(&failed.error) })
+    json!({ "frame": failed.frame, "input": failed.input, "error": error_message(&failed.error) })
 }
 
-/// Writes the record of a frame.
+/// The record of a frame.
 pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
     let Made { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
     let seconds =
@@ -129,7 +129,7 @@ pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
     joined(of_run, of_field)
 }
 
-/// All fields of two objects.
+/// Combines the fields of two objects.
 fn joined(mut one: Value, other: Value) -> Value {
     if let (Value::Object(one), Value::Object(other)) = (&mut one, other) {
         one.extend(other);

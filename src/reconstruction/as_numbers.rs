@@ -1,5 +1,5 @@
-//! A calibration as files of JSON have it: mu0 where the indicator counts, and the isovalue as a
-//! fraction of 1; or the plateau of clouds.
+//! Serializes a calibration to JSON: mu0 for counting, with the isovalue as a fraction of 1; or the
+//! plateau of clouds.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -14,7 +14,7 @@ struct Numbers {
     plateau: Option<u16>,
 }
 
-/// Writes it down.
+/// Writes a calibration.
 pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
     let mu0 = known.and_then(|known| known.mean()).map(MeanCount::particles);
     let isovalue = known.and_then(|known| known.iso()).map(Isovalue::value);
@@ -25,7 +25,7 @@ pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S:
     Numbers { mu0, isovalue, plateau }.serialize(to)
 }
 
-/// Reads what was written, and refuses what cannot have been measured.
+/// Reads a calibration, and rejects values that cannot have been measured.
 pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
     let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
     let calibration = |iso| {

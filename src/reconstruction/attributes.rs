@@ -1,4 +1,4 @@
-//! The choice of particle attributes that go to the vertices, and of what is read of an input for
+//! Selects the particle attributes that go to the vertices, and what to read from an input for
 //! them.
 
 use crate::error::Error;
@@ -11,14 +11,14 @@ use crate::settings::{Settings, Where};
 use super::checked::Checked;
 
 impl Checked {
-    /// Particles and attributes that have to be read of an input.
+    /// The particles and attributes that must be read from an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
         self.settings.wanted(&self.sampling.size)
     }
 }
 
 impl Settings {
-    /// Particles and attributes that have to be read of an input.
+    /// The particles and attributes that must be read from an input, with those for `sizes`.
     pub(crate) fn wanted<'a>(&'a self, sizes: &'a SizeChoice) -> Wanted<'a> {
         let (names, conditions) = (self.attribute_names(), self.conditions());
         let attributes = WantedAttributes::Only { names, conditions, sizes };
@@ -31,8 +31,8 @@ impl Settings {
         }
     }
 
-    /// The numbers of the attributes that go to the vertices, of those that there are. Velocity
-    /// goes where a format can hold it.
+    /// Numbers of the available attributes that go to the vertices. Velocity is included by default
+    /// if the format can store it.
     pub(crate) fn carried(
         &self,
         all: &[AttributeInfo],

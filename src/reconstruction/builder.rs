@@ -70,19 +70,14 @@ impl Reconstruction {
         }
     }
 
-    /// A request with these settings.
+    /// Replaces all settings.
     ///
     /// ```
     /// use meniscus::{Reconstruction, Settings};
     ///
     /// let settings = Settings { spacing: Some(0.05), normals: true, ..Settings::default() };
-    /// assert_eq!(Reconstruction::by(settings.clone()).settings(), &settings);
+    /// assert_eq!(Reconstruction::new().with_settings(settings.clone()).settings(), &settings);
     /// ```
-    pub fn by(settings: Settings) -> Self {
-        Self::new().with_settings(settings)
-    }
-
-    /// Replaces all settings.
     pub fn with_settings(mut self, settings: Settings) -> Self {
         self.settings = settings;
         self
@@ -283,8 +278,8 @@ impl Reconstruction {
 
     /// Calls a function with progress, from any thread. A [`Simulation`](crate::Simulation) reports
     /// the progress of its frames by [`Event::Stage`](crate::Event::Stage) instead.
-    pub fn progress(mut self, tell: impl Fn(Progress) + Send + Sync + 'static) -> Self {
-        self.control.progress = Some(Arc::new(tell));
+    pub fn progress(mut self, report: impl Fn(Progress) + Send + Sync + 'static) -> Self {
+        self.control.progress = Some(Arc::new(report));
         self
     }
 

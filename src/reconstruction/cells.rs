@@ -15,7 +15,7 @@ use crate::grid::units::shown;
 use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, finite_chunks};
 
-use super::spacing::{Doubt, SpacingSource};
+use super::spacing::{SpacingSource, SpacingWarning};
 
 /// Requested edge of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,7 +71,7 @@ pub struct Cells {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
     /// Reasons why the spacing may be wrong.
-    pub doubts: Vec<Doubt>,
+    pub warnings: Vec<SpacingWarning>,
 }
 
 /// Walls of a tank that meniscus found.

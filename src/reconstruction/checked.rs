@@ -9,7 +9,7 @@ use rayon::ThreadPool;
 use crate::backend::Backend;
 use crate::baselines::KernelMethod;
 use crate::brick::InvalidParticles;
-use crate::error::{Conflict, Error, Setting, Unfit};
+use crate::error::{Conflict, Error, Setting, SettingConflict};
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::field::recipe::Detail;
@@ -131,7 +131,7 @@ fn refuse(
     with: impl FnOnce() -> Conflict,
 ) -> Result<(), Error> {
     match settings.given_otherwise(known, meaningless) {
-        Some(setting) => Err(Unfit { setting, with: with() }.into()),
+        Some(setting) => Err(SettingConflict { setting, with: with() }.into()),
         None => Ok(()),
     }
 }
@@ -158,11 +158,11 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
     ];
     if let Some((setting, _, other)) = exclusive.into_iter().find(|(_, both, _)| *both) {
         let (setting, with) = (Setting::named(setting), Conflict::Setting(Setting::named(other)));
-        return Err(Unfit { setting, with }.into());
+        return Err(SettingConflict { setting, with }.into());
     }
     if settings.solid_offset.is_some() && settings.solid.is_none() {
         let with = Conflict::Needs(Setting::named("solid"));
-        return Err(Unfit { setting: Setting::named("solid_offset"), with }.into());
+        return Err(SettingConflict { setting: Setting::named("solid_offset"), with }.into());
     }
     let length =
         |name, length: Option<f64>| length.map(|length| positive_length(name, length)).transpose();
@@ -313,7 +313,7 @@ impl Settings {
         given.map_or(Ok(()), |setting| {
             let is_radius = setting.name() == "spacing" && self.spacing.is_none();
             let setting = if is_radius { Setting::named("radius") } else { setting };
-            Err(Unfit { setting, with: Conflict::Sampled }.into())
+            Err(SettingConflict { setting, with: Conflict::Sampled }.into())
         })
     }
 

@@ -1,5 +1,5 @@
-//! From a sampled frame to its surface, simplified if it is to be, with whatever there is to know
-//! of it.
+//! Makes the surface of a sampled frame, simplifies it if requested, and collects its report and
+//! warnings.
 
 use crate::error::Error;
 use crate::field::calibration::Calibration;
@@ -15,16 +15,16 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use super::checked::Checked;
 use super::report::Report;
-use super::warning::{Emptiness, Warning, lost_warning, of_isovalue};
+use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
 
-/// A surface that was drawn, but for the threads that it was made by.
+/// A surface without the threads that made it.
 pub(crate) struct Drawn {
     pub(crate) mesh: Kept,
     pub(crate) precision: SinglePrecision,
     pub(crate) report: Report,
 }
 
-/// A mesh as it is kept: in memory, or in scratch files as far as it exceeds its share of that.
+/// A mesh in memory, or in scratch files if it exceeds its share of the memory.
 pub(crate) enum Kept {
     /// The mesh of a frame that has no surface.
     Empty(Mesh),
@@ -44,8 +44,8 @@ impl Kept {
 }
 
 impl Checked {
-    /// Draws the surface of a frame, by a calibration that is known or measured on it, and leaves
-    /// out what is to be.
+    /// Makes the surface of a frame with a given calibration, or one that is measured on it, and
+    /// removes components that are too small.
     pub(crate) fn draw(
         &self,
         engine: &Engine,
@@ -56,15 +56,15 @@ impl Checked {
         Ok(self.reduce_of(engine, surface, report, timings)?)
     }
 
-    /// Draws as [`draw`](Self::draw) does the surface of one of many frames: where there is none,
-    /// the mesh is empty, vertices would have carried the attributes `infos`, and a warning says
-    /// why. `measured_on` is the frame that the calibration is of.
+    /// Like [`draw`](Self::draw), for one of many frames. A frame without a surface gives an empty
+    /// mesh with the attributes `infos`, and a warning with the reason. `calibration_frame` is the
+    /// frame on which the calibration was measured.
     pub(crate) fn draw_or_empty(
         &self,
         engine: &Engine,
         known: Option<&Calibration>,
         infos: Vec<AttributeInfo>,
-        measured_on: Option<i64>,
+        calibration_frame: Option<i64>,
         timings: &mut Timings,
     ) -> Result<Drawn, FrameError> {
         let drawn = self.draw_whole(engine, known, timings).and_then(|(surface, report)| {
@@ -72,37 +72,42 @@ impl Checked {
             match self.reduce_of(engine, surface, report, timings) {
                 Err(FrameError::NothingLeft(all)) => {
                     let report = Report { too_small: Some(all), ..whole };
-                    Ok(self.empty(report, Emptiness::TooSmall(all), infos.clone(), measured_on))
+                    Ok(self.empty(
+                        report,
+                        EmptyReason::TooSmall(all),
+                        infos.clone(),
+                        calibration_frame,
+                    ))
                 }
                 drawn => drawn,
             }
         });
         match drawn {
             Err(fault) => {
-                let why = Emptiness::of(&fault).ok_or(fault)?;
+                let why = EmptyReason::of(&fault).ok_or(fault)?;
                 let mut report = Report::of(engine, &self.surfacing);
                 report.calibration = known.copied().filter(|_| report.indicator.is_some());
                 report.lost = engine.facts().census.binned as u64;
-                Ok(self.empty(report, why, infos, measured_on))
+                Ok(self.empty(report, why, infos, calibration_frame))
             }
             drawn => drawn,
         }
     }
 
-    /// A frame without a surface, and a warning that says why it has none.
+    /// A frame without a surface, with a warning that gives the reason.
     fn empty(
         &self,
         mut report: Report,
-        why: Emptiness,
+        why: EmptyReason,
         infos: Vec<AttributeInfo>,
-        measured_on: Option<i64>,
+        calibration_frame: Option<i64>,
     ) -> Drawn {
         let clouds = report.is_clouds();
-        report.warnings.push(Warning::Empty { why, clouds, measured_on });
+        report.warnings.push(Warning::Empty { why, clouds, calibration_frame });
         Drawn { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
     }
 
-    /// An empty mesh, which every program can load, and finds the attributes that it expects.
+    /// An empty mesh with the expected attributes, which every program can load.
     pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> Kept {
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
@@ -135,21 +140,22 @@ impl Checked {
         })
     }
 
-    /// Adds to a report what there is to doubt of a surface, of which it says already how many
-    /// particles are in none.
+    /// Adds warnings about a surface to its report, which already has the number of missing
+    /// particles.
     pub(super) fn judge(
         &self,
         report: &mut Report,
         surface: &Stitched,
         shortfall: Option<Shortfall>,
     ) {
-        let doubt = report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
-        report.warnings.extend(doubt);
-        report.warnings.extend(self.doubts_about_solids(&report.facts));
+        let bubbles =
+            report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
+        report.warnings.extend(bubbles);
+        report.warnings.extend(self.solid_warnings(&report.facts));
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
         report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));
-        let warning = |shortfall| Warning::Shortfall { shortfall, clouds, measured_on: None };
+        let warning = |shortfall| Warning::Shortfall { shortfall, clouds, calibration_frame: None };
         report.warnings.extend(shortfall.map(warning));
         report.whole_triangles = surface.triangle_count();
     }
@@ -167,7 +173,7 @@ impl Checked {
         })
     }
 
-    /// Has a surface simplified, and components left out, where that was asked for.
+    /// Simplifies a surface and removes small components, if requested.
     pub(crate) fn reduce(
         &self,
         surface: Stitched,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::brick::BinPlan;
-use crate::error::{Conflict, Error, Setting, Unfit};
+use crate::error::{Conflict, Error, Setting, SettingConflict};
 use crate::frame::{Counted, Engine, FrameError, Sampling};
 use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
@@ -18,7 +18,7 @@ use super::builder::Reconstruction;
 use super::checked::{Checked, Started};
 use super::output::PackedOutput;
 use super::surface::Surface;
-use super::warning::{Warning, of_frame, with_doubts};
+use super::warning::{Warning, of_frame, with_spacing_warnings};
 use super::{Cells, ChosenSampling, Packed, Source};
 use crate::settings::{Settings, Where};
 
@@ -64,7 +64,7 @@ impl Started {
 }
 
 impl Checked {
-    /// The particles in memory that satisfy the conditions, if there are conditions.
+    /// The particles in memory that satisfy the conditions; `None` without conditions.
     pub(crate) fn selected<'a, P: Particles + ?Sized>(
         &self,
         particles: &'a P,
@@ -91,7 +91,7 @@ impl Checked {
         Ok(Sampled { engine, cells: Some(cells), moved })
     }
 
-    /// Counts particles, unless a `plan` of them was made on the way, and samples their field.
+    /// Counts particles, unless `plan` already has their counts, and samples their field.
     pub(crate) fn engine(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -114,7 +114,7 @@ impl Frame {
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
         let cells = self.sampled.cells.as_ref();
-        self.ready.threads.install(|| with_doubts(cells, of_frame(&self.sampled.engine)))
+        self.ready.threads.install(|| with_spacing_warnings(cells, of_frame(&self.sampled.engine)))
     }
 
     /// The axis that points up in the particles, as requested or by the file format.
@@ -126,7 +126,7 @@ impl Frame {
     /// Makes the surface that was requested when the particles were sampled.
     ///
     /// # Errors
-    /// [`Error::Frame`] if there is none, or scratch files fail, and [`Error::Cancelled`].
+    /// [`Error::Frame`] if there is no surface, or scratch files fail, and [`Error::Cancelled`].
     pub fn surface(&self) -> Result<Surface, Error> {
         self.draw(&self.ready.checked, self.timings.clone())
     }
@@ -137,8 +137,8 @@ impl Frame {
     /// Memory, threads and backend remain those of the frame.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], also for changed settings of the sampling, and those of
-    /// [`surface`](Self::surface).
+    /// [`Error::Unit`], [`Error::SettingConflict`], also for changed settings of the sampling, and
+    /// those of [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();
@@ -166,7 +166,7 @@ impl Frame {
         let report = &mut drawn.report;
         (report.cells, report.moved, report.timings) =
             (self.sampled.cells.clone(), self.sampled.moved, timings);
-        report.warnings = with_doubts(report.cells.as_ref(), take(&mut report.warnings));
+        report.warnings = with_spacing_warnings(report.cells.as_ref(), take(&mut report.warnings));
         report.threads = threads.current_num_threads();
         Ok(Surface::new(drawn, checked, threads, self.up))
     }
@@ -174,17 +174,17 @@ impl Frame {
     /// Writes the frame's samples to a file, from which surfaces can be made later.
     ///
     /// # Errors
-    /// [`Error::Unfit`] for kernel methods and particles of several sizes, [`Error::Write`] and
-    /// [`Error::Cancelled`].
+    /// [`Error::SettingConflict`] for kernel methods, which have no samples, and for particles of
+    /// several sizes, [`Error::Write`] and [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
         let Started { checked, threads } = &self.ready;
         if self.sampled.engine.has_sizes() {
             let setting = Setting::named("size");
-            return Err(Unfit { setting, with: Conflict::PackedSizes }.into());
+            return Err(SettingConflict { setting, with: Conflict::PackedSizes }.into());
         }
         let Some(sampled) = self.sampled.engine.dif() else {
             let with = Conflict::Packed(output.path().to_owned());
-            return Err(Unfit { setting: Setting::named("method"), with }.into());
+            return Err(SettingConflict { setting: Setting::named("method"), with }.into());
         };
         let mut timings = self.timings.clone();
         timings.skip();

@@ -18,7 +18,7 @@ use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
-use crate::particles::occurring::{Occurring, occurring};
+use crate::particles::occurring::{ValueCounts, occurring};
 use crate::particles::sizes::SizeChoice;
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::VertexAttribute;
@@ -59,7 +59,7 @@ pub struct ParticlesInfo {
     /// The attributes besides positions.
     pub attributes: Vec<AttributeInfo>,
     /// Attributes with few different values, and how often each value occurs.
-    pub values: Vec<Occurring>,
+    pub values: Vec<ValueCounts>,
     /// The number of particles that fail the conditions.
     pub unselected: usize,
     /// The number of ghost particles, copies from other pieces, which are left out.
@@ -78,7 +78,7 @@ pub struct ParticlesInfo {
     /// Source of the spacing.
     pub spacing_source: Option<String>,
     /// Reasons why the spacing may be wrong.
-    pub spacing_doubts: Vec<String>,
+    pub spacing_warnings: Vec<String>,
     /// Reason why the spacing is unknown.
     pub spacing_unknown: Option<String>,
     /// The spacing that nearest neighbours suggest, if the spacing is unknown.
@@ -99,7 +99,7 @@ pub struct FrameInfo {
     pub file: PathBuf,
     /// The number of particles in the frame.
     pub particles: usize,
-    /// Cells that are not 0 by the particles of their own bin.
+    /// Cells that particles of their own bin make non-zero.
     pub cells: u64,
     /// Stored bricks.
     pub bricks: u64,
@@ -149,19 +149,19 @@ static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
 /// # Errors
 /// [`Error::Read`].
 pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
-    info_by(path, &Settings::default())
+    info_with(path, &Settings::default())
 }
 
 /// Like [`info`], with the format and the conditions of `settings`.
 ///
 /// # Errors
-/// [`Error::Read`], also if the file has no such type of particles.
-pub fn info_by(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
+/// [`Error::Read`], also if the file lacks the requested type of particles.
+pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
     let (file, step) = file_and_step(path);
     if is_list(file) {
         return match &frame_of(path, file, step)?.files[..] {
-            [only] => info_by(only, settings),
+            [only] => info_with(only, settings),
             _ => particles(path, settings).map(Info::Particles),
         };
     }
@@ -263,8 +263,8 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         }),
         slab: cells.as_ref().and_then(|cells| cells.slab),
         walls: cells.as_ref().and_then(|cells| cells.walls.clone()).map(Box::new),
-        spacing_doubts: cells
-            .map_or(Vec::new(), |cells| cells.doubts.iter().map(ToString::to_string).collect()),
+        spacing_warnings: cells
+            .map_or(Vec::new(), |cells| cells.warnings.iter().map(ToString::to_string).collect()),
         spacing_unknown,
         nearest_neighbours,
     })

@@ -1,4 +1,4 @@
-//! Grids moved to suit particles on a lattice, as those of a simulation's first frame often are.
+//! Moves grids to suit particles on a lattice, which is common in the first frame of a simulation.
 
 use glam::DVec3;
 
@@ -8,16 +8,17 @@ use crate::grid::{Domain, Grid};
 use crate::particles::Particles;
 use crate::particles::lattice::sound_origin;
 
-/// Moves the grid of a frame whose particles are on a lattice, for indicators that depend on its
-/// place, so that the lattice is sampled like disordered fluid: see [`sound_origin`].
+/// Moves the grid of a frame whose particles are on a lattice, for indicators that depend on the
+/// position of the grid, so that they sample the lattice like disordered fluid: see
+/// [`sound_origin`].
 pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
     origin_for_lattice(particles, &sampling)
         .and_then(|origin| moved(&sampling, origin))
         .unwrap_or(sampling)
 }
 
-/// The origin that a grid should have for a lattice of particles; `None` where there is no lattice,
-/// or it does not matter.
+/// The origin that suits a lattice of particles; `None` without a lattice, or if the indicator does
+/// not depend on it.
 pub fn origin_for_lattice(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -30,8 +31,8 @@ pub fn origin_for_lattice(
     }
 }
 
-/// Moves the grid of a sampling to another origin; `None` where its walls have no cells there, or
-/// its periodic box none.
+/// Moves the grid of a sampling to another origin; `None` if its walls or its periodic box have no
+/// cells there.
 pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
     let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
     let domain = match &sampling.domain {

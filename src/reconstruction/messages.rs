@@ -8,25 +8,25 @@ use std::path::PathBuf;
 
 use ash::vk;
 
-use super::warning::{Emptiness, Warning};
-use super::{Doubt, Mistake, SpacingSource};
+use super::warning::{EmptyReason, Warning};
+use super::{SpacingMistake, SpacingSource, SpacingWarning};
 use crate::baselines::{KernelMethod, TooManyCells};
 use crate::brick::{BinError, Census};
 use crate::error::{
-    ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, OverBudget,
-    PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, SelectionFault, Setting,
-    SimulationError, SizeFault, TooFine, Unfit, UnitError, Unread, Untold, VulkanError,
-    WholeMeshError, WriteError, WriteFault,
+    ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, NoEstimate,
+    OverBudget, PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy,
+    SelectionFault, Setting, SettingConflict, SimulationError, SizeFault, TooFine, UnitError,
+    Unread, VulkanError, WholeMeshError, WriteError, WriteFault,
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
-use crate::field::walls::Past;
+use crate::field::walls::BeyondWall;
 use crate::frame::{Coincident, Shortfall};
 use crate::grid::units::Isovalue;
 use crate::io::LeftOut;
 use crate::io::output::MeshFormat;
 use crate::particles::mixture::Mixture;
-use crate::particles::occurring::{Occurring, Value};
+use crate::particles::occurring::{Value, ValueCounts};
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::compare::Side;
 use crate::surface::simplify::TooSmall;
@@ -82,9 +82,12 @@ fn requests() -> String {
     let mut text = "Every error and warning of the library, with example values.\n".to_owned();
     examples!(text, Error:
         Request("thickness must be at least 1".into()),
-        Unfit(Unfit { setting: Setting::named("smooth"), with: Conflict::Packing }),
-        TwoPurposes { path: path("a.ply"), other: path("a.ply") },
-        TwoPurposes { path: path("a.ply"), other: path("link.ply") },
+        SettingConflict(SettingConflict {
+            setting: Setting::named("smooth"),
+            with: Conflict::Packing,
+        }),
+        SameFile { path: path("a.ply"), other: path("a.ply") },
+        SameFile { path: path("a.ply"), other: path("link.ply") },
         Cancelled,
         Unit(UnitError::Isovalue(1.5)),
         Domain(DomainError::Thin { axis: 'x' }),
@@ -112,7 +115,7 @@ fn requests() -> String {
         NoSpacing {
             path: Some(path("frame_1.vtk")),
             particles: 7,
-            why: Untold::TooFew,
+            why: NoEstimate::TooFew,
             suggested: Some(0.05),
         },
     );
@@ -122,7 +125,7 @@ fn requests() -> String {
         NoDensity { name: "mass".into(), known: names() },
         NoSize { name: "radius".into() },
     );
-    examples!(text, Untold: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
+    examples!(text, NoEstimate: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
     examples!(text, SolidFault:
         Mesh(CompareError::NoSurface(Side::Mesh)), Open { edges: 3 }, Inconsistent { edges: 12 },
     );
@@ -141,7 +144,7 @@ fn requests() -> String {
         NoLoader("libvulkan.so.1: cannot open shared object file".into()),
         NoValidation, NoDevice,
         NotFound { wanted: "radeon".into(), known: "0 llvmpipe".into() },
-        Unfit { device: "old GPU".into(), lacks: "it does not support Vulkan 1.2" },
+        Unsuitable { device: "old GPU".into(), lacks: "it does not support Vulkan 1.2" },
         OutOfMemory { bytes: 1 << 30 },
         Lost,
         Call { call: "vkQueueSubmit", result: vk::Result::ERROR_UNKNOWN },
@@ -171,8 +174,8 @@ fn conflicts(text: &mut String) {
         ("attributes", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
     ];
     let messages = both.map(|(setting, with)| {
-        let unfit = Unfit { setting: Setting::named(setting), with };
-        let conflict = match unfit.with {
+        let error = SettingConflict { setting: Setting::named(setting), with };
+        let conflict = match error.with {
             Conflict::Setting(_) => "Setting",
             Conflict::Needs(_) => "Needs",
             Conflict::Indicator(_) => "Indicator",
@@ -184,9 +187,9 @@ fn conflicts(text: &mut String) {
             Conflict::OnDevice => "OnDevice",
             Conflict::Format { .. } => "Format",
         };
-        (conflict, unfit)
+        (conflict, error)
     });
-    section(text, "Unfit", &messages);
+    section(text, "SettingConflict", &messages);
 }
 
 fn files() -> String {
@@ -221,7 +224,7 @@ fn files() -> String {
         None {
             of: 100,
             conditions: "Type=7".into(),
-            values: vec![Occurring {
+            values: vec![ValueCounts {
                 name: "Type".into(),
                 values: vec![(Value::Number(0.0), 60), (Value::Text("wall".into()), 40)],
             }],
@@ -238,9 +241,9 @@ fn files() -> String {
         NoFiles("sim/*.bgeo".into()),
         NoFolder(path("sim")),
         Unreadable { path: path("sim"), fault: io::ErrorKind::PermissionDenied.into() },
-        NoneWanted("sim/f_{}.bgeo".into()),
+        NoFrameSelected("sim/f_{}.bgeo".into()),
         Rate { rate: 0.0, range: crate::error::FPS },
-        Wait(-1.0),
+        Timeout(-1.0),
         Steps("sim.h5part".into()),
         Joined("sim/f_{}_{piece}.npy".into()),
         Range { first: 5, last: 3 },
@@ -263,7 +266,7 @@ fn files() -> String {
         Changed { input: path("frame.bgeo"), plan: plan() },
         Missing { folder: path("m.ply.meniscus-parts"), missing: vec![0, 1, 2, 7], of: 8 },
         Damaged { path: path("m.ply.meniscus-parts/part_3"), what: "wrong CRC-32".into() },
-        Foreign(path("m.ply.meniscus-parts/part_3")),
+        OtherPlan(path("m.ply.meniscus-parts/part_3")),
         Io { path: plan(), fault: full_disk() },
     );
     examples!(text, CompareError:
@@ -328,35 +331,39 @@ fn warnings(all: &mut String) {
     let mut text = String::new();
     let unused = Coincident { particles: 90, most: 91, at: [0.0; 3], alone: true };
     let some = Coincident { particles: 20, most: 2, at: [0.5; 3], alone: false };
-    let past = |moved| Past { axis: 'x', wall: 1.0, reach: 1.1, moved };
+    let past = |moved| BeyondWall { axis: 'x', wall: 1.0, reach: 1.1, moved };
     let format = MeshFormat::Stl;
     let heat = || "heat".to_owned();
     let block = LeftOut::Block { name: "walls".into(), holds: "a grid".into() };
     let shortfall = Shortfall { share: 0.3, particles: 1000, spacing: 0.05 };
-    let (clouds, measured_on) = (true, None);
+    let (clouds, calibration_frame) = (true, None);
     examples!(text, Warning:
-        Spacing(Doubt::Random { taken: 0.05 }),
+        Spacing(SpacingWarning::Random { used: 0.05 }),
         Crowded { times: 8.5, spacing: 0.1 },
         Coincident { found: unused, of: 1000 },
         Coincident { found: some, of: 1000 },
-        Lacking { attribute: heat(), without: 3, of: 1000 },
-        MadeGood("the Vulkan device was lost; continuing on the CPU".into()),
+        MissingValues { attribute: heat(), without: 3, of: 1000 },
+        DeviceFallback("the Vulkan device was lost; continuing on the CPU".into()),
         OnCorners { mean: 0.02, origin: [0.5; 3] },
         Bubbles { iso: 0.6, lowest: 0.55 },
-        PastWall(past(Some(1.1))),
-        PastWall(past(None)),
+        BeyondWall(past(Some(1.1))),
+        BeyondWall(past(None)),
         Lost { lost: 12, of: 1000, smoothed: true },
-        Shortfall { shortfall, clouds: false, measured_on: Some(1) },
+        Shortfall { shortfall, clouds: false, calibration_frame: Some(1) },
         Merged { vertices: 2, format },
         Renamed { attribute: heat(), name: "heat_2".into(), format },
         Coarse { format },
-        Turned(path("ship.obj")),
+        InvertedSolid(path("ship.obj")),
         ThinSolid { path: path("plate.obj"), thickness: 0.01, cell_size: 0.025 },
         LeftOut(block),
         NoneSelected(SelectionFault::Types),
-        Empty { why: Emptiness::Field, clouds, measured_on },
-        Empty { why: Emptiness::Distances, clouds, measured_on },
-        Empty { why: Emptiness::TooSmall(TooSmall { components: 3, drops: 1 }), clouds, measured_on },
+        Empty { why: EmptyReason::Field, clouds, calibration_frame },
+        Empty { why: EmptyReason::Distances, clouds, calibration_frame },
+        Empty {
+            why: EmptyReason::TooSmall(TooSmall { components: 3, drops: 1 }),
+            clouds,
+            calibration_frame,
+        },
     );
     let known = AttributeInfo { name: heat(), components: 1, kind: AttributeKind::Number };
     examples!(text, LeftOut:
@@ -364,25 +371,25 @@ fn warnings(all: &mut String) {
         Block { name: "walls".into(), holds: "a grid".into() },
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
     );
-    let contradicted = |said, mistake, spray| Doubt::Contradicted {
-        said,
+    let contradicted = |given, mistake, spray| SpacingWarning::Contradicted {
+        given,
         source: SpacingSource::Given,
         found: 0.05,
         mistake,
         spray,
     };
-    examples!(text, Doubt:
-        TwoResolutions { spacings: [0.05, 0.1], taken: 0.05 },
+    examples!(text, SpacingWarning:
+        TwoResolutions { spacings: [0.05, 0.1], used: 0.05 },
         Contradicted {
-            said: 0.025,
+            given: 0.025,
             source: SpacingSource::Given,
             found: 0.05,
-            mistake: Some(Mistake::Radius),
+            mistake: Some(SpacingMistake::Radius),
             spray: false,
         },
-        Thin { taken: 0.05, counted: Some(0.1), nearest: 0.04 },
-        Thin { taken: 0.05, counted: None, nearest: 0.04 },
-        Random { taken: 0.05 },
+        Thin { used: 0.05, counted: Some(0.1), nearest: 0.04 },
+        Thin { used: 0.05, counted: None, nearest: 0.04 },
+        Random { used: 0.05 },
         Mixed(Mixture {
             attribute: "Type".into(),
             boundary: (Value::Number(1.0), 500),
@@ -394,11 +401,11 @@ fn warnings(all: &mut String) {
     );
     section(
         &mut text,
-        "Mistake",
+        "SpacingMistake",
         &[
-            ("Double", contradicted(0.1, Some(Mistake::Double), false)),
-            ("Unit", contradicted(50.0, Some(Mistake::Unit(1000.0)), false)),
-            ("Unit", contradicted(0.0005, Some(Mistake::Unit(0.01)), false)),
+            ("Double", contradicted(0.1, Some(SpacingMistake::Double), false)),
+            ("Unit", contradicted(50.0, Some(SpacingMistake::Unit(1000.0)), false)),
+            ("Unit", contradicted(0.0005, Some(SpacingMistake::Unit(0.01)), false)),
             ("none", contradicted(0.07, None, true)),
         ],
     );

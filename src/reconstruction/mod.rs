@@ -1,6 +1,6 @@
 //! The facade: particles to a surface in one call, and the policy that chooses defaults.
 //!
-//! A frame is made in four ways, by the same steps:
+//! There are four ways to a frame's mesh, with the same steps:
 //!
 //! | | planned | sampled | drawn | written |
 //! |---|---|---|---|---|
@@ -45,7 +45,7 @@ pub use cells::{CellSize, Cells, FoundWalls, Slab, Source};
 pub(crate) use checked::{Checked, Started};
 pub(crate) use draw::Drawn;
 pub use frame::Frame;
-pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_by};
+pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_with};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};
 pub use needs::Needs;
 pub(crate) use needs::mesh_bytes;
@@ -55,14 +55,14 @@ pub use orientation::usual_up;
 pub(crate) use output::{Held, coordinate_width, refuse_same_file};
 pub use output::{Output, Packed, PackedOutput};
 pub use particles::open_particles;
-pub use parts::{PartMade, PartShare, PartTakes, Parts, Planned};
+pub use parts::{PartDone, PartNeeds, PartShare, Parts, PartsPlan};
 pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest, Search};
-pub use spacing::{Doubt, Mistake, SpacingSource};
+pub use spacing::{SpacingMistake, SpacingSource, SpacingWarning};
 pub use surface::Surface;
 pub(crate) use surface::made_of;
 #[cfg(feature = "pictures")]
 pub(crate) use threads::Threads;
 pub(crate) use warning::lost_warning;
-pub use warning::{Emptiness, Warning};
+pub use warning::{EmptyReason, Warning};
 pub use width::SinglePrecision;

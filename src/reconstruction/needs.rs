@@ -61,7 +61,7 @@ pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
     24 * vertices + 13 * triangles
 }
 
-/// The result of making some or all blocks of a frame.
+/// Result of making some or all blocks of a frame.
 struct Tried {
     /// Particles that were binned.
     particles: usize,
@@ -91,7 +91,7 @@ impl Opened {
             counted.map_err(|fault| self.in_file(fault))?;
         let resources = &checked.resources;
         let plan = estimate.plan(resources.budget);
-        // Two passes hold the triangles that are left as three numbers of 64 bits.
+        // Two passes hold each remaining triangle as three 64-bit numbers.
         let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
         let holds = checked.settings.holds_whole_mesh(format);
         Ok(Some(Needs {
@@ -111,8 +111,8 @@ impl Opened {
     }
 }
 
-/// The triangles of a frame, about, and how long it takes in seconds: the time `before` it was
-/// counted, and what the whole frame or a sample of it takes.
+/// The approximate number of triangles of a frame, and its time in seconds: the time `before` it
+/// was counted, and the time that the whole frame or a sample of it takes.
 fn forecast(
     checked: &Checked,
     file: &ParticleFile,
@@ -175,8 +175,8 @@ fn tried(
     Ok(Tried { particles, triangles: spool.triangles(), seconds })
 }
 
-/// Blocks that follow one another from the one that holds the particle in the middle, and hold as
-/// many particles as a sample.
+/// Consecutive blocks that contain as many particles as a sample, from the block of the particle in
+/// the middle.
 fn sample(bins: impl Iterator<Item = (MortonKey, usize)> + Clone) -> Stretch {
     let block = |bin: MortonKey| MortonKey::of(block_of_bin(bin.coord()));
     let all: usize = bins.clone().map(|(_, count)| count).sum();

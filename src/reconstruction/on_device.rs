@@ -1,6 +1,6 @@
-//! Requests for particles that are on a device already, from the settings that all requests have.
+//! Requests for particles that are already on a device.
 
-use crate::error::{Conflict, Error, Setting, Unfit};
+use crate::error::{Conflict, Error, Setting, SettingConflict};
 use crate::frame::Method;
 use crate::frame::resident::DeviceRequest;
 use crate::grid::units::positive_length;
@@ -10,7 +10,7 @@ use super::CellSize;
 use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
-/// Settings that need a host, or a mesh that is simplified or written.
+/// Settings that need the host, or a mesh that is simplified or written.
 const OF_HOST: [&str; 16] = [
     "size",
     "method",
@@ -31,21 +31,23 @@ const OF_HOST: [&str; 16] = [
 ];
 
 impl Reconstruction {
-    /// The request for particles that are on a device, by the settings of this one, for a
-    /// [`Pipeline`](crate::devices::Pipeline). Nobody looks at such particles before, so their
-    /// spacing or the cells' size has to be given, and the grid is that of the origin.
+    /// Converts the request for a [`Pipeline`](crate::devices::Pipeline), which meshes particles
+    /// that are already on a device. The host does not see such particles, so the request must have
+    /// a spacing or a cell size, and the grid keeps its origin.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Domain`], [`Error::Unfit`] for settings that have no meaning
-    /// there, [`Error::Request`] where neither spacing nor cell size is given, and [`Error::Frame`]
+    /// [`Error::Unit`], [`Error::Domain`], [`Error::SettingConflict`] for settings that do not
+    /// apply on a device, [`Error::Request`] without spacing and cell size, and [`Error::Frame`]
     /// for cells that are too fine for the spacing.
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
         let settings = self.settings.without_default_method();
         refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
         if settings.domain == Some(Tank::Auto) {
-            return Err(
-                Unfit { setting: Setting::named("domain"), with: Conflict::OnDevice }.into()
-            );
+            return Err(SettingConflict {
+                setting: Setting::named("domain"),
+                with: Conflict::OnDevice,
+            }
+            .into());
         }
         let checked = self.checked()?;
         checked.refuse_of_indicator()?;

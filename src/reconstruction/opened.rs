@@ -1,4 +1,4 @@
-//! An opened input, and sampling it.
+//! An opened input.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -95,7 +95,7 @@ impl Checked {
         Ok(self.resources.control.cancel.go_on()?)
     }
 
-    /// Chooses how to sample particles that are counted by others.
+    /// Chooses how to sample particles that the caller counts.
     pub(super) fn choose(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -119,7 +119,7 @@ impl Checked {
 }
 
 impl Opened {
-    /// The number of particles: of a packed frame, those that it was made of.
+    /// The number of particles. For a packed frame, of the particles that it was made from.
     #[must_use]
     pub fn particles(&self) -> usize {
         match &self.input {
@@ -128,7 +128,7 @@ impl Opened {
         }
     }
 
-    /// The number of particles that were left out as copies of those of other pieces.
+    /// The number of ghost particles, copies from other pieces, which are left out.
     #[must_use]
     pub fn ghosts(&self) -> usize {
         match &self.input {
@@ -137,7 +137,7 @@ impl Opened {
         }
     }
 
-    /// The number of particles that were left out as they fail a condition.
+    /// The number of particles that fail a condition.
     #[must_use]
     pub fn unselected(&self) -> usize {
         match &self.input {
@@ -146,7 +146,7 @@ impl Opened {
         }
     }
 
-    /// Parts of the input that cannot be read with the others.
+    /// Parts of the input that are not read.
     #[must_use]
     pub fn left_out(&self) -> &[LeftOut] {
         match &self.input {
@@ -155,7 +155,7 @@ impl Opened {
         }
     }
 
-    /// The kind of file, in the words that people use for it.
+    /// The name of the file format.
     #[must_use]
     pub fn format(&self) -> &str {
         match &self.input {
@@ -164,7 +164,7 @@ impl Opened {
         }
     }
 
-    /// The cells that were chosen; `None` of a packed frame, which has its own.
+    /// The chosen cells; `None` for a packed frame, which has its own.
     #[must_use]
     pub fn cells(&self) -> Option<&Cells> {
         match &self.input {
@@ -173,8 +173,8 @@ impl Opened {
         }
     }
 
-    /// The walls that were found, and whether the fluid is put in them, as it was asked for; else
-    /// they are a hint. `None` where none were looked for.
+    /// The walls that were found, and whether they bound the fluid because the request asks for it;
+    /// otherwise they are a hint. `None` without a search.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
         let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());
@@ -182,7 +182,7 @@ impl Opened {
         asked_for.map(|walls| (walls, true)).or(hint)
     }
 
-    /// The indicator that makes the field; `None` for kernels.
+    /// The indicator; `None` for kernel methods.
     #[must_use]
     pub fn indicator(&self) -> Option<IndicatorKind> {
         match &self.input {
@@ -206,10 +206,10 @@ impl Opened {
         Error::from(fault).of_file(&self.path)
     }
 
-    /// Samples the particles, for surfaces that may be drawn otherwise again and again.
+    /// Samples the particles. Several surfaces can be made from the result.
     ///
     /// # Errors
-    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and
+    /// [`Error::Frame`] for particles that cannot be placed or exceed the memory, and
     /// [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
         let Self { path, ready, input, mut timings, .. } = self;

@@ -1,5 +1,4 @@
-//! The axis that points up: in the particles, in the mesh file, and on the screens of programs that
-//! show it.
+//! The axis that points up: in the particles, in the mesh file, and on the screen of a viewer.
 
 use std::path::Path;
 
@@ -13,18 +12,18 @@ use crate::surface::mesh::up::Turned;
 
 use crate::settings::Settings;
 
-/// The axes that point up, from particles to what programs show.
+/// The up axes of the particles, the mesh file and the screen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Orientation {
     particles: UpAxis,
     /// The axis in the file's coordinates.
     pub(crate) file: UpAxis,
-    /// The axis that is up on a screen, after whatever the file says of turning.
+    /// The axis that is up on a screen, after any rotation that the file specifies.
     pub(crate) shown: UpAxis,
 }
 
-/// The axis that points up in the particles of a file, by who wrote it: DualSPHysics lets z point
-/// up, other simulators mostly y.
+/// The axis that points up in the particles of a file, by its simulator: z for DualSPHysics, y for
+/// most others.
 #[must_use]
 pub fn usual_up(input: &Path) -> UpAxis {
     if InputFormat::of(input) == Some(InputFormat::Bi4) { UpAxis::Z } else { UpAxis::Y }
@@ -41,11 +40,11 @@ impl Settings {
         }
     }
 
-    /// The axes of a mesh in a format, of particles whose usual axis is known.
+    /// The axes of a mesh in a format, from the usual axis of its particles.
     pub(crate) fn orientation(&self, usual: UpAxis, format: MeshFormat) -> Orientation {
         let particles = self.particles_up.unwrap_or(usual);
         match format {
-            // Its node turns what is stored as it is.
+            // The node of a `.glb` rotates the stored vertices.
             MeshFormat::Glb(_) => Orientation { particles, file: particles, shown: UpAxis::Y },
             _ => {
                 let up = self.up.unwrap_or(particles);
@@ -54,25 +53,25 @@ impl Settings {
         }
     }
 
-    /// The layout of a file, where its format leaves a choice.
+    /// The layout of a file, for formats with several layouts.
     pub(crate) fn layout(&self, orientation: Orientation) -> Layout {
         let compression = if self.compress { Compression::Meshopt } else { Compression::None };
         Layout { up: orientation.file, compression }
     }
 
-    /// Whether the writer of a format holds the mesh as a whole.
+    /// Whether the writer of a format holds the whole mesh in memory.
     pub(crate) fn holds_whole_mesh(&self, format: MeshFormat) -> bool {
         format.holds_whole_mesh() || self.compress
     }
 }
 
 impl Orientation {
-    /// A mesh as it goes to the file.
+    /// The mesh with the axes of the file.
     pub(crate) fn turned<'a>(&self, mesh: &'a dyn MeshSource) -> Turned<'a> {
         Turned::new(mesh, self.particles, self.file)
     }
 
-    /// The box of what is in the file, as programs show it.
+    /// The bounding box of the mesh on the screen of a viewer.
     pub(crate) fn shown_bounds(&self, bounds: Option<Bounds>) -> Option<Bounds> {
         let [a, b] = bounds?.map(|corner| self.file.turned(self.shown, corner));
         Some([std::array::from_fn(|i| a[i].min(b[i])), std::array::from_fn(|i| a[i].max(b[i]))])

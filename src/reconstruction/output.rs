@@ -22,7 +22,7 @@ use crate::settings::Settings;
 #[derive(Debug)]
 pub(crate) struct Held {
     unfinished: Unfinished,
-    /// Dropped after the file, which may be in them.
+    /// Dropped after the file, which may be inside.
     _folders: MadeFolders,
 }
 
@@ -61,7 +61,7 @@ pub struct Packed {
 /// Rejects a file that is both an input and an output, or two outputs.
 pub(crate) fn refuse_same_file(path: &Path, other: &Path) -> Result<(), Error> {
     if is_same_file(path, other) {
-        Err(Error::TwoPurposes { path: path.to_owned(), other: other.to_owned() })
+        Err(Error::SameFile { path: path.to_owned(), other: other.to_owned() })
     } else {
         Ok(())
     }

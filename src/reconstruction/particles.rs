@@ -12,9 +12,8 @@ use crate::particles::sizes::SizeChoice;
 use crate::settings::Settings;
 use crate::system::memory::default_memory;
 
-/// Opens a file of particles with all of their attributes, in the format and for the type of
-/// particles that settings name. Where it does not say their spacing, that is the one of a scene
-/// beside it, if there is one.
+/// Opens a particle file with all attributes, with the format and the particle type of `settings`.
+/// If the file has no spacing, a scene file beside it may provide one.
 ///
 /// ```no_run
 /// use meniscus::{Particles, Reconstruction, Settings, files};
@@ -28,7 +27,7 @@ use crate::system::memory::default_memory;
 /// ```
 ///
 /// # Errors
-/// [`Error::Read`], also where there is no such type.
+/// [`Error::Read`], also if the file lacks the requested type of particles.
 pub fn open_particles(path: impl AsRef<Path>, settings: &Settings) -> Result<ParticleFile, Error> {
     let (path, scratch) = (path.as_ref(), std::env::temp_dir());
     let unpacking =

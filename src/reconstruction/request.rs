@@ -8,10 +8,10 @@ use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
-    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at,
-    show_all,
+    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, NoEstimate, Plane, Share, evidence,
+    look_at, show_all,
 };
-use crate::field::walls::{Ends, Past, bounds_held, common, holding};
+use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
@@ -24,7 +24,7 @@ use crate::particles::{Particles, bounds};
 use super::cells::{CellSize, Cells, FoundWalls, Slab, Source};
 use super::lattice::on_sound_grid;
 use super::orientation::usual_up;
-use super::spacing::{Doubt, SpacingSource, is_suspicious};
+use super::spacing::{SpacingSource, SpacingWarning, is_suspicious};
 
 /// How particles are to be sampled, whatever they are.
 #[derive(Debug, Clone)]
@@ -174,7 +174,7 @@ impl SamplingRequest {
         particles: &(impl Particles + ?Sized),
         spacing: Option<f64>,
         grid: &Grid,
-    ) -> (Self, Vec<Past>) {
+    ) -> (Self, Vec<BeyondWall>) {
         let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
         let bounds = walls.and_then(|_| bounds_held(particles, grid));
         match (walls, bounds) {
@@ -253,8 +253,8 @@ impl SamplingRequest {
             Some(sizes) => (self.cells_for_sizes(particles, sizes)?, None),
             None => self.cells_by(particles, from, read)?,
         };
-        if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
-            cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
+        if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
+            cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
         let is_sought = match self.search {
             Search::Never => false,
@@ -292,8 +292,8 @@ impl SamplingRequest {
         let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
         let source = SpacingSource::Sizes(sizes.attribute.clone());
         let cells = self.cells_of(sizes.finest, source, middle, None)?;
-        let doubts = Doubt::of_sizes(&sizes).into_iter().collect();
-        Ok(Cells { sizes: Some(sizes), doubts, ..cells })
+        let warnings = SpacingWarning::of_sizes(&sizes).into_iter().collect();
+        Ok(Cells { sizes: Some(sizes), warnings, ..cells })
     }
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
@@ -396,7 +396,7 @@ impl SamplingRequest {
             slab,
             walls: None,
             sizes: None,
-            doubts: Vec::new(),
+            warnings: Vec::new(),
         })
     }
 
@@ -430,7 +430,8 @@ impl SamplingRequest {
         evidence_at_hand: Option<Evidence>,
     ) -> Result<Cells, Error> {
         let all_is_well = look.as_ref().is_some_and(|look| {
-            let coarse = look.place.step.is_some_and(|step| Doubt::is_coarse(step, spacing));
+            let coarse =
+                look.place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
             look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
         });
         // A scene need not be that of the particles, and says nothing of a second resolution.
@@ -448,7 +449,7 @@ impl SamplingRequest {
         let mut cells = self.cells_of(spacing, source.clone(), middle, plane)?;
         if let Some(evidence) = &evidence {
             let at_scale = look.as_ref().map_or(&evidence.neighbours, |look| &look.neighbours);
-            cells.doubts = Doubt::of_given(spacing, &source, at_scale, evidence);
+            cells.warnings = SpacingWarning::of_given(spacing, &source, at_scale, evidence);
         }
         Ok(cells)
     }
@@ -469,7 +470,7 @@ impl SamplingRequest {
         }
         let place = evidence.as_ref().map(|evidence| evidence.place);
         let middle = place.map(|place| place.middle);
-        let estimate = evidence.as_ref().map_or(Err(Untold::TooFew), Evidence::estimate);
+        let estimate = evidence.as_ref().map_or(Err(NoEstimate::TooFew), Evidence::estimate);
         if let CellSize::Length(size) = self.cell_size()
             && let Method::Indicator { kind, mean } = self.method
         {
@@ -488,7 +489,7 @@ impl SamplingRequest {
                     slab: None,
                     walls: None,
                     sizes: None,
-                    doubts: Vec::new(),
+                    warnings: Vec::new(),
                 });
             }
         }
@@ -498,14 +499,14 @@ impl SamplingRequest {
             why,
             // Places on a coarse grid suggest nothing.
             suggested: match why {
-                Untold::SinglePrecision { .. } => None,
+                NoEstimate::SinglePrecision { .. } => None,
                 _ => evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
             },
         })?;
         let plane = place.and_then(|place| place.plane);
         let mut cells = self.cells_of(estimate.spacing, SpacingSource::Estimated, middle, plane)?;
-        cells.doubts =
-            evidence.map_or(Vec::new(), |evidence| Doubt::of_estimate(&estimate, &evidence));
+        cells.warnings = evidence
+            .map_or(Vec::new(), |evidence| SpacingWarning::of_estimate(&estimate, &evidence));
         Ok(cells)
     }
 

@@ -14,7 +14,7 @@ impl Reconstruction {
     /// Checks everything that can be checked without an input.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
+    /// [`Error::Unit`], [`Error::SettingConflict`], [`Error::Domain`], [`Error::LittleMemory`] and
     /// [`Error::Threads`].
     pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
         let (checked, input) = (self.checked_but_solids()?, input.as_ref());
@@ -28,7 +28,7 @@ impl Reconstruction {
     /// Rejects settings of a surface, which do not apply to packing a frame.
     ///
     /// # Errors
-    /// [`Error::Unfit`].
+    /// [`Error::SettingConflict`].
     pub fn check_packing(&self) -> Result<(), Error> {
         self.settings.refuse_of_packing()
     }
@@ -36,8 +36,8 @@ impl Reconstruction {
     /// Reconstructs the surface of particles in memory.
     ///
     /// # Errors
-    /// [`Error::Unit`] for numbers out of range, [`Error::Unfit`] for settings that exclude each
-    /// other, [`Error::Domain`], [`Error::NoSpacing`], [`Error::NoAttribute`],
+    /// [`Error::Unit`] for numbers out of range, [`Error::SettingConflict`] for settings that
+    /// exclude each other, [`Error::Domain`], [`Error::NoSpacing`], [`Error::NoAttribute`],
     /// [`Error::Cancelled`], and [`Error::Frame`] for particles that have no surface or do not fit
     /// the memory.
     pub fn run(&self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
@@ -82,7 +82,7 @@ impl Reconstruction {
     /// attributes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Unfit`] for settings that the format cannot store.
+    /// [`Error::Write`], and [`Error::SettingConflict`] for settings that the format cannot store.
     pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
         sweep_beside(path.as_ref());
         Output::prepare(&self.settings, path.as_ref(), replace, &self.control.cancel)

@@ -1,4 +1,4 @@
-//! Solids that the fluid ends at: their files, and the memory that they take.
+//! Reads the files of solids, within the memory limit.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::surface::solid::Solid;
 use super::checked::Checked;
 use super::warning::Warning;
 
-/// Bytes of memory for each of a mesh file, at the least, while it is read.
+/// Minimum bytes of memory per byte of a mesh file while it is read.
 const BYTES_A_BYTE: u64 = 2;
 
 impl Settings {
@@ -25,20 +25,19 @@ impl Settings {
         Stamp::of_all(std::iter::once(input).chain(solids))
     }
 
-    /// The files of the solids.
     pub(crate) fn solid_files(&self) -> &[String] {
         self.solid.as_deref().unwrap_or_default()
     }
 }
 
 impl Checked {
-    /// Takes the solids that were asked for, which are the same in all frames.
+    /// Adds the requested solids, which are the same in all frames.
     pub(crate) fn at_solids(self) -> Result<Self, Error> {
         let paths = self.settings.solid_files().iter().map(PathBuf::from).collect::<Vec<_>>();
         if paths.is_empty() { Ok(self) } else { self.at_solids_in(&paths) }
     }
 
-    /// Reads solids, whose memory is taken from the budget.
+    /// Reads solids; their memory counts against the budget.
     ///
     /// # Errors
     /// [`Error::Read`] and [`Error::Solid`] with the file, and [`Error::LittleMemory`].
@@ -64,14 +63,14 @@ impl Checked {
         refuse_beyond_room(solid.bytes())?;
         self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
         let turned = solid.turned().iter();
-        self.turned = turned.map(|&number| Warning::Turned(paths[number].clone())).collect();
+        self.turned = turned.map(|&number| Warning::InvertedSolid(paths[number].clone())).collect();
         self.solid_files = paths.to_vec();
         self.surfacing.solid = Some(Arc::new(solid));
         Ok(self)
     }
 
-    /// Doubts about the solids, for a surface in such cells.
-    pub(super) fn doubts_about_solids(&self, facts: &FrameFacts) -> Vec<Warning> {
+    /// Warnings about the solids, for a surface with the given cells.
+    pub(super) fn solid_warnings(&self, facts: &FrameFacts) -> Vec<Warning> {
         let Some(solid) = &self.surfacing.solid else { return Vec::new() };
         let cell_size = facts.grid.cell_size();
         let wider = 2.0 * solid.offset() * facts.spacing.unwrap_or(cell_size);

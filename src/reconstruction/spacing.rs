@@ -52,31 +52,31 @@ impl fmt::Display for SpacingSource {
 /// A reason why a spacing may be wrong.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub enum Doubt {
+pub enum SpacingWarning {
     /// The particles have two spacings.
     TwoResolutions {
         /// The spacing of most particles, and that of the others.
         spacings: [f64; 2],
         /// The spacing that is used for all.
-        taken: f64,
+        used: f64,
     },
     /// The given spacing contradicts the particles.
     Contradicted {
         /// The spacing that was given.
-        said: f64,
+        given: f64,
         /// The source of the given spacing.
         source: SpacingSource,
         /// The estimated spacing of the particles.
         found: f64,
         /// The likely mistake.
-        mistake: Option<Mistake>,
+        mistake: Option<SpacingMistake>,
         /// Whether the particles may be spray or threads, which are farther apart than the spacing.
         spray: bool,
     },
     /// The fluid is too thin for a reliable estimate.
     Thin {
         /// The spacing that is used, from the nearest neighbours.
-        taken: f64,
+        used: f64,
         /// The spacing from the density, if it can be measured.
         counted: Option<f64>,
         /// The median distance to the nearest neighbour.
@@ -85,7 +85,7 @@ pub enum Doubt {
     /// The particles are at random positions, like spray and unlike fluid.
     Random {
         /// The spacing that is used: their mean distance.
-        taken: f64,
+        used: f64,
     },
     /// Some particles surround the others, as a boundary surrounds a fluid.
     Mixed(Mixture),
@@ -114,7 +114,7 @@ pub enum Doubt {
 /// A mistake that could explain a wrong spacing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub enum Mistake {
+pub enum SpacingMistake {
     /// The radius of the particles was given: half the spacing.
     Radius,
     /// Twice the spacing was given: a support radius, or the spacing taken for a radius.
@@ -132,7 +132,7 @@ const UNSURE: f64 = 1.1;
 /// Minimum number of coordinate steps in a spacing; with fewer, neighbours are misplaced.
 const STEPS: f64 = 4.0;
 
-impl Mistake {
+impl SpacingMistake {
     fn of(said_over_found: f64) -> Option<Self> {
         let near = |factor: f64, by: f64| (1.0 / by..by).contains(&(said_over_found / factor));
         if near(0.5, 1.17) {
@@ -148,50 +148,50 @@ impl Mistake {
 
 /// Whether the neighbours of particles do not bear out a spacing that was given: then all that the
 /// particles say is worth a look.
-pub(super) fn is_suspicious(neighbours: &Neighbours, said: f64) -> bool {
+pub(super) fn is_suspicious(neighbours: &Neighbours, given: f64) -> bool {
     let measured =
         neighbours.measured().map(|(measured, _)| measured).or_else(|| neighbours.suggested());
-    !measured.is_some_and(|measured| (TOO_SMALL..TOO_LARGE).contains(&(said / measured)))
+    !measured.is_some_and(|measured| (TOO_SMALL..TOO_LARGE).contains(&(given / measured)))
 }
 
-impl Doubt {
+impl SpacingWarning {
     /// The doubts about a spacing that other particles have, which are read up to three times where
     /// there are any.
     pub(crate) fn of_known(
-        said: f64,
+        given: f64,
         source: &SpacingSource,
         particles: &(impl Particles + ?Sized),
     ) -> Vec<Self> {
-        let Some(look) = look_at(particles, said) else { return Vec::new() };
-        if !is_suspicious(&look.neighbours, said) {
+        let Some(look) = look_at(particles, given) else { return Vec::new() };
+        if !is_suspicious(&look.neighbours, given) {
             return Vec::new();
         }
         let evidence = evidence(particles);
-        evidence.map_or(Vec::new(), |all| Self::of_given(said, source, &look.neighbours, &all))
+        evidence.map_or(Vec::new(), |all| Self::of_given(given, source, &look.neighbours, &all))
     }
 
     /// The doubts about a spacing that was given, by neighbours looked for at its scale and by all
     /// that the particles say.
     pub(super) fn of_given(
-        said: f64,
+        given: f64,
         source: &SpacingSource,
         at_scale: &Neighbours,
         evidence: &Evidence,
     ) -> Vec<Self> {
-        let mut doubts = Vec::new();
+        let mut warnings = Vec::new();
         match evidence.estimate() {
             Ok(Estimate { two: Some(spacings), .. }) => {
-                if !spacings.iter().any(|found| (TOO_SMALL..TOO_LARGE).contains(&(said / found))) {
-                    doubts.push(Self::contradicted(said, source, spacings[0], false));
+                if !spacings.iter().any(|found| (TOO_SMALL..TOO_LARGE).contains(&(given / found))) {
+                    warnings.push(Self::contradicted(given, source, spacings[0], false));
                 }
-                doubts.push(Self::TwoResolutions { spacings, taken: said });
+                warnings.push(Self::TwoResolutions { spacings, used: given });
             }
             Ok(Estimate { spacing, thin, .. }) => {
                 let unsure = if thin { UNSURE } else { 1.0 };
-                let too_small = said < TOO_SMALL / unsure * spacing && !at_scale.has_solid(said);
-                if too_small || said > TOO_LARGE * unsure * spacing {
-                    doubts.push(Self::contradicted(
-                        said,
+                let too_small = given < TOO_SMALL / unsure * spacing && !at_scale.has_solid(given);
+                if too_small || given > TOO_LARGE * unsure * spacing {
+                    warnings.push(Self::contradicted(
+                        given,
                         source,
                         spacing,
                         evidence.neighbours.may_be_spray(),
@@ -200,25 +200,25 @@ impl Doubt {
             }
             Err(_) => {}
         }
-        doubts.extend(Self::of_step(evidence, said));
-        doubts
+        warnings.extend(Self::of_step(evidence, given));
+        warnings
     }
 
     /// The doubt about the spacing of a packed frame, by what its samples show: of thin fluid that
     /// is too large.
-    pub(super) fn of_packed(said: f64, found: f64) -> Option<Self> {
+    pub(super) fn of_packed(given: f64, found: f64) -> Option<Self> {
         const THIN: f64 = 1.75;
-        let doubtful = !(1.0 / TOO_LARGE..THIN).contains(&(found / said));
-        doubtful.then(|| Self::contradicted(said, &SpacingSource::Packed, found, true))
+        let doubtful = !(1.0 / TOO_LARGE..THIN).contains(&(found / given));
+        doubtful.then(|| Self::contradicted(given, &SpacingSource::Packed, found, true))
     }
 
-    fn contradicted(said: f64, source: &SpacingSource, found: f64, spray: bool) -> Self {
+    fn contradicted(given: f64, source: &SpacingSource, found: f64, spray: bool) -> Self {
         Self::Contradicted {
-            said,
+            given,
             source: source.clone(),
             found,
-            mistake: Mistake::of(said / found),
-            spray: spray && said < found,
+            mistake: SpacingMistake::of(given / found),
+            spray: spray && given < found,
         }
     }
 
@@ -237,18 +237,18 @@ impl Doubt {
 
     /// The doubts about an estimate.
     pub(super) fn of_estimate(estimate: &Estimate, evidence: &Evidence) -> Vec<Self> {
-        let &Estimate { spacing: taken, two, thin } = estimate;
-        let mut doubts = Vec::new();
-        doubts.extend(two.map(|spacings| Self::TwoResolutions { spacings, taken }));
+        let &Estimate { spacing: used, two, thin } = estimate;
+        let mut warnings = Vec::new();
+        warnings.extend(two.map(|spacings| Self::TwoResolutions { spacings, used }));
         if thin {
-            let nearest = evidence.neighbours.nearest.map_or(taken, |nearest| nearest[0]);
+            let nearest = evidence.neighbours.nearest.map_or(used, |nearest| nearest[0]);
             let counted = evidence.counted.map(|counted| counted.mean);
-            doubts.push(Self::Thin { taken, counted, nearest });
+            warnings.push(Self::Thin { used, counted, nearest });
         } else if two.is_none() && evidence.neighbours.is_random() {
-            doubts.push(Self::Random { taken });
+            warnings.push(Self::Random { used });
         }
-        doubts.extend(Self::of_step(evidence, taken));
-        doubts
+        warnings.extend(Self::of_step(evidence, used));
+        warnings
     }
 
     /// Whether coordinates that move in such steps are too coarse for a spacing.
@@ -262,37 +262,38 @@ impl Doubt {
     }
 }
 
-impl fmt::Display for Doubt {
+impl fmt::Display for SpacingWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let about = |length: f64| significant(length, 3);
         match self {
-            Self::TwoResolutions { spacings: [one, other], taken } => write!(
+            Self::TwoResolutions { spacings: [one, other], used } => write!(
                 f,
                 "the particles have two spacings, {} and {}; {} is used for all",
                 shown(*one),
                 shown(*other),
-                shown(*taken)
+                shown(*used)
             ),
-            Self::Contradicted { said, source, found, mistake, spray } => {
-                let how = if said < found { "small" } else { "large" };
-                let (said, found) = (shown(*said), about(*found));
+            Self::Contradicted { given, source, found, mistake, spray } => {
+                let how = if given < found { "small" } else { "large" };
+                let (given, found) = (shown(*given), about(*found));
                 write!(
                     f,
-                    "spacing {said} ({source}) looks too {how}: the particles are about {found} apart"
+                    "spacing {given} ({source}) looks too {how}: the particles are about \
+                     {found} apart"
                 )?;
                 match mistake {
-                    Some(Mistake::Radius) => write!(f, "; {said} may be their radius")?,
-                    Some(Mistake::Double) => {
-                        write!(f, "; {said} may be their support radius, or twice the spacing")?;
+                    Some(SpacingMistake::Radius) => write!(f, "; {given} may be their radius")?,
+                    Some(SpacingMistake::Double) => {
+                        write!(f, "; {given} may be their support radius, or twice the spacing")?;
                     }
-                    Some(Mistake::Unit(factor)) if *factor < 1.0 => {
+                    Some(SpacingMistake::Unit(factor)) if *factor < 1.0 => {
                         write!(
                             f,
                             "; it may be in a unit {} times larger than the positions'",
                             1.0 / factor
                         )?;
                     }
-                    Some(Mistake::Unit(factor)) => {
+                    Some(SpacingMistake::Unit(factor)) => {
                         write!(
                             f,
                             "; it may be in a unit {factor} times smaller than the positions'"
@@ -311,28 +312,28 @@ impl fmt::Display for Doubt {
                  boundary surrounds a fluid; all are meshed together",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
-            Self::Thin { taken, counted, nearest } => {
-                let taken = about(*taken);
+            Self::Thin { used, counted, nearest } => {
+                let used = about(*used);
                 match counted {
                     Some(counted) => write!(
                         f,
-                        "the fluid is thin, so its spacing is uncertain: {taken} by nearest \
-                         neighbours, {} by density; {taken} is used",
+                        "the fluid is thin, so its spacing is uncertain: {used} by nearest \
+                         neighbours, {} by density; {used} is used",
                         about(*counted)
                     ),
                     None => write!(
                         f,
                         "few particles are surrounded by others, so their spacing is uncertain: \
-                         {taken} is used; nearest neighbours are {} apart",
+                         {used} is used; nearest neighbours are {} apart",
                         about(*nearest)
                     ),
                 }
             }
-            Self::Random { taken } => write!(
+            Self::Random { used } => write!(
                 f,
                 "the particles are at random positions, like spray: their mean distance {} is \
                  used as the spacing, and may be larger than that of the fluid",
-                about(*taken)
+                about(*used)
             ),
             Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
                 if *invalid > 0 {

@@ -26,7 +26,7 @@ use super::threads::Threads;
 use super::warning::Warning;
 use crate::settings::Settings;
 
-/// Pixels of a preview.
+/// Width and height of a preview in pixels.
 #[cfg(feature = "pictures")]
 const PREVIEW: [usize; 2] = [640, 360];
 
@@ -46,7 +46,7 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// A surface that was drawn on some threads by a request, of particles with such an axis up.
+    /// Combines a surface with its request, its threads, and the up axis of its particles.
     pub(crate) fn new(
         drawn: Drawn,
         checked: &Checked,
@@ -94,7 +94,7 @@ impl Surface {
     #[cfg(feature = "pictures")]
     pub fn picture(&self, picture: &Picture) -> Result<Image, Error> {
         let picture = picture.clone().up(self.settings.particles_up.unwrap_or(self.particles_up));
-        let picture = picture.memory_unless_said(self.memory.0 / 2);
+        let picture = picture.memory_unless_set(self.memory.0 / 2);
         let threads = self.threads.started().map_err(Error::Threads)?;
         let drawn = threads.install(|| picture.draw(self.mesh()));
         drawn.map_err(|fault| Error::Picture { path: None, fault })
@@ -128,10 +128,10 @@ impl Surface {
     /// The extension selects the format. Coordinates are f64 if f32 would move vertices by more
     /// than 1 / 256 of a cell and the format can store f64. Missing folders are created.
     ///
-    /// To replace a file call [`overwrite`](Self::overwrite).
+    /// To replace a file, call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
-    /// [`Error::Write`], [`Error::Unfit`] for settings that the format cannot store, and
+    /// [`Error::Write`], [`Error::SettingConflict`] for settings that the format cannot store, and
     /// [`Error::Cancelled`] by the handle of the request.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(

@@ -1,4 +1,4 @@
-//! Threads that are not kept for work that may never come.
+//! Threads that stop between pieces of work.
 
 use std::sync::{Arc, Weak};
 
@@ -12,7 +12,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 pub(crate) struct Threads {
     pool: Weak<ThreadPool>,
     count: usize,
-    /// The process that they run in.
+    /// The process that started them.
     process: u32,
 }
 
@@ -20,16 +20,16 @@ impl Threads {
     /// Starts them.
     ///
     /// # Errors
-    /// The system's refusal, in words.
+    /// The system's message.
     pub(crate) fn start(count: usize) -> Result<Arc<ThreadPool>, String> {
         let pool = ThreadPoolBuilder::new().num_threads(count).build();
         pool.map(Arc::new).map_err(|fault| fault.to_string())
     }
 
-    /// Returns those that are at work, or starts as many.
+    /// Returns the running threads, or starts new ones.
     ///
     /// # Errors
-    /// The system's refusal, in words.
+    /// The system's message.
     pub(crate) fn started(&self) -> Result<Arc<ThreadPool>, String> {
         let running = self.pool.upgrade().filter(|_| self.process == std::process::id());
         running.map_or_else(|| Self::start(self.count), Ok)

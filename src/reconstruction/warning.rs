@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
-use crate::field::walls::Past;
+use crate::field::walls::BeyondWall;
 use crate::frame::{Coincident, Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::LeftOut;
@@ -14,9 +14,10 @@ use crate::io::output::MeshFormat;
 use crate::particles::selection::SelectionFault;
 use crate::surface::simplify::TooSmall;
 
-use super::{Cells, Doubt};
+use super::{Cells, SpacingWarning};
 
-/// Density, relative to the spacing, from which on a warning is given: half the distance.
+/// Density relative to the spacing above which there is a warning: 8 corresponds to half the
+/// distance.
 const CROWDED: f64 = 8.0;
 
 /// Number of lost or coincident particles up to which there is no warning.
@@ -27,7 +28,7 @@ const FEW: u64 = 10;
 #[non_exhaustive]
 pub enum Warning {
     /// The spacing may be wrong.
-    Spacing(Doubt),
+    Spacing(SpacingWarning),
     /// Particles are much denser than the spacing allows.
     Crowded {
         /// Lower bound of the ratio of densities.
@@ -43,7 +44,7 @@ pub enum Warning {
         of: usize,
     },
     /// Some particles lack a value of an attribute.
-    Lacking {
+    MissingValues {
         /// The attribute's name.
         attribute: String,
         /// Number of particles without a value.
@@ -52,7 +53,7 @@ pub enum Warning {
         of: usize,
     },
     /// The backend failed, and the CPU did its work.
-    MadeGood(String),
+    DeviceFallback(String),
     /// A lattice of particles lies on the corners of cells, where symmetry fails.
     OnCorners {
         /// The mean indicator of full cells.
@@ -68,7 +69,7 @@ pub enum Warning {
         lowest: f64,
     },
     /// Particles are beyond a wall that was found on other frames.
-    PastWall(Past),
+    BeyondWall(BeyondWall),
     /// Particles are missing from the surface.
     Lost {
         /// Lower bound of their number.
@@ -85,7 +86,7 @@ pub enum Warning {
         /// Whether the indicator is cloud.
         clouds: bool,
         /// The calibration frame, if it is another one.
-        measured_on: Option<i64>,
+        calibration_frame: Option<i64>,
     },
     /// Vertices become equal in a format that has no indices.
     Merged {
@@ -109,12 +110,12 @@ pub enum Warning {
         format: MeshFormat,
     },
     /// A solid's triangles face inwards, and are taken to face outwards.
-    Turned(PathBuf),
+    InvertedSolid(PathBuf),
     /// A solid is thinner than a cell, and may have holes.
     ThinSolid {
         /// The mesh of the solid.
         path: PathBuf,
-        /// How thick what the fluid ends at is, about.
+        /// Approximate thickness of the solid.
         thickness: f64,
         /// Edge of a cell.
         cell_size: f64,
@@ -126,18 +127,18 @@ pub enum Warning {
     /// The frame of a simulation has no surface: its mesh is empty.
     Empty {
         /// The cause.
-        why: Emptiness,
+        why: EmptyReason,
         /// Whether the indicator is cloud.
         clouds: bool,
         /// The calibration frame, if it is another one.
-        measured_on: Option<i64>,
+        calibration_frame: Option<i64>,
     },
 }
 
 /// Causes of an empty mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Emptiness {
+pub enum EmptyReason {
     /// The field is nowhere above the isovalue.
     Field,
     /// The surface contains no cell's centre.
@@ -146,7 +147,7 @@ pub enum Emptiness {
     TooSmall(TooSmall),
 }
 
-impl Emptiness {
+impl EmptyReason {
     /// The cause, if this error means an empty mesh.
     pub(crate) fn of(fault: &FrameError) -> Option<Self> {
         match *fault {
@@ -161,7 +162,7 @@ impl Emptiness {
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Spacing(doubt) => doubt.fmt(f),
+            Self::Spacing(warning) => warning.fmt(f),
             Self::Crowded { times, spacing } => {
                 write!(
                     f,
@@ -181,12 +182,12 @@ impl fmt::Display for Warning {
                     (false, _) => write!(f, ", such as at ({at})"),
                 }
             }
-            Self::Lacking { attribute, without, of } => write!(
+            Self::MissingValues { attribute, without, of } => write!(
                 f,
                 "{without} of {of} particles have no finite 32-bit {attribute}: vertices use \
                  the values of the others"
             ),
-            Self::MadeGood(what) => f.write_str(what),
+            Self::DeviceFallback(what) => f.write_str(what),
             Self::OnCorners { mean, .. } => write!(
                 f,
                 "the particles lie on the corners of cells (mean indicator {}), which makes the \
@@ -200,7 +201,7 @@ impl fmt::Display for Warning {
                 significant(*iso, 4),
                 significant(*lowest, 4)
             ),
-            Self::PastWall(Past { axis, wall, reach, moved }) => {
+            Self::BeyondWall(BeyondWall { axis, wall, reach, moved }) => {
                 let [wall, reach] = [wall, reach].map(|at| significant(*at, 6));
                 let what =
                     if moved.is_some() { "the wall is moved there" } else { "that side is open" };
@@ -229,7 +230,7 @@ impl fmt::Display for Warning {
                            stores f64"
                 )
             }
-            Self::Turned(path) => write!(
+            Self::InvertedSolid(path) => write!(
                 f,
                 "{}: the triangles of the solid face inwards; they are taken to face outwards",
                 path.display()
@@ -244,13 +245,13 @@ impl fmt::Display for Warning {
             Self::LeftOut(part) => write!(f, "left out: {part}"),
             Self::NoneSelected(fault) => write!(f, "the mesh is empty: {fault}"),
             Self::Empty { why, .. } => match why {
-                Emptiness::Field => {
+                EmptyReason::Field => {
                     f.write_str("the mesh is empty: the field is nowhere above the isovalue")
                 }
-                Emptiness::Distances => {
+                EmptyReason::Distances => {
                     f.write_str("the mesh is empty: the surface contains no cell's centre")
                 }
-                Emptiness::TooSmall(all) => {
+                EmptyReason::TooSmall(all) => {
                     write!(f, "the mesh is empty: all components are below {}", all.limits())
                 }
             },
@@ -260,12 +261,14 @@ impl fmt::Display for Warning {
 
 /// Warnings about a sampled frame.
 pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
-    let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::MadeGood).collect();
+    let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::DeviceFallback).collect();
     let mean = engine.dif().and_then(mean_symmetry);
     let (facts, coincident) = (engine.facts(), engine.coincident());
     let packed = facts.spacing.zip(engine.spacing_by_samples());
     warnings.extend(
-        packed.and_then(|(said, found)| Doubt::of_packed(said, found)).map(Warning::Spacing),
+        packed
+            .and_then(|(given, found)| SpacingWarning::of_packed(given, found))
+            .map(Warning::Spacing),
     );
     warnings.extend(of_particles(
         facts,
@@ -277,15 +280,19 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     warnings
 }
 
-/// Warnings with the doubts about the spacing before them, which say more than that particles are
-/// crowded.
-pub(crate) fn with_doubts(cells: Option<&Cells>, mut warnings: Vec<Warning>) -> Vec<Warning> {
-    let doubts = cells.map_or(&[][..], |cells| &cells.doubts);
-    if doubts.iter().any(|doubt| matches!(doubt, Doubt::Contradicted { .. })) {
+/// Puts the warnings about the spacing before the others. A contradicted spacing replaces the
+/// warning about crowded particles, because it says more.
+pub(crate) fn with_spacing_warnings(
+    cells: Option<&Cells>,
+    mut warnings: Vec<Warning>,
+) -> Vec<Warning> {
+    let spacing_warnings = cells.map_or(&[][..], |cells| &cells.warnings);
+    if spacing_warnings.iter().any(|warning| matches!(warning, SpacingWarning::Contradicted { .. }))
+    {
         warnings.retain(|warning| !matches!(warning, Warning::Crowded { .. }));
     }
-    let doubts = doubts.iter().cloned().map(Warning::Spacing);
-    doubts.chain(warnings).collect()
+    let spacing_warnings = spacing_warnings.iter().cloned().map(Warning::Spacing);
+    spacing_warnings.chain(warnings).collect()
 }
 
 /// The mean indicator of full cells, for symmetry.
@@ -293,8 +300,8 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
     (sampled.indicator.kind() == IndicatorKind::Symmetry).then(|| sampled.dif.mean_of_full())
 }
 
-/// Doubts about particles: by how many times as many there are as have room, by those in the same
-/// place, by how many lack a value of an attribute, and by the mean that symmetry makes of them.
+/// Warnings about particles: too dense, at the same position, without a value of an attribute, or
+/// with a low mean of the indicator symmetry.
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,
@@ -308,7 +315,7 @@ pub(crate) fn of_particles<'a>(
         crowded.map(|times| Warning::Crowded { times, spacing }).into_iter().collect();
     let coincident = coincident.filter(|found| found.particles > FEW);
     warnings.extend(coincident.map(|found| Warning::Coincident { found, of: facts.census.binned }));
-    warnings.extend(lacking.map(|(name, without)| Warning::Lacking {
+    warnings.extend(lacking.map(|(name, without)| Warning::MissingValues {
         attribute: name.to_owned(),
         without,
         of: facts.census.binned,

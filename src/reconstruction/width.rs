@@ -1,8 +1,8 @@
-//! How wide the coordinates of a mesh have to be.
+//! Chooses f32 or f64 for the coordinates of a mesh.
 
 use crate::surface::stitch::Stitched;
 
-/// The share of a cell that rounding to f32 may move a vertex by.
+/// Maximum error by rounding to f32, in cells.
 const COARSEST: f64 = 1.0 / 256.0;
 
 /// The effect of f32 on a surface's coordinates.
@@ -17,7 +17,7 @@ pub enum SinglePrecision {
 }
 
 impl SinglePrecision {
-    /// Looks at the farthest vertex of a surface.
+    /// Measures the farthest vertex of a surface.
     pub fn of(surface: &Stitched) -> Self {
         let farthest = surface.farthest_coordinate();
         let step = surface.grid().cell_size() * COARSEST;

@@ -66,7 +66,7 @@ pub enum Tank {
 impl FromStr for Tank {
     type Err = String;
 
-    /// Reads auto, or six numbers, of which any may be `-`.
+    /// Reads `auto`, or six numbers. Any of them may be `-`.
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "auto" => Ok(Self::Auto),
@@ -75,7 +75,7 @@ impl FromStr for Tank {
     }
 }
 
-/// Reads six numbers, of which any may be `-`.
+/// Reads six numbers. Any of them may be `-`.
 pub(super) fn ends(text: &str) -> Result<[Option<f64>; 6], String> {
     let end = |part: &str| match part {
         "-" => Ok(None),

@@ -3,10 +3,10 @@
 use super::{Faces, Source, Where, faces};
 use crate::grid::Walls;
 
-/// The largest count that is taken from a number of 64 bits: it holds all smaller ones exactly.
+/// The largest count that a 64-bit float may give: floats hold all integers up to it exactly.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
 
-/// Wordings of the values that are expected, for both kinds of sources.
+/// Texts that name the expected value, shared by both kinds of sources.
 mod expected {
     pub const NUMBER: &str = "expected a number";
     pub const COUNT: &str = "expected a whole number from 0";
@@ -20,15 +20,15 @@ mod expected {
         format!("expected one of {}", words.join(", "))
     }
 
-    /// Wording for a count that is too large for its setting.
+    /// Text for a count that is too large for its setting.
     pub fn smaller() -> String {
         "expected a smaller number".into()
     }
 }
 
-/// Text in the command line's syntax, whatever the locale is.
+/// Text in the command line's syntax, independent of the locale.
 ///
-/// The error says what is expected: "expected a number".
+/// The expected value, such as "expected a number".
 impl Source for &str {
     type Error = String;
 
@@ -80,10 +80,10 @@ impl Source for &str {
     }
 }
 
-/// One number, or several for a point or a box: -inf and inf leave an axis of a box open. A switch
+/// One number, or several for a point or a box. -inf and inf leave an axis of a box open. A switch
 /// is 0 or 1.
 ///
-/// The error says what is expected: "expected a number".
+/// The expected value, such as "expected a number".
 impl Source for &[f64] {
     type Error = String;
 

@@ -11,7 +11,7 @@ use crate::io::input::InputFormat;
 use crate::particles::condition::Where;
 use crate::surface::mesh::up::UpAxis;
 
-/// How a field is made.
+/// The method that makes the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -51,9 +51,9 @@ impl FromStr for Iso {
     }
 }
 
-/// Whether a field of [`Settings`](super::Settings) says something.
+/// Whether a field of [`Settings`](super::Settings) has a value.
 pub(super) trait Given {
-    /// Whether it says nothing.
+    /// Whether the field has no value.
     fn is_not_given(&self) -> bool;
 }
 
@@ -74,30 +74,30 @@ impl Given for bool {
 pub trait Source {
     type Error;
     fn number(&self) -> Result<f64, Self::Error>;
-    /// Takes a whole number that is not negative.
+    /// Takes a non-negative integer.
     fn count<T: TryFrom<u64>>(&self) -> Result<T, Self::Error>;
     fn switch(&self) -> Result<bool, Self::Error>;
     fn text(&self) -> Result<String, Self::Error>;
-    /// Takes the one of some words that was given, by its place among them.
+    /// Takes one of `words`, and returns its index.
     fn one_of(&self, words: &[&str]) -> Result<usize, Self::Error>;
     fn names(&self) -> Result<Vec<String>, Self::Error>;
     fn point(&self) -> Result<[f64; 3], Self::Error>;
     /// Takes a box by its lowest and its highest corner.
     fn faces(&self) -> Result<Faces, Self::Error>;
-    /// Takes the coordinates of walls, of which any side may be open.
+    /// Takes the coordinates of walls. Any side may be open.
     fn walls(&self) -> Result<Walls, Self::Error>;
     /// Takes conditions on particles.
     fn conditions(&self) -> Result<Where, Self::Error>;
-    /// Whether it is this word, and no other value.
+    /// Whether the value is this word.
     fn is_word(&self, word: &str) -> bool;
 }
 
 /// The value of a setting, taken from a [`Source`].
 pub trait Taken: Sized {
-    /// Takes it.
+    /// Converts the source.
     ///
     /// # Errors
-    /// Those of the source.
+    /// The errors of the source.
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error>;
 }
 
@@ -165,7 +165,7 @@ mod tests {
 
     use super::*;
 
-    /// Words of which the one of a number is taken, and which are noted.
+    /// A source that gives the word of an index, and records all words.
     struct Nth(usize, RefCell<Vec<String>>);
 
     impl Source for Nth {

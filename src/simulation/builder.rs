@@ -37,7 +37,7 @@ pub struct Simulation {
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
     pub(super) beside: Vec<PathBuf>,
-    /// Whether this only plans and converts nothing, which every job may do.
+    /// Whether to only plan, without converting, which every job may do.
     pub(super) planned: bool,
     /// Whether a contact sheet will be drawn.
     pub(super) sheet: bool,
@@ -77,14 +77,14 @@ impl Simulation {
         }
     }
 
-    /// A request for a simulation, if inputs and output name one; `None` if both name a single
-    /// frame. The output of a single file is taken literally unless it has `{}`: `##` and `%04d`
-    /// are not frame numbers then.
+    /// A request for a simulation if the inputs and the output name one; `None` if both name a
+    /// single frame. The output of a single file is taken literally unless it has `{}`: then `##`
+    /// and `%04d` do not stand for frame numbers.
     ///
     /// # Errors
-    /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
-    /// several inputs and one output.
-    pub fn if_several(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+    /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
+    /// for several inputs and one output.
+    pub fn detect(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
         let several = Inputs::of(inputs)?;
         if several.is_none() && is_foreign(output) {
             return Ok(None);
@@ -100,9 +100,9 @@ impl Simulation {
     /// one; `None` if it names a single frame.
     ///
     /// # Errors
-    /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for
-    /// the frames of a simulation and one output.
-    pub fn if_together(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+    /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
+    /// for the frames of a simulation and one output.
+    pub fn detect_together(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
         if Naming::of(output)?.is_some() {
             return Ok(Some(Self::of_files(inputs, output).together()));
         }
@@ -208,7 +208,7 @@ impl Simulation {
         }
         let inputs = match (Inputs::of(&self.inputs)?, &self.inputs[..]) {
             (Some(inputs), _) => inputs,
-            // A folder that is still to come.
+            // The folder does not exist yet.
             (None, [path])
                 if !path.exists()
                     && (self.watch.is_some() && !is_known(path)
@@ -221,7 +221,7 @@ impl Simulation {
         Ok((inputs, naming))
     }
 
-    /// Whether a frame of the simulation is to be converted.
+    /// Whether a frame of the simulation is selected.
     pub(super) fn wants(&self, number: i64) -> bool {
         let (first, last) = self.frames;
         (first..=last).contains(&number)
@@ -233,7 +233,7 @@ impl Simulation {
             return Err(SimulationError::Rate { rate: fps, range: FPS }.into());
         }
         if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
-            return Err(SimulationError::Wait(seconds).into());
+            return Err(SimulationError::Timeout(seconds).into());
         }
         let Selection { start, end, step } = self.selection;
         if start > end {

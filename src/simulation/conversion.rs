@@ -1,4 +1,4 @@
-//! All frames on their way, in as many lanes as the machine has room for.
+//! Converts all frames in parallel lanes, within the memory limit.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,12 +32,12 @@ use super::tally::Tally;
 use super::watch::{Ready, Watch};
 
 /// Minimum time between two events of progress within a stage.
-const BETWEEN_NEWS: Duration = Duration::from_millis(50);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Settles at last that it cannot be known: whatever happens, nobody waits for ever.
-struct AtLast<'a>(&'a OnceLock<Option<Settled>>);
+/// Settles `None` on drop, unless it is settled, so that no lane waits forever.
+struct SettleOnDrop<'a>(&'a OnceLock<Option<Settled>>);
 
-impl Drop for AtLast<'_> {
+impl Drop for SettleOnDrop<'_> {
     fn drop(&mut self) {
         self.0.get_or_init(|| None);
     }
@@ -45,18 +45,18 @@ impl Drop for AtLast<'_> {
 
 /// The end of a conversion.
 pub(super) enum Ran {
-    /// All frames are made, or have failed.
+    /// All frames have finished or failed.
     Ended(Box<Summary>),
-    /// The frame of this file, which was measured for all, has changed since.
+    /// The calibration frame, in this file, has changed since it was measured.
     Outdated(PathBuf),
 }
 
-/// A frame to be made.
+/// A frame to convert.
 struct Job {
     frame: FrameFile,
-    /// Where they are open already.
+    /// Its particles, if the file is already open.
     particles: Option<ParticleFile>,
-    /// Whether its mesh was made before, of a file that has changed since.
+    /// Whether its mesh was made before from an older version of its file.
     again: bool,
 }
 
@@ -67,8 +67,8 @@ struct Outcome<T> {
 }
 
 impl Conversion<'_> {
-    /// Settles what all frames have in common, while lanes may hold open frames. The frame that was
-    /// measured is given on, if it may stay open.
+    /// Measures what all frames share, while lanes may hold open frames. Returns the calibration
+    /// frame if it may stay open.
     fn settle(
         &self,
         known: Option<State>,
@@ -81,14 +81,14 @@ impl Conversion<'_> {
             setup.state(store, frames, &resources)
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
-        let (number, fingerprint) = (state.frozen.frame, state.fingerprint());
+        let (number, fingerprint) = (state.shared.frame, state.fingerprint());
         self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
         let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());
         Ok(open.map(|file| (number, file)))
     }
 
-    /// Gives the lanes all frames; where it is not settled yet what these have in common, the lanes
-    /// open some meanwhile.
+    /// Sends all frames to the lanes. Until the shared calibration is known, the lanes open some
+    /// frames in advance.
     fn give(
         &self,
         todo: &[&FrameFile],
@@ -96,12 +96,12 @@ impl Conversion<'_> {
         to_lanes: Sender<Job>,
         tally: &mut Tally,
     ) -> Result<(), Error> {
-        // The lanes live as long as they are sent to.
+        // The lanes run as long as the channel is open.
         let send = |job: Job| drop(to_lanes.send(job));
         let mut jobs =
             todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
         if self.settled.get().is_none() {
-            // The first is most likely the one that is measured: a lane waits for it.
+            // The first frame is most likely the calibration frame, so only one lane waits for it.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;
@@ -123,7 +123,7 @@ impl Conversion<'_> {
     ) -> Result<Ran, Error> {
         let options = self.setup.simulation;
         let mut tally = Tally::new(self, series);
-        // Where all frames are to be made, the first are opened while one of them is measured.
+        // If all frames must be made, the lanes open the first ones during the calibration.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames)?;
@@ -136,7 +136,7 @@ impl Conversion<'_> {
             .filter(|frame| !(options.resume && tally.lists(frame)))
             .collect();
         let watch = options.watch.map(|idle| Watch::new(idle, options.selection));
-        self.setup.tell(Event::Begins {
+        self.setup.send(Event::Started {
             frames: wanted.len(),
             done: wanted.len() - todo.len(),
             bytes: if watch.is_some() { 0 } else { todo.iter().map(|frame| frame.bytes()).sum() },
@@ -146,12 +146,12 @@ impl Conversion<'_> {
 
         let (to_lanes, jobs) = mpsc::channel();
         let jobs = Mutex::new(jobs);
-        // Bounded: what waits for the disk is an open file.
+        // The channel is bounded: each mesh that waits for the disk has an open file.
         let (to_disk, filled) = mpsc::sync_channel(self.division.lanes);
         let filled = Mutex::new(filled);
         let (results, outcomes) = mpsc::channel();
         let converted = thread::scope(|scope| {
-            let _at_last = AtLast(&self.settled);
+            let _at_last = SettleOnDrop(&self.settled);
             for lane in 0..self.division.lanes {
                 let (jobs, to_disk) = (&jobs, to_disk.clone());
                 let (filled, results) = (&filled, results.clone());
@@ -161,7 +161,7 @@ impl Conversion<'_> {
                     start(scope, move || self.lane(lane, &pool, jobs, &to_disk))
                 });
                 match started {
-                    // Fewer lanes do.
+                    // Continue with fewer lanes.
                     Err(_) if lane > 0 => break,
                     started => started?,
                 }
@@ -190,7 +190,7 @@ impl Conversion<'_> {
         }
     }
 
-    /// Gives the lanes what becomes complete, until nothing more is to be expected.
+    /// Sends frames to the lanes as they become complete, until the simulation is over.
     fn follow(
         &self,
         mut watch: Watch,
@@ -231,8 +231,9 @@ impl Conversion<'_> {
                         }
                         under_way += 1;
                         tally.total += 1;
-                        self.setup.tell(Event::Came { bytes: frame.bytes() });
-                        // A frame between others that are done takes the number of the next.
+                        self.setup.send(Event::FrameAppeared { bytes: frame.bytes() });
+                        // A new frame between finished ones takes the number, and the output, of
+                        // the next one.
                         let again = tally.has_made(&self.output(&frame));
                         let _ = to_lanes.send(Job { frame, particles: None, again });
                     }
@@ -244,17 +245,17 @@ impl Conversion<'_> {
         }
     }
 
-    /// The frame that was measured for all, if it is there and has changed since.
+    /// The calibration frame, if its file exists and has changed since.
     fn changed<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
-        self.settled.get()?.as_ref()?.state.frozen.changed_in(frames)
+        self.settled.get()?.as_ref()?.state.shared.changed_in(frames)
     }
 
-    /// Whether no further frame is to be begun.
+    /// Whether to start no further frame.
     fn is_over(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || self.cancel().is_cancelled()
     }
 
-    /// Notes what became of a frame.
+    /// Records the outcome of a frame.
     fn note(&self, outcome: Outcome<Done>, tally: &mut Tally) -> Result<(), Error> {
         let Outcome { frame, result } = outcome;
         let taken = tally.take(&frame, result);
@@ -264,7 +265,7 @@ impl Conversion<'_> {
         taken.map(drop)
     }
 
-    /// Converts frames until there are no more.
+    /// Converts frames until the channel is closed.
     fn lane(
         &self,
         lane: usize,
@@ -272,15 +273,16 @@ impl Conversion<'_> {
         jobs: &Mutex<Receiver<Job>>,
         to_disk: &SyncSender<Outcome<Filled>>,
     ) {
-        // On one of the pool's own threads, or every step of a frame would wait for another to wake
-        // up. This one could be of the pool, too, but rayon would keep that for ever.
+        // Runs on one of the pool's threads; otherwise every step of a frame would wait until
+        // another thread wakes up. The current thread could belong to the pool, but rayon would
+        // never release it.
         pool.install(|| {
             while let Some(Job { frame, particles, again }) = next(jobs) {
                 if self.is_over() {
                     continue;
                 }
                 let number = frame.number;
-                let teller = self.setup.teller;
+                let events = self.setup.events;
                 let opened = self.checked_in(lane, &frame).and_then(|checked| {
                     let opened = self.open(&checked, &frame, particles, again)?;
                     Ok((checked, opened))
@@ -288,7 +290,7 @@ impl Conversion<'_> {
                 let Some(settled) = self.settled.wait() else { return };
                 let result = opened
                     .and_then(|(checked, opened)| self.convert(&checked, &frame, opened, settled));
-                teller.tell(Event::Stage { lane, frame: number, progress: None });
+                events.send(Event::Stage { lane, frame: number, progress: None });
                 if to_disk.send(Outcome { frame, result }).is_err() {
                     return;
                 }
@@ -296,30 +298,29 @@ impl Conversion<'_> {
         });
     }
 
-    /// The request for a frame with its solids, that reports its progress as that of its lane: at the
-    /// beginning and end of a stage, and rarely in between, because each event wakes the caller's
-    /// thread.
+    /// The request for a frame with its solids, which reports progress for its lane: at the start
+    /// and end of a stage, and seldom in between, because each event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<Checked, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
-        let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
-        let told = Mutex::new(Instant::now());
-        let tell = move |progress: Progress| {
+        let (events, mut checked) = (self.setup.events.clone(), self.setup.checked.clone());
+        let last_sent = Mutex::new(Instant::now());
+        let report = move |progress: Progress| {
             let is_end = progress.done <= 0.0 || progress.done >= 1.0;
             if !is_end {
-                let Ok(mut told) = told.try_lock() else { return };
-                if told.elapsed() < BETWEEN_NEWS {
+                let Ok(mut last_sent) = last_sent.try_lock() else { return };
+                if last_sent.elapsed() < PROGRESS_INTERVAL {
                     return;
                 }
-                *told = Instant::now();
+                *last_sent = Instant::now();
             }
-            teller.tell(Event::Stage { lane, frame, progress: Some(progress) });
+            events.send(Event::Stage { lane, frame, progress: Some(progress) });
         };
-        checked.resources.control.progress = Some(Arc::new(tell));
+        checked.resources.control.progress = Some(Arc::new(report));
         let is_of_all = solids.is_empty() || checked.surfacing.solid.is_some();
         if is_of_all { Ok(checked) } else { checked.at_solids_in(solids) }
     }
 
-    /// Waits for the disk, so that no lane has to.
+    /// Waits until meshes are on disk, so that lanes need not wait.
     fn keep(&self, filled: &Mutex<Receiver<Outcome<Filled>>>, results: &Sender<Outcome<Done>>) {
         while let Some(Outcome { frame, result }) = next(filled) {
             let result = result.and_then(|filled| self.finish(filled));
@@ -344,7 +345,7 @@ fn next<T>(receiver: &Mutex<Receiver<T>>) -> Option<T> {
     receiver.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
 }
 
-/// Converts frames, and those that come while a simulation is followed.
+/// Converts frames, including those that appear while a simulation is watched.
 pub(super) fn convert(
     conversion: &Conversion<'_>,
     known: Option<State>,
@@ -359,15 +360,14 @@ pub(super) struct Conversion<'a> {
     pub(super) setup: &'a Setup<'a>,
     pub(super) format: MeshFormat,
     pub(super) store: Store,
-    /// `None` where it cannot be known.
+    /// `None` if the calibration failed.
     pub(super) settled: OnceLock<Option<Settled>>,
-    /// Records of frames that were made before this run replaced any mesh.
+    /// Records of the frames that existed before this run replaced any mesh.
     pub(super) before: OnceLock<Records>,
     pub(super) division: Division,
     pub(super) gate: Gate,
     pub(super) stop: AtomicBool,
-    /// Whether the spacing is of a state that was kept, and no frame was looked at for doubts about
-    /// it yet.
+    /// Whether the spacing comes from an earlier state, and has not been checked on a frame yet.
     pub(super) unchecked: AtomicBool,
 }
 
@@ -396,7 +396,6 @@ impl<'a> Conversion<'a> {
         &self.setup.checked.resources.control.cancel
     }
 
-    /// The mesh's file of a frame.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.setup.output(frame)
     }
@@ -406,7 +405,7 @@ impl<'a> Conversion<'a> {
         SmallMeshes::beside(self.store.folder())
     }
 
-    /// The record of a frame that need not be made again, as far as is known.
+    /// The record of a frame that is already finished, if it is known.
     pub(super) fn current<'r>(
         &self,
         records: &'r Records,

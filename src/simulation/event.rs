@@ -13,12 +13,12 @@ use crate::error::Error;
 use crate::field::calibration::{Calibration, Plateau};
 use crate::grid::units::{shown, significant};
 use crate::io::series::SeriesFrame;
-use crate::reconstruction::{Doubt, Report, Warning, lost_warning};
+use crate::reconstruction::{Report, SpacingWarning, Warning, lost_warning};
 use crate::system::cancel::Cancel;
 use crate::system::control::Progress;
 
-use super::frozen::{Frozen, Trust};
 use super::gaps::Gaps;
+use super::shared_calibration::{SharedCalibration, Trust};
 
 /// An event of a conversion. It displays as one line of text.
 #[derive(Debug, Clone)]
@@ -30,32 +30,32 @@ pub enum Event {
         inputs: String,
     },
     /// The spacing may be wrong.
-    Doubted(Box<Doubt>),
+    SpacingWarning(Box<SpacingWarning>),
     /// The conversion starts again, because settings or the calibration frame changed.
-    Anew {
+    Restarted {
         /// The state's file.
         state: PathBuf,
         /// The changed settings or input frame.
         differing: String,
     },
     /// An earlier conversion is resumed.
-    GoesOn {
+    Resumed {
         /// The state's file.
         state: PathBuf,
         /// The calibration that all frames share.
-        frozen: Box<Frozen>,
+        shared: Box<SharedCalibration>,
     },
     /// The calibration that all frames share was measured.
     Measured {
         /// The file of the calibration frame.
         path: PathBuf,
         /// The calibration that all frames share.
-        frozen: Box<Frozen>,
+        shared: Box<SharedCalibration>,
         /// How reliable this frame is for the others.
         trust: Trust,
     },
     /// The conversion begins.
-    Begins {
+    Started {
         /// Number of frames; more can appear in a simulation that is followed.
         frames: usize,
         /// Number of frames that are already finished.
@@ -68,7 +68,7 @@ pub enum Event {
         followed: bool,
     },
     /// A new frame appeared.
-    Came {
+    FrameAppeared {
         /// Bytes of its input.
         bytes: u64,
     },
@@ -114,7 +114,7 @@ pub struct FrameDone {
     /// Duration in seconds.
     pub seconds: f64,
     /// Progress of the conversion after this frame.
-    pub progress: Tallied,
+    pub progress: FrameCounts,
 }
 
 /// A failed frame.
@@ -128,13 +128,13 @@ pub struct FrameFailed {
     /// The error.
     pub error: Error,
     /// Progress of the conversion after this frame.
-    pub progress: Tallied,
+    pub progress: FrameCounts,
 }
 
 /// Counts of the frames of a conversion.
 #[derive(Debug, Clone, Copy, Default)]
 #[non_exhaustive]
-pub struct Tallied {
+pub struct FrameCounts {
     /// Frames that have finished or failed.
     pub done: usize,
     /// All frames of the conversion.
@@ -233,7 +233,7 @@ pub struct Summary {
 impl Summary {
     /// Number of frames that failed or are missing between others.
     #[must_use]
-    pub fn lacking(&self) -> u64 {
+    pub fn incomplete_frames(&self) -> u64 {
         let missing = self
             .missing
             .iter()
@@ -258,27 +258,27 @@ impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
-            Self::Doubted(doubt) => write!(f, "warning: {doubt}"),
-            Self::Anew { state, differing } => {
+            Self::SpacingWarning(warning) => write!(f, "warning: {warning}"),
+            Self::Restarted { state, differing } => {
                 write!(f, "{}: starting again, because these changed: {differing}", state.display())
             }
-            Self::GoesOn { state, frozen } => {
-                write!(f, "resuming with {}: {frozen}", state.display())
+            Self::Resumed { state, shared } => {
+                write!(f, "resuming with {}: {shared}", state.display())
             }
-            Self::Measured { path, frozen, trust: Trust::Sound } => {
-                write!(f, "measured on {}: {frozen}", path.display())
+            Self::Measured { path, shared, trust: Trust::Sound } => {
+                write!(f, "measured on {}: {shared}", path.display())
             }
-            Self::Measured { frozen, trust, .. } => {
+            Self::Measured { shared, trust, .. } => {
                 let what = match trust {
                     Trust::Shallow => "almost no fluid is deep enough to measure",
                     Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
                 };
-                write!(f, "warning: {what}; measured on frame {}: {frozen}", frozen.frame)
+                write!(f, "warning: {what}; measured on frame {}: {shared}", shared.frame)
             }
-            Self::Begins { frames, done, .. } => {
+            Self::Started { frames, done, .. } => {
                 write!(f, "{done} of {frames} frames are already finished")
             }
-            Self::Came { bytes } => write!(f, "new frame: {}", ByteSize(*bytes)),
+            Self::FrameAppeared { bytes } => write!(f, "new frame: {}", ByteSize(*bytes)),
             Self::Stage { frame, progress: Some(Progress { stage, .. }), .. } => {
                 write!(f, "frame {frame}: {stage}")
             }
@@ -317,7 +317,7 @@ impl fmt::Display for Summary {
     }
 }
 
-impl fmt::Display for Frozen {
+impl fmt::Display for SharedCalibration {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { spacing, spacing_source, cell_size, origin, slab, walls, calibration, .. } =
             self;
@@ -359,10 +359,10 @@ const WAITING: usize = 1024;
 
 /// Sends events to the caller, from any thread.
 #[derive(Debug, Clone)]
-pub(super) struct Teller(SyncSender<Event>);
+pub(super) struct EventSender(SyncSender<Event>);
 
-impl Teller {
-    pub(super) fn tell(&self, event: Event) {
+impl EventSender {
+    pub(super) fn send(&self, event: Event) {
         // Fails only after the caller panicked.
         let _ = self.0.send(event);
     }
@@ -370,19 +370,19 @@ impl Teller {
 
 /// Runs `work` on a new thread, and calls `hear` with its events on this one. If `hear` panics, the
 /// work is cancelled.
-pub(super) fn hearing<T: Send>(
+pub(super) fn with_events<T: Send>(
     cancel: &Cancel,
     hear: impl FnMut(Event),
-    work: impl FnOnce(&Teller) -> Result<T, Error> + Send,
+    work: impl FnOnce(&EventSender) -> Result<T, Error> + Send,
 ) -> Result<T, Error> {
-    let (sender, told) = sync_channel(WAITING);
+    let (sender, receiver) = sync_channel(WAITING);
     thread::scope(|scope| {
-        let work = move || work(&Teller(sender));
+        let work = move || work(&EventSender(sender));
         let worker = thread::Builder::new().name("meniscus".into()).spawn_scoped(scope, work);
         let worker = worker.map_err(|fault| Error::Threads(fault.to_string()))?;
         // Ends when the last sender is dropped.
         let stop = CancelInPanic(cancel);
-        hear_all(&told, hear);
+        receive_all(&receiver, hear);
         drop(stop);
         worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })
@@ -390,12 +390,12 @@ pub(super) fn hearing<T: Send>(
 
 /// Receives all events. A thread of a rayon pool keeps working, because the sender may need the
 /// pool.
-fn hear_all(told: &Receiver<Event>, mut hear: impl FnMut(Event)) {
+fn receive_all(receiver: &Receiver<Event>, mut hear: impl FnMut(Event)) {
     if rayon::current_thread_index().is_none() {
-        return told.iter().for_each(hear);
+        return receiver.iter().for_each(hear);
     }
     loop {
-        match told.try_recv() {
+        match receiver.try_recv() {
             Ok(event) => hear(event),
             Err(TryRecvError::Disconnected) => return,
             Err(TryRecvError::Empty) => {

@@ -1,4 +1,4 @@
-//! Forecast of a conversion, found out on its largest frame.
+//! Forecast of a conversion, measured on its largest frame.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -17,59 +17,59 @@ use crate::surface::mesh::source::MeshSource;
 use crate::system::timings::Timings;
 
 use super::frame_file::FrameFile;
-use super::frozen::Frozen;
 use super::gaps::{Gaps, gaps};
 use super::records::Records;
 use super::setup::Setup;
+use super::shared_calibration::SharedCalibration;
 use super::state::{State, Store};
 
-/// A forecast of a conversion, which prints as some lines for people.
+/// A forecast of a conversion. It displays as several lines of text.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Forecast {
-    /// The inputs, as they were asked for.
+    /// The inputs of the request.
     pub inputs: String,
-    /// Frames that there are.
+    /// Number of existing frames.
     pub frames: usize,
-    /// Frames that would be made.
+    /// Number of selected frames.
     pub wanted: usize,
-    /// Frames that are done already.
+    /// Number of frames that are already finished.
     pub done: usize,
-    /// The mesh of the first frame.
+    /// The mesh's file of the first frame.
     pub output: PathBuf,
-    /// Numbers that are missing between others.
+    /// Numbers of missing frames between others.
     pub missing: Gaps,
-    /// The measurements that all frames would share.
-    pub frozen: Frozen,
-    /// The forecast of the largest frame; `None` where frames are packed.
+    /// The calibration that all frames share.
+    pub shared: SharedCalibration,
+    /// The forecast for the largest frame; `None` for packed frames.
     pub largest: Option<Largest>,
 }
 
-/// The largest frame of a conversion, and what it says of all.
+/// The largest frame of a conversion, and estimates for all frames.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Largest {
     /// The frame's number.
     pub frame: i64,
-    /// Particles of it.
+    /// Its number of particles.
     pub particles: usize,
-    /// Triangles of its mesh, before simplifying.
+    /// Number of triangles of its mesh, before simplifying.
     pub triangles: u64,
-    /// Bytes that it takes in memory.
+    /// Peak memory of the frame in bytes.
     pub memory: u64,
-    /// Bytes that may be used.
+    /// Memory limit in bytes.
     pub budget: u64,
-    /// Frames that would be made side by side.
+    /// Number of frames that would be made in parallel.
     pub side_by_side: usize,
-    /// Bytes that all meshes would take on disk, about.
+    /// Approximate size of all meshes on disk in bytes.
     pub disk: u64,
-    /// How long all frames would take in seconds, about.
+    /// Approximate time of all frames in seconds.
     pub seconds: f64,
 }
 
 impl fmt::Display for Forecast {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { inputs, frames, wanted, done, output, missing, frozen, largest } = self;
+        let Self { inputs, frames, wanted, done, output, missing, shared, largest } = self;
         let output = output.display();
         write!(f, "would convert {wanted} of {frames} frames of {inputs} to {output}")?;
         if *done > 0 {
@@ -78,7 +78,7 @@ impl fmt::Display for Forecast {
         if missing.count() > 0 {
             write!(f, "\nmissing: {missing}")?;
         }
-        write!(f, "\n{frozen}")?;
+        write!(f, "\n{shared}")?;
         let Some(largest) = largest else { return Ok(()) };
         write!(
             f,
@@ -97,7 +97,7 @@ impl fmt::Display for Forecast {
 }
 
 impl Setup<'_> {
-    /// Finds out what a conversion would do and take.
+    /// Estimates the resources of a conversion.
     pub(super) fn forecast(
         &self,
         kept: Option<State>,
@@ -106,8 +106,8 @@ impl Setup<'_> {
         wanted: &[&FrameFile],
     ) -> Result<Forecast, Error> {
         let begun = Instant::now();
-        let frozen = match &kept {
-            Some(state) => state.frozen.clone(),
+        let shared = match &kept {
+            Some(state) => state.shared.clone(),
             None => self.freeze(frames, &self.checked.resources)?.0,
         };
         let records = Records::read(store.folder());
@@ -125,15 +125,15 @@ impl Setup<'_> {
             done,
             output: self.output(&frames[0]),
             missing: gaps(frames),
-            largest: self.largest(&frozen, wanted, done, begun)?,
-            frozen,
+            largest: self.largest(&shared, wanted, done, begun)?,
+            shared,
         })
     }
 
-    /// Makes the largest frame: what the budget has to hold, and about what each frame takes.
+    /// Makes the largest frame, to measure the memory and time of a frame.
     fn largest(
         &self,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         wanted: &[&FrameFile],
         done: usize,
         begun: Instant,
@@ -154,7 +154,7 @@ impl Setup<'_> {
         let carried =
             checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
-        let (sampling, _) = self.sampling(frozen, &file.particles, carried, resources.clone())?;
+        let (sampling, _) = self.sampling(shared, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
         let counted = Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None)
@@ -162,7 +162,7 @@ impl Setup<'_> {
         let (census, estimate) = (counted.census(), counted.estimate());
         let frame =
             Engine::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
-        let drawn = frame.calibrate(&checked.surfacing, frozen.calibration.as_ref(), &mut timings);
+        let drawn = frame.calibrate(&checked.surfacing, shared.calibration.as_ref(), &mut timings);
         let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
         let bytes = mesh_bytes(mesh.vertex_count(), mesh.triangle_count());
         let share = largest.bytes().max(1) as f64;

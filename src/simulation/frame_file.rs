@@ -1,4 +1,4 @@
-//! A frame of a simulation: its number, its time and its files; and the choice of frames by number.
+//! A frame of a simulation with its number, time and files; and the selection of frames by number.
 
 use std::path::{Path, PathBuf};
 
@@ -9,20 +9,20 @@ use crate::io::stamp::Stamp;
 use crate::io::wanted::Wanted;
 use crate::io::{ParticleFile, ReadError};
 
-/// One frame, as found.
+/// The files of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameFile {
     /// The frame's number.
     pub number: i64,
-    /// The number as the name spells it.
+    /// The digits of the number in the name.
     pub digits: String,
-    /// The time, where the name spells it.
+    /// The time in the name, if there is one.
     pub time: Option<f64>,
     /// The file, or the first of several.
     pub path: PathBuf,
-    /// Other files whose particles are of this frame too.
+    /// Other files with particles of this frame.
     pub others: Vec<PathBuf>,
-    /// The files of the solids that its fluid ends at.
+    /// The files of the solids of this frame.
     pub solids: Vec<PathBuf>,
 }
 
@@ -33,25 +33,24 @@ impl FrameFile {
         Self { number, digits, time: None, path, others: Vec::new(), solids: Vec::new() }
     }
 
-    /// All files whose particles are the frame's.
+    /// All files with particles of this frame.
     pub fn paths(&self) -> impl Iterator<Item = &Path> {
         std::iter::once(&self.path).chain(&self.others).map(PathBuf::as_path)
     }
 
-    /// Bytes of its files and of their pieces; 0 of what is gone.
+    /// Total size of its files and their pieces; missing files count as 0.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
         self.paths().flat_map(files_of).map(|file| bytes(&file)).sum()
     }
 
-    /// The stamp of its files as they are now, with those of its solids that are there.
+    /// The current stamp of its files, and of its solids that exist.
     pub(super) fn stamp(&self) -> Result<Stamp, ReadError> {
         let solids = self.solids.iter().map(PathBuf::as_path).filter(|path| path.exists());
         Stamp::of_all(self.paths().chain(solids))
     }
 
-    /// Opens its particles.
     pub(super) fn open(
         &self,
         wanted: Wanted,
@@ -67,7 +66,7 @@ pub(super) fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFi
     frames.iter().zip(frames.iter().skip(1))
 }
 
-/// The numbers of the frames that are wanted. Ends are included.
+/// A selection of frame numbers. Both ends are included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Selection {
     /// The first number.
@@ -85,8 +84,7 @@ impl Default for Selection {
 }
 
 impl Selection {
-    /// The frames that are wanted. Steps count from the first number asked for, else from the first
-    /// there is.
+    /// The selected frames. Steps count from the given first number, or from the first frame.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let is_given = self.start > i64::MIN;
         let first = frames.first().filter(|_| !is_given).map(|frame| frame.number);

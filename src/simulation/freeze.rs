@@ -1,7 +1,9 @@
-//! Calibration of all frames on the first suitable one.
+//! Calibrates all frames on the first suitable one.
 
 use super::frame_file::FrameFile;
-use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
+use super::shared_calibration::{
+    Measured, SharedCalibration, Stamp, Trust, measure_in, measure_sampled,
+};
 use super::state::{State, Store};
 use crate::error::{Cause, Error};
 use crate::field::walls::Ends;
@@ -12,70 +14,70 @@ use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
 use crate::particles::{AttributeKind, Particles};
-use crate::reconstruction::{self, Doubt, FoundWalls, Search, Slab};
+use crate::reconstruction::{self, FoundWalls, Search, Slab, SpacingWarning};
 
 use super::event::Event;
 use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
-/// Frames that are looked at for one that is deep enough to measure: of those that are there the
-/// first, and some from all over the rest.
+/// Number of frames that are tried for a calibration: the first of the existing frames, and some
+/// throughout the rest.
 const LOOKED_AT: usize = 64;
 
-/// Frames that are looked at for walls, from the first to the last.
+/// Number of frames, from the first to the last, in which walls are searched.
 const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
 struct OneMeasured {
-    frozen: Frozen,
+    shared: SharedCalibration,
     trust: Trust,
-    /// Doubts about its spacing.
-    doubts: Vec<Doubt>,
+    /// Warnings about its spacing.
+    warnings: Vec<SpacingWarning>,
 }
 
 impl Setup<'_> {
-    /// Measures what all frames have in common, and keeps it; the frame that it was measured on may
-    /// still be open.
+    /// Measures what all frames share, and stores it. Returns the calibration frame too if it is
+    /// still open.
     pub(super) fn state(
         &self,
         store: &Store,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
-        let (mut frozen, file) = self.freeze(frames, resources)?;
-        self.settle_colours(&mut frozen, frames, resources)?;
-        let measured = State::new(self.checked.settings.kept(), frozen);
-        // Of jobs that measure at the same time the first is right.
+        let (mut shared, file) = self.freeze(frames, resources)?;
+        self.settle_colours(&mut shared, frames, resources)?;
+        let measured = State::new(self.checked.settings.kept(), shared);
+        // If several jobs measure at the same time, the first state is used by all.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
-        let file = file.filter(|_| state.frozen.frame == measured.frozen.frame);
+        let file = file.filter(|_| state.shared.frame == measured.shared.frame);
         Ok((state, file))
     }
 
-    /// Calibrates all frames on the first suitable one, whose particles may still be open, and
-    /// finds walls in some frames, if requested.
+    /// Calibrates all frames on the first suitable one, which may still be open, and finds walls in
+    /// some frames, if requested.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
         resources: &Resources,
-    ) -> Result<(Frozen, Option<ParticleFile>), Error> {
+    ) -> Result<(SharedCalibration, Option<ParticleFile>), Error> {
         let (frame, mut measured, file) = self.freeze_one(frames, resources)?;
         if self.checked.sampling.search == Search::Walls && self.simulation.watch.is_none() {
-            measured.frozen.walls = self.common_walls(frames, &measured.frozen, resources)?;
+            measured.shared.walls = self.common_walls(frames, &measured.shared, resources)?;
         }
-        self.tell_measured(&frame, &measured);
-        Ok((measured.frozen, file))
+        self.report_measured(&frame, &measured);
+        Ok((measured.shared, file))
     }
 
-    /// The walls that some frames from all over the simulation show; frames that cannot be read show
-    /// nothing here, and fail later.
+    /// The walls that some frames throughout the simulation have in common. Frames that cannot be
+    /// read are ignored here, and fail later.
     fn common_walls(
         &self,
         frames: &[FrameFile],
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         resources: &Resources,
     ) -> Result<Option<FoundWalls>, Error> {
-        let Some(spacing) = frozen.spacing else { return Ok(None) };
-        let (grid, flat) = (frozen.grid()?, frozen.slab.map(|slab| slab.axis));
+        let Some(spacing) = shared.spacing else { return Ok(None) };
+        let (grid, flat) = (shared.grid()?, shared.slab.map(|slab| slab.axis));
         let numbers = (0..LOOKED_AT_FOR_WALLS as u128).map(|number| {
             let last = frames.len().saturating_sub(1) as u128;
             (number * last / (LOOKED_AT_FOR_WALLS as u128 - 1)) as usize
@@ -118,25 +120,24 @@ impl Setup<'_> {
                 looked_at += 1;
                 self.go_on()?;
                 let lattice = best.as_ref().filter(|(_, known)| known.trust == Trust::Lattice);
-                let lattice = lattice.map(|(_, known)| &known.frozen);
+                let lattice = lattice.map(|(_, known)| &known.shared);
                 match self.measure_on(&frame, lattice, resources) {
                     Ok((found, file)) if found.trust == Trust::Sound => {
                         return Ok((frame, found, file));
                     }
                     Ok((found, _)) => {
-                        // Spray is farther apart than fluid, whose spacing would be estimated too
-                        // large by it.
+                        // Spray is farther apart than fluid, so its estimated spacing is too large.
                         let is_better = |(_, known): &(FrameFile, OneMeasured)| {
                             known.trust < found.trust
                                 || known.trust == found.trust
-                                    && known.frozen.spacing > found.frozen.spacing
+                                    && known.shared.spacing > found.shared.spacing
                         };
                         if best.as_ref().is_none_or(is_better) {
                             best = Some((frame, found));
                         }
                     }
-                    // What is too fine for one frame, by its mu0 or where its lattice lies, need
-                    // not be for another.
+                    // Cells that are too fine for one frame, because of its mu0 or its lattice, may
+                    // suit another.
                     Err(error)
                         if error.cause() == Cause::Input
                             || matches!(
@@ -168,11 +169,11 @@ impl Setup<'_> {
         }
     }
 
-    /// Settles the scale of colours that the measured frame leaves in doubt, as black does, by other
-    /// frames.
+    /// Determines the scale of colours from other frames if the calibration frame does not show it,
+    /// for example because all its particles are black.
     fn settle_colours(
         &self,
-        frozen: &mut Frozen,
+        shared: &mut SharedCalibration,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(), Error> {
@@ -181,10 +182,10 @@ impl Setup<'_> {
             let is_open = |known: &&mut SettledKind| {
                 known.stored.kind == AttributeKind::Colour && !known.is_evident
             };
-            let mut open: Vec<_> = frozen.kinds.iter_mut().filter(is_open).collect();
+            let mut open: Vec<_> = shared.kinds.iter_mut().filter(is_open).collect();
             let Some(frame) = frames.get(index).filter(|_| !open.is_empty()) else { break };
             self.go_on()?;
-            // A frame that cannot be read fails when its turn comes.
+            // A frame that cannot be read fails when it is converted.
             let Ok(file) = self.open_particles(frame, resources) else { continue };
             let infos = file.particles.attributes();
             for known in &mut open {
@@ -197,7 +198,7 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// Opens the particles of a frame that is measured.
+    /// Opens the particles of a calibration frame.
     fn open_particles(
         &self,
         frame: &FrameFile,
@@ -211,19 +212,22 @@ impl Setup<'_> {
         frame.open(self.checked.wanted(), unpacking)
     }
 
-    /// Reports the calibration with its frame, and doubts about its spacing.
-    fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
-        found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(Box::new(doubt.clone()))));
-        let frozen = Box::new(found.frozen.clone());
-        self.tell(Event::Measured { path: frame.path.clone(), frozen, trust: found.trust });
+    /// Reports the calibration with its frame, and warnings about its spacing.
+    fn report_measured(&self, frame: &FrameFile, found: &OneMeasured) {
+        found
+            .warnings
+            .iter()
+            .for_each(|warning| self.send(Event::SpacingWarning(Box::new(warning.clone()))));
+        let shared = Box::new(found.shared.clone());
+        self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
 
-    /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one
-    /// did.
+    /// Measures one frame for all. If there was a lattice before, the grid and mu0 are the
+    /// lattice's.
     fn measure_on(
         &self,
         frame: &FrameFile,
-        lattice: Option<&Frozen>,
+        lattice: Option<&SharedCalibration>,
         resources: &Resources,
     ) -> Result<(OneMeasured, Option<ParticleFile>), Error> {
         let path = &frame.path;
@@ -237,8 +241,8 @@ impl Setup<'_> {
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let spacing = sampled.facts.spacing;
-            let frozen = frozen(frame.number, input, spacing, None, (None, None), measured);
-            return Ok((OneMeasured { frozen, trust: measured.trust, doubts: Vec::new() }, None));
+            let shared = shared(frame.number, input, spacing, None, (None, None), measured);
+            return Ok((OneMeasured { shared, trust: measured.trust, warnings: Vec::new() }, None));
         }
         let file = self.open_particles(frame, resources)?;
         let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
@@ -259,29 +263,29 @@ impl Setup<'_> {
         let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let tank = (cells.slab, cells.walls.clone());
-        let mut frozen = frozen(frame.number, input, cells.spacing(), source, tank, measured);
-        frozen.sizes = cells.sizes.clone();
-        // A frame without one of these attributes fails by itself.
+        let mut shared = shared(frame.number, input, cells.spacing(), source, tank, measured);
+        shared.sizes = cells.sizes.clone();
+        // A frame that lacks one of these attributes fails on its own.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
-        frozen.kinds = settled_for_all(&file.particles, &carried);
+        shared.kinds = settled_for_all(&file.particles, &carried);
         if let Some(first) = lattice {
-            (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
+            (shared.spacing, shared.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
-        Ok((OneMeasured { frozen, trust: measured.trust, doubts: cells.doubts }, Some(file)))
+        Ok((OneMeasured { shared, trust: measured.trust, warnings: cells.warnings }, Some(file)))
     }
 }
 
-fn frozen(
+fn shared(
     frame: i64,
     input: Stamp,
     spacing: Option<f64>,
     spacing_source: Option<String>,
     (slab, walls): (Option<Slab>, Option<FoundWalls>),
     Measured { grid, calibration, .. }: Measured,
-) -> Frozen {
+) -> SharedCalibration {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
-    Frozen {
+    SharedCalibration {
         frame,
         input,
         spacing,

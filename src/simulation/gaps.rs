@@ -1,19 +1,19 @@
-//! Numbers of frames that are missing between others.
+//! Numbers of missing frames between others.
 
 use std::path::PathBuf;
 
 use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
-/// The numbers that are missing between others, by the greatest step that leads to all that are
-/// there.
+/// The numbers that are missing between the frames, with the greatest step that reaches all
+/// existing frames.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
     let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
     let step = steps.fold(0, greatest_common_divisor);
     let mut ranges = Vec::new();
     for (a, b) in neighbours(frames) {
         if b.number.abs_diff(a.number) > step {
-            // Every step between two numbers that are there leads to a number.
+            // The step divides every difference between existing numbers.
             ranges
                 .push((a.number.wrapping_add_unsigned(step), b.number.wrapping_sub_unsigned(step)));
         }
@@ -26,8 +26,8 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// The name that the file of a missing number would have, going by the one before it. `pattern` is
-/// that of the names; where there is none, names end with their numbers.
+/// The name that the file of a missing number would have, by the file before it. `pattern` is the
+/// pattern of the names; without one, names end with their numbers.
 pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
     let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
@@ -43,7 +43,7 @@ pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64
     path.with_file_name(format!("{}{}{}", &name[..at.start], like(digits, number), &name[at.end..]))
 }
 
-/// A number with as many leading zeros as another that is spelled `digits`.
+/// A number with as many leading zeros as `digits`.
 fn like(digits: &str, number: i64) -> String {
     let plain = digits.trim_start_matches('-');
     let width = if plain.starts_with('0') { plain.len() } else { 1 };
@@ -54,17 +54,17 @@ fn like(digits: &str, number: i64) -> String {
 /// Missing numbers, found by [`gaps`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Gaps {
-    /// From one number to the next.
+    /// Difference between consecutive numbers.
     pub step: u64,
-    /// The first and the last missing number of each gap: there may be any number of frames between
-    /// two time stamps.
+    /// The first and last missing number of each gap. Gaps between time stamps can be huge.
     pub ranges: Vec<(i64, i64)>,
-    /// More is missing than there: a choice of frames, and not a simulation with gaps.
+    /// Whether more numbers are missing than exist: then this is a selection of frames rather than
+    /// a simulation with gaps.
     pub sparse: bool,
 }
 
 impl Gaps {
-    /// Missing numbers in all.
+    /// Total count of missing numbers.
     pub fn count(&self) -> u64 {
         self.ranges.iter().map(|(first, last)| last.abs_diff(*first) / self.step.max(1) + 1).sum()
     }
@@ -85,15 +85,15 @@ impl Gaps {
 }
 
 /// Maximum number of gaps in a message.
-const TOLD: usize = 20;
+const LISTED: usize = 20;
 
 impl std::fmt::Display for Gaps {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let range = |&(first, last): &(i64, i64)| {
             if first == last { first.to_string() } else { format!("{first} to {last}") }
         };
-        f.write_str(&self.ranges.iter().take(TOLD).map(range).collect::<Vec<_>>().join(", "))?;
-        match self.ranges.len().saturating_sub(TOLD) {
+        f.write_str(&self.ranges.iter().take(LISTED).map(range).collect::<Vec<_>>().join(", "))?;
+        match self.ranges.len().saturating_sub(LISTED) {
             0 => Ok(()),
             more => write!(f, ", and {more} more gaps"),
         }
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(found.within(5, 8).ranges, [(5, 8)]);
         assert_eq!(found.within(i64::MAX, i64::MAX).count(), 0);
         let many: Vec<i64> = (0..100).map(|i| 3 * i + i % 2).collect();
-        let told = gaps(&frames(&many)).to_string();
-        assert!(told.starts_with("2, 8, 14, ") && told.ends_with(", and 30 more gaps"), "{told}");
+        let text = gaps(&frames(&many)).to_string();
+        assert!(text.starts_with("2, 8, 14, ") && text.ends_with(", and 30 more gaps"), "{text}");
     }
 }

@@ -1,18 +1,18 @@
-//! A gate through which frames go side by side, and large ones alone.
+//! A gate that runs small frames in parallel, and large ones alone.
 
 use std::sync::OnceLock;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-// The standard library's, but where a test tries every order that its threads can come in.
+// The types of the standard library, except in a test that tries every order of its threads.
 use super::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Lets frames compute side by side, or one alone.
+/// Runs frames in parallel, or one alone.
 #[derive(Debug)]
 pub(super) struct Gate {
     lanes: usize,
     threads: usize,
-    /// For who is alone.
+    /// Threads of a frame that runs alone.
     all: OnceLock<Option<ThreadPool>>,
     state: Mutex<State>,
     changed: Condvar,
@@ -24,7 +24,7 @@ struct State {
     waiting_alone: usize,
 }
 
-/// Room in the gate, given back when dropped.
+/// A permit to compute, returned on drop.
 #[derive(Debug)]
 pub(super) struct Permit<'a> {
     gate: &'a Gate,
@@ -32,13 +32,13 @@ pub(super) struct Permit<'a> {
 }
 
 impl Gate {
-    /// A gate for `lanes`; a lane that runs alone has `threads`.
+    /// A gate for `lanes` lanes. A lane that runs alone has `threads` threads.
     pub(super) fn new(lanes: usize, threads: usize) -> Self {
         let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
         Self { lanes, threads, all, state, changed }
     }
 
-    /// The threads of who is alone; `None` where the system does not start them.
+    /// The threads of a frame that runs alone; `None` if the system cannot start them.
     fn all(&self) -> Option<&ThreadPool> {
         let start = || ThreadPoolBuilder::new().num_threads(self.threads).build().ok();
         self.all.get_or_init(start).as_ref()
@@ -48,7 +48,7 @@ impl Gate {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for a lane. A frame that must run alone has priority, or it would wait forever.
+    /// Waits for a lane. A frame that must run alone has priority; otherwise it could wait forever.
     pub(super) fn enter(&self) -> Permit<'_> {
         let mut state = self.state();
         while state.waiting_alone > 0 || state.inside == self.lanes {
@@ -58,7 +58,7 @@ impl Gate {
         Permit { gate: self, lanes: 1 }
     }
 
-    /// Waits until nobody else is inside.
+    /// Waits until no other frame is inside.
     pub(super) fn enter_alone(&self) -> Permit<'_> {
         let mut state = self.state();
         state.waiting_alone += 1;
@@ -72,7 +72,7 @@ impl Gate {
 }
 
 impl Permit<'_> {
-    /// Runs `act` with the threads of this lane, or alone with as many as there are.
+    /// Runs `act` with the threads of this lane, or alone with all threads.
     pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
         let alone = self.lanes == self.gate.lanes;
         match alone.then(|| self.gate.all()).flatten() {

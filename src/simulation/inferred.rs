@@ -1,5 +1,5 @@
-//! Inferring the pattern of a simulation's files from all their names together: the number that
-//! varies is the frame's. Names that leave a choice are refused, with the patterns to choose from.
+//! Infers the pattern of a simulation's files from all of their names: the number that varies is
+//! the frame's. Ambiguous names are rejected with the possible patterns.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -10,11 +10,11 @@ use super::pattern::{Candidate, Numbers, PIECE, Pattern, skeleton};
 
 /// Infers the patterns of files, one for each simulation. Files without a number are ignored.
 ///
-/// Names that differ in text besides numbers belong to different simulations. Among the others the
-/// number that varies is the frame's; of a single file it is the last one. Where several numbers
-/// vary, the last is the frame's if the others distinguish simulations that ran in parallel, and a
-/// number after `rank` or `proc` is a piece if every frame has the same ones. Decimals are times if
-/// they continue from one integer to the next.
+/// Names that differ in text besides numbers belong to different simulations. Among the other
+/// names, the number that varies is the frame's; for a single file, it is the last number. If
+/// several numbers vary, the last is the frame's if the others distinguish parallel simulations,
+/// and a number after `rank` or `proc` is a piece if every frame has the same ones. Decimals are
+/// times if they continue from one integer to the next.
 ///
 /// # Errors
 /// [`SimulationError::Names`] if several numbers could be the frame.
@@ -58,7 +58,7 @@ fn by<'a>(
     groups
 }
 
-/// Joins `f-1` with `f1`: where both are there, the dash is a sign.
+/// Joins `f-1` with `f1`: if both exist, the dash is a sign.
 fn with_signs(kinds: &mut BTreeMap<String, Vec<Candidate>>) {
     let dashed: Vec<String> =
         kinds.keys().filter(|kind| kind.matches("-\0").count() == 1).cloned().collect();
@@ -78,9 +78,9 @@ fn with_signs(kinds: &mut BTreeMap<String, Vec<Candidate>>) {
     }
 }
 
-/// The pattern of files whose names differ in one decimal, if that surely is a time: spelled with
-/// an exponent, a part of one after a separator, or a number that goes on from one whole number to
-/// the next in steps that are no longer than those between.
+/// The pattern of files whose names differ in one decimal, if the decimal must be a time: it has an
+/// exponent, is a fraction of 1 after a separator, or continues from one integer to the next in
+/// steps that are no longer than those between.
 fn times(files: &[&Candidate]) -> Option<Pattern> {
     let first = files[0];
     let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
@@ -105,7 +105,7 @@ fn times(files: &[&Candidate]) -> Option<Pattern> {
         all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
     let fractions: BTreeSet<&str> =
         all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
-    // Decimals end in 0 where all are of one length, and not beside shorter ones: 0.9, 0.10.
+    // Decimals can end in 0 if all have the same length, but not among shorter ones: 0.9, 0.10.
     let lengths: BTreeSet<usize> = fractions.iter().map(|fraction| fraction.len()).collect();
     if lengths.len() > 1 && fractions.iter().any(|f| f.len() > 1 && f.ends_with('0')) {
         return None;
@@ -124,11 +124,11 @@ fn times(files: &[&Candidate]) -> Option<Pattern> {
     (fractions.len() > 1 && longest(false) < 1.5 * longest(true)).then(pattern)
 }
 
-/// The number of the frame, in files that differ in digits only.
+/// The number of the frame, in files that differ only in digits.
 enum FrameNumber {
     /// A run of digits.
     Run(usize),
-    /// The number in this pattern, which has another of pieces.
+    /// The number in this pattern, which also has a number of pieces.
     InPieces(Pattern),
 }
 
@@ -182,32 +182,32 @@ fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
 
 /// Words before the number of a process, whose file is a piece of each frame.
 const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "processors"];
-/// Words right before the number of a frame.
+/// Words directly before the number of a frame.
 const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
-/// Words before the number of a piece, which also stand before other numbers.
+/// Words that stand before the number of a piece, and sometimes before other numbers.
 const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 
 /// Whether files are pieces of frames.
 enum Pieces {
     /// Pieces of frames in this pattern.
     In(Pattern),
-    /// Pieces perhaps, or frames.
+    /// They may be pieces or frames.
     Unclear,
-    /// Nothing says so.
+    /// There is no sign of pieces.
     Unlikely,
 }
 
-/// Whether a number is spelled with zeros before it, as frames' numbers are.
+/// Whether a number has leading zeros, as numbers of frames do.
 fn is_padded(digits: &str) -> bool {
     digits.len() > 1 && digits.starts_with('0')
 }
 
-/// Finds files that are pieces of frames, by a word before their number: `rank`, or one that is used
-/// for others too, if there are no more pieces than frames.
+/// Finds files that are pieces of frames, by a word before their number: `rank`, or a word with
+/// other uses if there are no more pieces than frames.
 ///
 /// # Errors
-/// [`SimulationError::Names`] where the files of processes are not the same in each frame, or have
-/// no other number.
+/// [`SimulationError::Names`] if the files of processes differ between frames, or have no other
+/// number.
 fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationError> {
     let first = files[0];
     let is_called = |run: usize, words: &[&str]| {
@@ -220,7 +220,7 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
     let is_process = |&run: &usize| is_called(run, &PROCESSES);
     let (piece, frame) = match varying {
         [piece] if is_process(piece) => {
-            // The frame's number is the last of the others.
+            // The frame's number is the last of the other numbers.
             let Some(frame) = (0..first.runs.len()).rev().find(|run| run != piece) else {
                 return Err(SimulationError::Names(format!(
                     "{}: its only number looks like that of a process, not of a frame; join the \
@@ -233,7 +233,7 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
             let word = before.trim_end_matches(char::is_alphabetic).len();
             let word = before[word..].to_ascii_lowercase();
             if !word.is_empty() && !FRAMES.contains(&word.as_str()) {
-                // As in `case1_rank0`: frames that are numbered so, of one case.
+                // As in `case1_rank0`: these may be frames of one case.
                 return Ok(Pieces::Unclear);
             }
             if files.iter().any(|file| is_padded(file.digits(*piece))) {
@@ -284,7 +284,8 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
     })
 }
 
-/// The pattern of frames that are numbered by one run of digits, and in pieces that are by another.
+/// The pattern of frames with one run of digits as their number, and another as the number of their
+/// pieces.
 fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
     let mut pattern = file.pattern(frame);
     let Range { start, end } = file.runs[piece].clone();
@@ -298,9 +299,9 @@ fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
 }
 
 /// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
-/// `last`: there are fewer simulations than frames, and at least half of each one's numbers are
-/// also those of the longest. Numbers that count from 0 in the same way in all can be pieces,
-/// unless they are padded like frames.
+/// `last`: there are fewer simulations than frames, and at least half of the numbers of each
+/// simulation also occur in the longest one. Numbers that count from 0 in the same way in all of
+/// them can be pieces, unless they are padded like frames.
 fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
@@ -412,7 +413,7 @@ mod tests {
         for _ in 0..2000 {
             let mut text =
                 |from: &[&str]| (0..pick(4)).map(|_| from[pick(from.len())]).collect::<String>();
-            // The number is a run of its own.
+            // The number is a separate run.
             let prefix = text(&texts).trim_end_matches(|c: char| c.is_ascii_digit()).to_owned();
             let middle = text(&texts).trim_start_matches(|c: char| c.is_ascii_digit()).to_owned();
             let suffix = middle + [".ply", ".bi4", ".h5", ".xyz"][pick(4)];
@@ -444,7 +445,7 @@ mod tests {
         };
         let split = ["fluid0_{}.xyz", "fluid1_{}.xyz"];
         assert_eq!(fluids(|fluid, i| format!("fluid{fluid}_{i:04}.xyz"), [1, 5]).unwrap(), split);
-        // One is the other's restart, or a version stands behind the number.
+        // One is the restart of the other, or a version follows the number.
         fluids(|fluid, i| format!("fluid{fluid}_{:04}.xyz", i + 100 * fluid), [1, 1]).unwrap_err();
         fluids(|version, i| format!("f_{i:04}_v{version}.xyz"), [1, 1]).unwrap_err();
         assert_eq!(patterns(&["f_1.xyz", "oil_1.xyz"]).unwrap(), ["f_{}.xyz", "oil_{}.xyz"]);

@@ -1,7 +1,7 @@
-//! The files that are the frames of a simulation, and their order.
+//! Finds the files of a simulation's frames, and their order.
 //!
-//! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern)
-//! says where the number is in a name.
+//! Frames are in the order of their numbers. [`pattern`](super::pattern) finds the number in a
+//! name.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -21,46 +21,46 @@ use super::numbered::{joined, timed, whole};
 use super::pattern::{Candidate, Numbers, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
-/// The longest wait for a second file that settles how a first one is to be read.
+/// Maximum wait for a second file that shows how to interpret the first.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// A request for frames: of one simulation or several.
+/// A request for the frames of one or several simulations.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Inputs {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// All that we read in a folder.
+    /// All supported files in a folder.
     Folder(PathBuf),
-    /// A pattern that a shell would expand.
+    /// A glob that a shell would expand.
     Glob(String),
-    /// Files that are named one by one.
+    /// A list of files.
     Files(Vec<PathBuf>),
-    /// Frames in one file.
+    /// Steps inside one file.
     Steps(PathBuf),
-    /// Several inputs, whose frames of one number are one.
+    /// Several inputs whose frames with the same number are joined.
     Together(Vec<Inputs>),
 }
 
-/// The frames of one simulation, which can be listed again as they come.
+/// The frames of one simulation. They can be listed again to find new ones.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sequence {
     source: Inputs,
     /// The pattern of the files' names; `None` for steps of a file, and for files without numbers,
-    /// which are counted.
+    /// which are numbered in order.
     pattern: Option<Pattern>,
-    /// How long an undecided file is waited for, where frames are still to come.
+    /// How long to wait for an ambiguous file while more frames are expected.
     patience: Option<Duration>,
 }
 
 impl Inputs {
-    /// Reads the arguments as a simulation; `None` where they name one file.
+    /// Interprets the arguments as a simulation; `None` if they name one file.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SimulationError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
-            // The error of a file that cannot be read is that of a single frame.
+            // A file that cannot be read is reported as a single frame.
             let several = steps(path).is_ok_and(|steps| steps.len() > 1);
             return Ok(several.then(|| Self::Steps(path.clone())));
         }
@@ -74,10 +74,10 @@ impl Inputs {
         Ok(text.contains(['*', '?', '[']).then(|| Self::Glob(text.into_owned())))
     }
 
-    /// Reads the arguments as simulations whose frames of one number are one.
+    /// Interprets the arguments as simulations whose frames with the same number are joined.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    /// [`SimulationError::Names`] for an invalid pattern.
     pub fn together(arguments: &[PathBuf]) -> Result<Self, SimulationError> {
         let each = arguments.iter().map(|argument| Self::of(std::slice::from_ref(argument)));
         let each = each.collect::<Result<Vec<_>, _>>()?;
@@ -94,7 +94,7 @@ impl Inputs {
         Ok(Self::Together(members))
     }
 
-    /// Returns the inputs in the words of the request.
+    /// The inputs as the request names them.
     pub fn describe(&self) -> String {
         match self {
             Self::Pattern(pattern) => pattern.to_string(),
@@ -112,7 +112,7 @@ impl Inputs {
     /// The simulations whose frames exist now. In a folder with particles, meshes are ignored.
     ///
     /// When watching, the simulation is over after `idle` seconds without a new file. A file of a
-    /// folder or a glob waits that long, but at most 5 minutes, if another file will show whether
+    /// folder or a glob waits that long, but at most 5 minutes, for another file that shows whether
     /// it is a piece, or which of its numbers is the frame.
     ///
     /// # Errors
@@ -169,11 +169,12 @@ impl Inputs {
         Ok(infer(&files)?.into_iter().map(|pattern| sequence(Some(pattern))).collect())
     }
 
-    /// The only simulation that is there, and its frames in order.
+    /// The only simulation in the inputs, with its frames in order.
     ///
     /// # Errors
-    /// As [`simulations`](Self::simulations) and [`Sequence::list`], [`SimulationError::Several`]
-    /// for several simulations, and [`SimulationError::NoFrames`] where there is no frame.
+    /// Those of [`simulations`](Self::simulations) and [`Sequence::list`],
+    /// [`SimulationError::Several`] for several simulations, and [`SimulationError::NoFrames`]
+    /// without frames.
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
         let mut found = self.simulations(None)?;
         if found.len() > 1 {
@@ -184,7 +185,7 @@ impl Inputs {
         if frames.is_empty() { Err(self.no_frames()) } else { Ok((sequence, frames)) }
     }
 
-    /// The error of inputs that name no frame.
+    /// The error for inputs without frames.
     pub fn no_frames(&self) -> SimulationError {
         let folder = match self {
             Self::Pattern(pattern) => Some(pattern.folder()),
@@ -206,7 +207,7 @@ impl Inputs {
         SimulationError::NoFrames(self.describe())
     }
 
-    /// The refusal of several simulations, with the names of all.
+    /// The error for several simulations, with their names.
     pub fn several(&self, simulations: &[Sequence]) -> SimulationError {
         let each = simulations.iter().filter_map(|sequence| {
             let Pattern { prefix, suffix, .. } = sequence.pattern.as_ref()?;
@@ -221,7 +222,7 @@ impl Inputs {
         }
     }
 
-    /// Whether a file would be found if it were there.
+    /// Whether the inputs would include this file if it existed.
     fn takes(&self, path: &Path) -> bool {
         let is_in = |folder: &Path| {
             let whole = |folder: &Path| match folder.as_os_str().is_empty() {
@@ -236,8 +237,7 @@ impl Inputs {
             Self::Pattern(pattern) => is_in(&pattern.folder),
             Self::Folder(folder) => is_in(folder) && is_known(path),
             Self::Glob(pattern) => {
-                // What stands for several letters stands for no folder, as where files are looked
-                // for.
+                // A wildcard does not match a folder separator, as in the search for files.
                 let in_one_folder =
                     MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
                 glob::Pattern::new(pattern)
@@ -249,8 +249,8 @@ impl Inputs {
         }
     }
 
-    /// Whether a file is hidden, as macOS' `._f_1.npy` is: it is a frame where names that begin with
-    /// a dot are asked for.
+    /// Whether a file is hidden, such as `._f_1.npy` of macOS. It is a frame only if the pattern
+    /// itself begins with a dot.
     fn hides(&self, path: &Path) -> bool {
         let asks = match self {
             Self::Pattern(pattern) => pattern.prefix.starts_with('.'),
@@ -263,7 +263,7 @@ impl Inputs {
         !asks && path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
     }
 
-    /// The files that may be frames and are there now.
+    /// The existing files that may be frames.
     fn candidates(&self) -> Result<Vec<Candidate>, SimulationError> {
         Ok(match self {
             Self::Pattern(pattern) => {
@@ -278,7 +278,7 @@ impl Inputs {
             Self::Folder(folder) => {
                 let known = all_in(folder)?.into_iter();
                 let known = known.filter(|path| is_known(path) && !self.hides(path)).collect();
-                // A folder holds other things too: what has no number is no frame.
+                // A folder may contain other files: files without a number are not frames.
                 let mut files = whole_frames(known);
                 files.retain(|file| !file.runs.is_empty());
                 files
@@ -297,12 +297,12 @@ impl Inputs {
 }
 
 impl Sequence {
-    /// Returns the frames' pattern, else the inputs in the words of the request.
+    /// The pattern of the frames, or the inputs as the request names them.
     pub fn describe(&self) -> String {
         self.pattern.as_ref().map_or_else(|| self.source.describe(), Pattern::to_string)
     }
 
-    /// The error where none of its frames is there.
+    /// The error if none of its frames exists.
     pub fn no_frames(&self) -> SimulationError {
         match self.source.no_frames() {
             SimulationError::NoFrames(_) => SimulationError::NoFrames(self.describe()),
@@ -310,23 +310,23 @@ impl Sequence {
         }
     }
 
-    /// The request that names the frames.
+    /// The inputs of the request.
     pub(super) fn source(&self) -> &Inputs {
         &self.source
     }
 
     /// The pattern of the files' names; `None` for steps of a file, and for files without numbers,
-    /// which are counted.
+    /// which are numbered in order.
     pub fn pattern(&self) -> Option<&Pattern> {
         self.pattern.as_ref()
     }
 
-    /// The frames that are there now, in order.
+    /// The existing frames, in order.
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]
-    /// where two files are the same frame, or where a file that came later shows that the frames
-    /// are numbered otherwise.
+    /// if two files have the same frame number, or a later file shows that another number is the
+    /// frame's.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
         let counted = |number: i64, path| FrameFile::new(number, number.to_string(), path);
         let mut frames: Vec<_> = match (&self.source, &self.pattern) {
@@ -379,8 +379,8 @@ impl Sequence {
         Ok(frames)
     }
 
-    /// The frame's number in the name of a file. A pattern that was typed is exact; one that was
-    /// inferred includes `.gz` and the like.
+    /// The frame's number in the name of a file. A pattern from the request is exact; an inferred
+    /// one also matches `.gz` and similar endings.
     fn digits<'a>(&self, pattern: &Pattern, file: &'a Candidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
@@ -388,7 +388,7 @@ impl Sequence {
         }
     }
 
-    /// Infers the pattern again where files have come that differ from the frames in other numbers.
+    /// Infers the pattern again if new files differ from the frames in other numbers.
     fn confirm(&self, pattern: &Pattern, files: &[Candidate]) -> Result<(), SimulationError> {
         let Some(patience) = self.patience else { return Ok(()) };
         let is_frame = |file: &Candidate| pattern.digits(&file.name).is_some();
@@ -400,7 +400,7 @@ impl Sequence {
         };
         let (mut alike, others): (Vec<_>, Vec<_>) =
             files.iter().filter(is_alike).cloned().partition(is_frame);
-        // Such as those that this conversion writes.
+        // For example the outputs of this conversion.
         let others = without_meshes(others);
         if others.is_empty() {
             return Ok(());
@@ -420,7 +420,7 @@ impl Sequence {
         )))
     }
 
-    /// Whether a file would be taken for a frame if it were there.
+    /// Whether this file would be a frame if it existed.
     pub fn takes(&self, path: &Path) -> bool {
         let file = Candidate::from(path.to_owned());
         let is_joined = matches!(self.source, Inputs::Together(_));
@@ -433,16 +433,15 @@ impl Sequence {
                     .is_none_or(|pattern| self.digits(pattern, &file).is_some()))
     }
 
-    /// Whether frames may be in several files that nothing lists.
+    /// Whether frames may consist of several files without a list of them.
     pub(super) fn is_joined(&self) -> bool {
         matches!(self.source, Inputs::Together(_))
             || self.pattern.as_ref().is_some_and(Pattern::has_pieces)
     }
 }
 
-/// A glob that looks for names that begin with a dot without coming to `.` and `..`, which such a
-/// name would match, too: frames beside the folder are not asked for, and several such names one
-/// below the other would not come to an end.
+/// A glob for names that begin with a dot, but not `.` and `..`, which would match too: these would
+/// include frames beside the folder, and several such components would never end.
 fn below(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),
@@ -451,23 +450,23 @@ fn below(pattern: &str) -> String {
     pattern.split_inclusive(is_separator).map(name).collect()
 }
 
-/// Lists the frames that a request for a simulation names, in the order of their numbers: by a name
-/// with `{}`, a folder, a glob, a file of several steps, or files one by one.
+/// Lists the frames that the inputs name, in the order of their numbers. Inputs are a name with
+/// `{}`, a folder, a glob, a file with several steps, or a list of files.
 ///
 /// # Errors
-/// [`Error::Simulation`] for a folder that cannot be read, names that cannot be those of frames,
-/// files of several simulations, and where there is no frame.
+/// [`Error::Simulation`] for a folder that cannot be read, names that do not determine frame
+/// numbers, files of several simulations, and inputs without frames.
 pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     let inputs = Inputs::of(inputs)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
     Ok(inputs.only()?.1)
 }
 
-/// The files that arguments name which hold something: files themselves, those of a folder that are
-/// `wanted`, and those that a glob or a name with `{}` stands for; with their numbers in order.
+/// Expands arguments to existing files: files, the `wanted` files of a folder, and the matches of a
+/// glob or a name with `{}`. Numbers in names are in numerical order.
 ///
 /// # Errors
-/// [`Error::Simulation`] for a folder that cannot be read, a pattern that cannot be one, and for
-/// arguments that name no file.
+/// [`Error::Simulation`] for a folder that cannot be read, an invalid pattern, and arguments that
+/// match no file.
 pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, Error> {
     let mut all = Vec::new();
     for argument in arguments {
@@ -502,7 +501,7 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
     Ok(all)
 }
 
-/// The files in a folder that are wanted, in the order of their names.
+/// The wanted files of a folder, in the order of their names.
 pub(super) fn files_in(
     folder: &Path,
     wanted: impl Fn(&Path) -> bool,
@@ -513,7 +512,7 @@ pub(super) fn files_in(
     Ok(files)
 }
 
-/// A name as text and numbers by turns.
+/// Splits a name into alternating text and numbers, as a sort key.
 fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     let name = path.to_string_lossy();
     let mut parts = Vec::new();
@@ -529,26 +528,27 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     parts
 }
 
-/// Leaves out meshes. Files that differ in their last number are all meshes, or none is.
+/// Removes meshes. Files that differ only in their last number are either all meshes, or none of
+/// them is.
 fn without_meshes(files: Vec<Candidate>) -> Vec<Candidate> {
     let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for file in files {
         let last = file.pattern(file.runs.len() - 1);
         by_last.entry((last.prefix, last.suffix)).or_default().push(file);
     }
-    // A file that cannot be read is reported when its turn comes.
+    // A file that cannot be read is reported when it is converted.
     by_last.retain(|_, files| !holds_mesh(&files[0].path).unwrap_or(false));
     by_last.into_values().flatten().collect()
 }
 
-/// Whether a file has not changed for this long.
+/// Whether a file has not changed for at least `patience`.
 fn rests(file: &Candidate, patience: Duration) -> bool {
     let modified = file.path.metadata().and_then(|metadata| metadata.modified());
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
 }
 
-/// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in
-/// another order.
+/// Rejects numbers that may be decimals, such as `f_0.15` and `f_0.2`: as integers, their order
+/// would be wrong.
 fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
     let before = pattern.prefix.strip_suffix('.').and_then(|before| before.chars().last());
     if !before.is_some_and(|last| last.is_ascii_digit()) {
@@ -580,7 +580,7 @@ fn members_of(members: &[Inputs]) -> Result<Vec<Sequence>, SimulationError> {
 fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     let fail = |fault| SimulationError::Unreadable { path: folder.to_owned(), fault };
     let entries = match std::fs::read_dir(folder) {
-        // A simulation that is followed may make it later, or anew.
+        // A simulation that is being watched may still create it.
         Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(fail)?,
     };

@@ -1,22 +1,22 @@
-//! Frames side by side: how many, and what each may take.
+//! Divides threads and memory among frames that are converted in parallel.
 
 use crate::grid::units::MemoryBudget;
 
-/// A lane that may not have so much is not worth a thread.
+/// Minimum memory of a lane; with less, another lane is not worth a thread.
 const LEAST: u64 = 64 << 20;
 
-/// How the machine is divided.
+/// Threads and memory of each lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Division {
-    /// Frames at once.
+    /// Number of parallel frames.
     pub(super) lanes: usize,
-    /// Threads of each.
+    /// Threads of each lane.
     pub(super) threads: usize,
-    /// Memory of a lane before it is known how large its frame is.
+    /// Memory of a lane while its frame is opened, before its size is known.
     pub(super) opening: MemoryBudget,
-    /// Memory of a frame beside others.
+    /// Memory of a frame that runs in parallel with others.
     pub(super) share: MemoryBudget,
-    /// Memory of a frame alone.
+    /// Memory of a frame that runs alone.
     pub(super) alone: MemoryBudget,
 }
 
@@ -24,7 +24,7 @@ impl Division {
     /// Lanes for `frames`: one per thread, and one more to compensate for uneven frames and
     /// reading. Each thread reserves `chunk` bytes.
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
-        // A lane has a thread at the least, and a frame that is alone has all.
+        // Each lane has at least one thread, and a frame that runs alone has all threads.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
         let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
         let lanes = (1..=frames.min(threads + 1)).rev().find(affordable).unwrap_or(1);
@@ -36,14 +36,14 @@ impl Division {
         Self {
             lanes,
             threads: (threads / lanes).max(1),
-            // All lanes may be waiting with an open frame while one of them computes.
+            // All lanes may hold an open frame while one of them computes.
             opening: part(budget.0 / 4 / lanes as u64),
             share: part(budget.0 / 4 * 3 / lanes as u64),
             alone: part(budget.0 / 4 * 3),
         }
     }
 
-    /// Bytes that the particles of a frame that waits may take in memory.
+    /// Bytes of memory that the particles of a waiting frame may use.
     pub(super) fn unpacked(&self) -> u64 {
         self.opening.0 / 2
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::brick::{Census, FrameFacts};
-use crate::error::{Error, Untold};
+use crate::error::{Error, NoEstimate};
 use crate::field::calibration::Calibration;
 use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::{Grid, Walls};
@@ -12,13 +12,14 @@ use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, Doubt, Drawn, Reconstruction, Report, SinglePrecision, Slab, Started, Surface, Warning,
+    self, Drawn, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning, Started, Surface,
+    Warning,
 };
 use crate::system::timings::Timings;
 
-use super::frozen::{Measured, Trust, measure_in};
+use super::shared_calibration::{Measured, Trust, measure_in};
 
-/// A simulation whose frames come from memory, one after the other.
+/// A simulation whose frames come from memory, in order.
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
 /// the filters (for the indicator counting, also not a lattice), and kept for all later frames.
@@ -64,7 +65,7 @@ impl LiveSimulation {
     /// Starts a simulation with its threads.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and
+    /// [`Error::Unit`], [`Error::SettingConflict`], [`Error::Domain`], [`Error::LittleMemory`] and
     /// [`Error::Threads`].
     pub fn new(request: &Reconstruction) -> Result<Self, Error> {
         let checked = request.checked()?;
@@ -86,12 +87,12 @@ impl LiveSimulation {
     /// let request = Reconstruction::new().spacing(1.0);
     /// let mut simulation = LiveSimulation::new(&request)?;
     /// let cancel = Cancel::new();
-    /// simulation.controlled_by(&request.cancel(cancel.clone()));
+    /// simulation.set_control(&request.cancel(cancel.clone()));
     /// cancel.cancel();
     /// assert!(simulation.frame(&[[0.0; 3]]).is_err());
     /// # Ok::<(), meniscus::Error>(())
     /// ```
-    pub fn controlled_by(&mut self, request: &Reconstruction) {
+    pub fn set_control(&mut self, request: &Reconstruction) {
         Arc::make_mut(&mut self.ready.checked).resources.control = request.control.clone();
     }
 
@@ -112,7 +113,7 @@ impl LiveSimulation {
         Ok(Surface::new(drawn, &self.ready.checked, &threads, UpAxis::Y))
     }
 
-    /// Draws a frame, or an empty mesh of a frame without particles.
+    /// Makes the surface of a frame, or an empty mesh for a frame without particles.
     fn drawn_or_empty(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
         match self.drawn(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
@@ -126,10 +127,10 @@ impl LiveSimulation {
         let Self { ready, known, settled } = self;
         let checked = &ready.checked;
         let mut timings = Timings::default();
-        let mut doubts = Vec::new();
+        let mut spacing_warnings = Vec::new();
         if !*settled {
             let found;
-            (found, doubts) = measured(ready, particles, known.as_ref())?;
+            (found, spacing_warnings) = measured(ready, particles, known.as_ref())?;
             *settled = found.trust == Trust::Sound;
             *known = Some(found);
             timings.done("measure");
@@ -146,7 +147,7 @@ impl LiveSimulation {
             ..
         }) = known.as_ref()
         else {
-            let (particles, why) = (particles.len(), Untold::TooFew);
+            let (particles, why) = (particles.len(), NoEstimate::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
@@ -163,13 +164,13 @@ impl LiveSimulation {
         let mut drawn =
             checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
-        let past = past.into_iter().map(Warning::PastWall);
-        let first = doubts.into_iter().map(Warning::Spacing).chain(past);
+        let past = past.into_iter().map(Warning::BeyondWall);
+        let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past);
         drawn.report.warnings.splice(0..0, first);
         Ok(drawn)
     }
 
-    /// Facts of a frame without particles, on unit cells as long as nothing says of others.
+    /// Facts of a frame without particles. Cells have size 1 until the simulation has cells.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
         let request = &self.ready.checked.sampling;
         let (grid, spacing) = match &self.known {
@@ -183,7 +184,7 @@ impl LiveSimulation {
         Ok(FrameFacts { grid, domain: None, periodic: None, census, spacing })
     }
 
-    /// The mesh of a frame without a surface, with what vertices would carry.
+    /// The empty mesh of a frame without a surface, with the attributes of the others.
     fn empty(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -200,13 +201,13 @@ impl LiveSimulation {
     }
 }
 
-/// Measures a frame for all, on the grid of a lattice that came before, if one did. With it come
-/// doubts about its spacing.
+/// Measures a frame for all, on the grid of an earlier lattice if there was one. Also returns
+/// warnings about its spacing.
 fn measured(
     ready: &Started,
     particles: &(impl Particles + ?Sized),
     before: Option<&Known>,
-) -> Result<(Known, Vec<Doubt>), Error> {
+) -> Result<(Known, Vec<SpacingWarning>), Error> {
     let checked = &ready.checked;
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
@@ -219,6 +220,6 @@ fn measured(
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
     let walls = cells.found().copied();
-    let reconstruction::Cells { sizes, doubts, .. } = cells;
-    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, doubts))
+    let reconstruction::Cells { sizes, warnings, .. } = cells;
+    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, warnings))
 }

@@ -9,12 +9,12 @@ use crate::io::output::MeshFormat;
 use super::inputs::{Inputs, Sequence};
 use super::pattern::{Numbers, PIECE, Pattern, stem};
 
-/// How outputs are called.
+/// The names of outputs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Naming {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// Named like the inputs, in this folder, as .ply.
+    /// The names of the inputs, in this folder, as .ply.
     Folder(PathBuf),
 }
 
@@ -22,12 +22,13 @@ pub enum Naming {
 const IN_FOLDER: &str = ".ply";
 
 impl Naming {
-    /// Reads an output path as the names of a simulation; `None` where it names one file.
+    /// Interprets an output path as the names of a simulation; `None` if it names one file.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
-        // A folder called as a mesh is in the way of one.
+        // A folder with the name of a mesh file is not a folder of outputs: it is in the way of the
+        // mesh.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));
@@ -49,8 +50,8 @@ impl Naming {
         }
     }
 
-    /// The pattern of the outputs of a simulation. In a folder they keep the names of the inputs,
-    /// but for the extension.
+    /// The pattern of the outputs of a simulation. In a folder, outputs have the names of the
+    /// inputs with another extension.
     pub fn outputs(&self, inputs: &Sequence) -> Pattern {
         let folder = match self {
             Self::Pattern(pattern) => return pattern.clone(),
@@ -61,7 +62,7 @@ impl Naming {
                 format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()),
                 String::new(),
             ),
-            // Frames that are counted have only their number.
+            // Frames that are numbered in order have only their number in the name.
             (_, None) => Default::default(),
             (_, Some(Pattern { prefix, suffix, .. })) => {
                 (without_piece(prefix), without_piece(&tail(suffix)))
@@ -71,17 +72,16 @@ impl Naming {
     }
 }
 
-/// The text between a frame's number and its extension; the number of a snapshot's piece is none of
-/// it.
+/// The text between a frame's number and its extension, without the number of a snapshot's piece.
 fn tail(suffix: &str) -> String {
-    // The stem of a name whose number is 0.
+    // The stem of a name with the number 0.
     let name = format!("0{suffix}");
     let whole =
         snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
     stem(&whole.unwrap_or(name))[1..].to_owned()
 }
 
-/// A text without the number of a piece, the word before it, and the separator that would be left.
+/// Removes the number of a piece, the word before it, and the separator.
 fn without_piece(text: &str) -> String {
     let Some((before, after)) = text.split_once(PIECE) else { return text.to_owned() };
     let separators = ['_', '-', '.', ' '];
@@ -95,7 +95,7 @@ fn without_piece(text: &str) -> String {
     }
 }
 
-/// The name of all frames, by what stands before their number.
+/// The text before the number, without separators.
 pub(super) fn without_number(stem: &str) -> &str {
     match stem.trim_end_matches(['_', '-', '.', ' ']) {
         "" => "frames",
@@ -103,8 +103,8 @@ pub(super) fn without_number(stem: &str) -> &str {
     }
 }
 
-/// The name of the simulation whose meshes have these names, without any number: its state and
-/// series are called by it.
+/// The name of the simulation for meshes with these names, without any number. Its state and series
+/// are named after it.
 #[must_use]
 pub fn simulation(outputs: &Pattern) -> PathBuf {
     outputs.folder().join(format!("{}{}", without_number(&outputs.prefix), outputs.suffix))

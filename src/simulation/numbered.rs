@@ -1,5 +1,5 @@
-//! Frames by the numbers and times in the names of their files: one file each, pieces of one number,
-//! or the frames of several simulations that have one number.
+//! Groups files into frames by the numbers and times in their names: one file per frame, pieces
+//! with the same number, or frames of several simulations with the same number.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -75,7 +75,7 @@ pub(super) fn timed(files: Vec<(String, Candidate)>) -> Vec<FrameFile> {
     (0..).zip(files).map(frame).collect()
 }
 
-/// Joins the frames of several simulations that have one number.
+/// Joins the frames of several simulations with the same number.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

@@ -1,5 +1,5 @@
-//! One frame on its way: read and counted beside others, meshed beside them too where it fits, else
-//! alone.
+//! Converts one frame: reads and counts it in parallel with others, and meshes it in parallel if
+//! the memory allows, or alone.
 
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -8,9 +8,9 @@ use std::sync::atomic::Ordering;
 use super::conversion::{Conversion, Settled};
 use super::event::{Event, LeftOut};
 use super::frame_file::FrameFile;
-use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::records::{Record, Records};
+use super::shared_calibration::{SharedCalibration, Stamp};
 use super::small_meshes::SmallMeshes;
 use crate::error::Error;
 use crate::frame::{Counted, Engine, FrameError, Resources};
@@ -24,15 +24,15 @@ use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    Checked, Doubt, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
-    Warning, coordinate_width, made_of, refuse_same_file,
+    Checked, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
+    SpacingWarning, Warning, coordinate_width, made_of, refuse_same_file,
 };
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::Bounded;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-/// A frame that was converted.
+/// A converted frame.
 pub(super) struct Done {
     pub(super) mesh: SeriesFrame,
     pub(super) time: Option<f64>,
@@ -42,19 +42,19 @@ pub(super) struct Done {
     pub(super) seconds: f64,
 }
 
-/// A frame whose mesh is written, but not known to be on disk.
+/// A frame whose mesh is written, but may not be on disk yet.
 pub(super) struct Filled {
     file: FilledFile,
     held: Held,
     target: PathBuf,
     replaces: Replaces,
     record: Record,
-    /// For the sheet, if one is drawn of a format that is not read again.
+    /// A small mesh for the contact sheet, if the format cannot be read again.
     small: Option<Mesh>,
     done: Done,
 }
 
-/// The files whose place a mesh may take.
+/// The files that a mesh may replace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Replaces {
     Nothing,
@@ -63,34 +63,34 @@ enum Replaces {
     Anything,
 }
 
-/// A frame that was opened, and the output that waits for its mesh.
+/// An open frame with its prepared output.
 pub(super) struct Opened {
     input: Stamp,
     target: PathBuf,
     replaces: Replaces,
     orientation: Orientation,
     output: Output,
-    /// `None` where it was sampled before.
+    /// `None` for a packed frame.
     particles: Option<ParticleFile>,
     timings: Timings,
 }
 
-/// A frame that waits to be meshed.
+/// A frame that is ready to be meshed.
 struct Ready<'a> {
-    /// `None` where there are no particles.
+    /// `None` without particles.
     frame: Option<Engine>,
     left_out: LeftOut,
-    /// Doubts about the input.
+    /// Warnings about the input.
     warnings: Vec<Warning>,
-    /// The attributes of its vertices.
+    /// The attributes of the vertices.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
     permit: Permit<'a>,
 }
 
 impl Conversion<'_> {
-    /// Makes sure that a frame's mesh can be written, in place of one that was made before if it is
-    /// made `again`, and opens the frame, unless its particles are open already.
+    /// Checks that a frame's mesh can be written, replacing an earlier mesh if it is made `again`,
+    /// and opens the frame, unless its particles are already open.
     pub(super) fn open(
         &self,
         checked: &Checked,
@@ -137,7 +137,7 @@ impl Conversion<'_> {
         Ok(Opened { input, target, replaces, orientation, output, particles, timings })
     }
 
-    /// Converts a frame with the threads of its lane, or where it has to be alone with all.
+    /// Converts a frame with the threads of its lane, or alone with all threads.
     pub(super) fn convert(
         &self,
         checked: &Checked,
@@ -147,18 +147,18 @@ impl Conversion<'_> {
     ) -> Result<Filled, Error> {
         let simulation = self.setup.simulation;
         let path = &frame.path;
-        let frozen = &settled.state.frozen;
+        let shared = &settled.state.shared;
         let Opened { input, target, replaces, orientation, output, particles, mut timings } =
             opened;
         timings.skip();
         let ready = match particles {
-            Some(file) => self.sample(checked, path, file, frozen, &mut timings),
+            Some(file) => self.sample(checked, path, file, shared, &mut timings),
             None => self.unpack(checked, path, &mut timings),
         };
         let Ready { frame: sampled, mut left_out, mut warnings, infos, time, permit } = ready?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
-                let draw = || Self::surface(checked, path, sampled, frozen, infos, &mut timings);
+                let draw = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
                 let Drawn { mesh, precision, report } = permit.run(draw)?;
                 (mesh, precision, Some(report))
             }
@@ -215,14 +215,14 @@ impl Conversion<'_> {
         Ok(Filled { file, held, target, replaces, record, small, done })
     }
 
-    /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
+    /// Waits until the frame's mesh is on disk, renames it, and stores its record.
     pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
         let Filled { file, held, target, replaces, record, small, done } = filled;
         if replaces == Replaces::Own && self.is_foreign(&target, &record) {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
-            // Before the mesh: a small mesh is of the mesh that has a record, or of a later one.
+            // Stored before the mesh's record, so that a small mesh never is older than the record.
             self.small_meshes().keep(record.mesh.frame, small.as_ref())?;
         }
         file.keep()?;
@@ -231,9 +231,9 @@ impl Conversion<'_> {
         Ok(done)
     }
 
-    /// Whether a file stands in the place of a mesh that this conversion has not made: there is no
-    /// record of it. Where a process was killed between a mesh and its record, the mesh has the
-    /// bytes that it is made with again.
+    /// Whether a file at the place of the mesh is not from this conversion, because it has no
+    /// record. If a process was killed between writing a mesh and its record, the existing file has
+    /// the same bytes as the new mesh.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let before = self.before.get_or_init(|| Records::read(self.store.folder()));
@@ -242,7 +242,7 @@ impl Conversion<'_> {
         target.symlink_metadata().is_ok() && !is_own()
     }
 
-    /// Reads a frame that was sampled before.
+    /// Reads a packed frame.
     fn unpack(
         &self,
         checked: &Checked,
@@ -273,7 +273,7 @@ impl Conversion<'_> {
         checked: &Checked,
         path: &Path,
         file: ParticleFile,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
         let Checked { settings, surfacing, resources, .. } = checked;
@@ -285,16 +285,17 @@ impl Conversion<'_> {
         let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
-        let infos = known_of(infos, &frozen.kinds);
+        let infos = known_of(infos, &shared.kinds);
         let (mut sampling, past) =
-            self.setup.sampling(frozen, &file.particles, carried, opening)?;
-        // Particles of several sizes have no one spacing to check.
-        let known = frozen.spacing.filter(|_| frozen.sizes.is_none());
+            self.setup.sampling(shared, &file.particles, carried, opening)?;
+        // Particles of several sizes have no single spacing to check.
+        let known = shared.spacing.filter(|_| shared.sizes.is_none());
         if let Some(spacing) = known.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
-            let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
-            doubts
-                .iter()
-                .for_each(|doubt| self.setup.tell(Event::Doubted(Box::new(doubt.clone()))));
+            let warnings =
+                SpacingWarning::of_known(spacing, &SpacingSource::State, &file.particles);
+            warnings.iter().for_each(|warning| {
+                self.setup.send(Event::SpacingWarning(Box::new(warning.clone())))
+            });
         }
         control.begin(Stage::Counting);
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
@@ -330,9 +331,8 @@ impl Conversion<'_> {
         Ok(Ready { frame, left_out, warnings, infos, time: file.time, permit })
     }
 
-    /// The part of a lane's memory that is left for the frame, where as much as its surface takes
-    /// is needed beside it: for the triangles that are left, or for a writer that holds them all.
-    /// Solids of its own take of it as well.
+    /// The part of a lane's memory for the frame itself. The rest is for simplifying, for a writer
+    /// that holds the whole mesh, and for the frame's own solids.
     fn frame_budget(&self, checked: &Checked, lane: MemoryBudget) -> MemoryBudget {
         let Checked { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());
@@ -345,24 +345,25 @@ impl Conversion<'_> {
         }
     }
 
-    /// The mesh of a frame, empty if it has no surface, and a report on it.
+    /// The mesh of a frame, which may be empty, with its report.
     fn surface(
         checked: &Checked,
         path: &Path,
         sampled: &Engine,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         infos: Vec<AttributeInfo>,
         timings: &mut Timings,
     ) -> Result<Drawn, Error> {
-        let known = frozen.calibration.as_ref();
-        let measured_on = known.filter(|_| checked.surfacing.iso.is_none()).map(|_| frozen.frame);
-        let drawn = checked.draw_or_empty(sampled, known, infos, measured_on, timings);
+        let known = shared.calibration.as_ref();
+        let calibration_frame =
+            known.filter(|_| checked.surfacing.iso.is_none()).map(|_| shared.frame);
+        let drawn = checked.draw_or_empty(sampled, known, infos, calibration_frame, timings);
         let mut drawn = drawn.map_err(|fault| Error::from(fault).of_file(path))?;
         // The sum over all frames is reported at the end.
         drawn.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
         for warning in &mut drawn.report.warnings {
-            if let Warning::Shortfall { measured_on: by, .. } = warning {
-                *by = measured_on;
+            if let Warning::Shortfall { calibration_frame: by, .. } = warning {
+                *by = calibration_frame;
             }
         }
         Ok(drawn)

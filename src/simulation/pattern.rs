@@ -1,8 +1,8 @@
-//! The pattern of the names of a simulation's files: which digits are the frame's number.
+//! The pattern of a simulation's file names: which digits are the frame's number.
 //!
-//! `{}` in a name stands for the number, which may be negative; `{time}` for a decimal, by which
-//! frames are in order; `{piece}` for the number of one of the files that a frame is in. Other
-//! programs' notations are read as `{}`: `%04d`, `####`, `$F4`, `<frame>`. Without a pattern,
+//! In a name, `{}` stands for the number, which may be negative; `{time}` for a decimal by which
+//! frames are ordered; `{piece}` for the number of one of a frame's files. Notations of other
+//! programs are read as `{}`: `%04d`, `####`, `$F4`, `<frame>`. Without a pattern,
 //! [`infer`](super::inferred::infer) finds it from all names together.
 
 use std::ops::Range;
@@ -13,12 +13,12 @@ use crate::io::compression::plain_name;
 
 use super::placeholder::{Placeholder, all};
 
-/// The numbers of a simulation's frames, as their names spell them.
+/// The kind of numbers in the names of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Numbers {
-    /// Whole numbers, which may be negative.
+    /// Integers, which may be negative.
     Whole,
-    /// Times as decimals: frames are counted in their order.
+    /// Times as decimals. Frames are numbered in their order.
     Times,
 }
 
@@ -27,11 +27,11 @@ pub enum Numbers {
 pub struct Pattern {
     /// The folder of the files.
     pub folder: PathBuf,
-    /// Before the number.
+    /// The text before the number.
     pub prefix: String,
-    /// After the number.
+    /// The text after the number.
     pub suffix: String,
-    /// The least number of digits, where `{:04}` says so; padded with zeros.
+    /// The minimum number of digits, from `{:04}`; numbers are padded with zeros.
     pub width: Option<usize>,
     /// The kind of number.
     pub numbers: Numbers,
@@ -52,12 +52,12 @@ impl std::fmt::Display for Pattern {
 }
 
 impl Pattern {
-    /// Reads the place of the number in the name of `path`: `{}`, `{:04}`, `{time}`, or another
-    /// program's notation, unless there is a file of just that name; `None` where there is none.
+    /// Finds the place of the number in the name of `path`: `{}`, `{:04}`, `{time}`, or another
+    /// program's notation, unless a file with exactly this name exists. `None` without a place.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for more than one, one in a folder's name, or one that says
-    /// something else.
+    /// [`SimulationError::Names`] for more than one place, a place in a folder's name, or an
+    /// unknown notation.
     pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
         let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
@@ -99,12 +99,12 @@ impl Pattern {
         Ok(Some(Self { folder: folder.to_owned(), prefix, suffix, width, numbers }))
     }
 
-    /// Whether a frame may be in several files.
+    /// Whether a frame may consist of several files.
     pub(super) fn has_pieces(&self) -> bool {
         self.prefix.contains(PIECE) || self.suffix.contains(PIECE)
     }
 
-    /// The place of the number in a name that fits.
+    /// The place of the number in a matching name.
     pub(super) fn place(&self, name: &str) -> Option<Range<usize>> {
         let digits =
             |text: &str| text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
@@ -139,12 +139,12 @@ impl Pattern {
         fits.then_some(start..start + end)
     }
 
-    /// The digits of a name that fits, with the sign.
+    /// The digits of the number in a matching name, with the sign.
     pub(super) fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
         self.place(name).map(|place| &name[place])
     }
 
-    /// The number of the piece, in a name that fits; 0 where frames have no pieces.
+    /// The number of the piece in a matching name; 0 for frames without pieces.
     pub(super) fn piece(&self, name: &str) -> Option<u64> {
         let place = self.place(name)?;
         let text = match (self.prefix.split_once(PIECE), self.suffix.split_once(PIECE)) {
@@ -157,12 +157,12 @@ impl Pattern {
         text.parse().ok()
     }
 
-    /// The folder of the files, where no name means the current one.
+    /// The folder of the files, `.` if the pattern has none.
     pub fn folder(&self) -> &Path {
         if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder }
     }
 
-    /// The name for a number, spelled `digits` where no width is given.
+    /// The name for a number, which is written as `digits` if the pattern has no width.
     pub fn path(&self, number: i64, digits: &str) -> PathBuf {
         let Self { folder, prefix, suffix, width, .. } = self;
         folder.join(match width {
@@ -172,7 +172,7 @@ impl Pattern {
     }
 }
 
-/// Whether a name has places of a number in the notations of other programs alone.
+/// Whether a name has places for a number only in the notations of other programs.
 pub(super) fn is_foreign(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let places = all(name);
@@ -184,7 +184,7 @@ pub(super) fn all_digits(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit())
 }
 
-/// Whether a text is a finite number in digits, as a name may spell a time.
+/// Whether a text is a finite decimal number, as in the name of a time.
 fn is_decimal(text: &str) -> bool {
     let spelled = text.bytes().all(|b| b.is_ascii_digit() || b"+-.eE".contains(&b));
     let ends = text.ends_with(|c: char| c.is_ascii_digit())
@@ -204,11 +204,11 @@ pub(super) fn digit_runs(text: &str) -> Vec<Range<usize>> {
     runs
 }
 
-/// A text without the digits of these runs: two texts have the same skeleton if they differ in
-/// those digits only.
+/// A text without the digits in these runs. Texts that differ only in these digits have the same
+/// skeleton.
 pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     let mut skeleton = text.to_owned();
-    // No file's name has a zero byte.
+    // A zero byte occurs in no file name.
     runs.iter().rev().for_each(|run| skeleton.replace_range(run.clone(), "\0"));
     skeleton
 }
@@ -227,11 +227,9 @@ pub(super) fn stem(name: &str) -> &str {
 pub(super) struct Candidate {
     /// The file.
     pub(super) path: PathBuf,
-    /// The file's name without `.gz` or the like: a compressed frame belongs to the
-    /// others.
+    /// The file's name without `.gz` and similar endings: compressed frames belong to the others.
     pub(super) name: String,
-    /// The digits of the name that may be the frame's number, before the extension, with their
-    /// sign.
+    /// The runs of digits before the extension that may be the frame's number, with their sign.
     pub(super) runs: Vec<Range<usize>>,
 }
 
@@ -253,7 +251,7 @@ impl From<PathBuf> for Candidate {
 }
 
 impl Candidate {
-    /// The text that all files of the same kind share, whatever their numbers.
+    /// The text that is common to all files that differ only in numbers.
     pub(super) fn skeleton(&self) -> String {
         skeleton(&self.name, &self.runs)
     }
@@ -262,7 +260,7 @@ impl Candidate {
         &self.name[self.runs[run].clone()]
     }
 
-    /// The pattern of the names that differ from this one in a run of digits.
+    /// The pattern of the names that differ from this one only in this run of digits.
     pub(super) fn pattern(&self, run: usize) -> Pattern {
         self.pattern_at(self.runs[run].clone(), Numbers::Whole)
     }
@@ -277,8 +275,8 @@ impl Candidate {
         Pattern { folder, prefix, suffix, width: None, numbers }
     }
 
-    /// The numbers of the name, decimals such as `0.95` or `1e-05` as one; a version such as
-    /// `1.2.3` is none.
+    /// The numbers in the name, with decimals such as `0.95` or `1e-05` as one. A version such as
+    /// `1.2.3` is not a number.
     pub(super) fn decimals(&self) -> Vec<Range<usize>> {
         let between = |run: usize| {
             self.runs.get(run + 1).map(|next| &self.name[self.runs[run].end..next.start])

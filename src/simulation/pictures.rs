@@ -1,5 +1,5 @@
-//! Pictures of meshes in files: of each mesh, on a contact sheet, or as an animation, with one
-//! camera.
+//! Pictures of mesh files with a common camera: one for each mesh, a contact sheet, or an
+//! animation.
 
 use std::fmt;
 use std::fs::File;
@@ -31,10 +31,10 @@ use super::state::Store;
 const PNG: &str = "png";
 const APNG: &str = "apng";
 const KNOWN: &str = ".png, and .apng for an animation";
-/// Pixels of a picture on a sheet, and in an animation.
+/// Width and height of a picture on a contact sheet in pixels.
 const ON_SHEET: [usize; 2] = [640, 360];
 const IN_ANIMATION: [usize; 2] = [960, 540];
-/// Maximum number of pictures on a sheet. Of more meshes, this many are drawn at equal distances.
+/// Maximum number of pictures on a sheet. With more meshes, evenly spaced ones are drawn.
 const MOST_ON_SHEET: usize = 24;
 const COLUMNS: usize = 4;
 /// Default number of pictures per second of an animation.
@@ -50,10 +50,10 @@ const FPS: f64 = 24.0;
 pub struct Pictures {
     picture: Picture,
     meshes: Vec<PathBuf>,
-    /// The meshes in order, where they are known already.
+    /// The meshes in order, if they are already known.
     frames: Option<Vec<FrameFile>>,
     output: PathBuf,
-    /// The text in a sheet's file that says of what it is.
+    /// The text in a sheet's file that names the meshes.
     source: Option<String>,
     sized: bool,
     fps: f64,
@@ -102,7 +102,7 @@ impl PictureFile {
         self.0.path()
     }
 
-    /// Writes the picture. Returns the file's size in bytes.
+    /// Writes the picture, and returns the file's size in bytes.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -110,7 +110,7 @@ impl PictureFile {
         self.write_of(image, None)
     }
 
-    /// Writes the picture with a text that says of what it is.
+    /// Writes the picture with a text that names its meshes.
     fn write_of(self, image: &Image, source: Option<&str>) -> Result<u64, Error> {
         Ok(self.0.write(|out| image.write_png_of(out, source))?)
     }
@@ -130,10 +130,10 @@ pub struct PictureDone<'a> {
     pub all: usize,
 }
 
-/// Pictures a second that an animation can have.
+/// Valid frame rates of an animation, in pictures per second.
 const RATES: RangeInclusive<f64> = 0.1..=1000.0;
 
-/// Where pictures go.
+/// The output of the pictures.
 enum Target {
     One(PictureFile),
     Each(Vec<PathBuf>),
@@ -208,8 +208,8 @@ impl Pictures {
     ///
     /// # Errors
     /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`],
-    /// [`Error::Write`], [`Error::TwoPurposes`], [`Error::Threads`] and [`Error::Cancelled`].
-    pub fn run(mut self, tell: impl FnMut(PictureDone<'_>) + Send) -> Result<(), Error> {
+    /// [`Error::Write`], [`Error::SameFile`], [`Error::Threads`] and [`Error::Cancelled`].
+    pub fn run(mut self, report: impl FnMut(PictureDone<'_>) + Send) -> Result<(), Error> {
         self.picture.check().map_err(|fault| Error::Picture { path: None, fault })?;
         if !RATES.contains(&self.fps) {
             return Err(SimulationError::Rate { rate: self.fps, range: RATES }.into());
@@ -222,7 +222,7 @@ impl Pictures {
             None => self.frames()?,
         };
         let said = || frames.iter().find_map(|frame| up_said(&frame.path)).unwrap_or(UpAxis::Y);
-        self.picture = self.picture.up_unless_said(said);
+        self.picture = self.picture.up_unless_set(said);
         let _folders = MadeFolders::of(&self.output)?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
@@ -240,10 +240,10 @@ impl Pictures {
         if let Some([width, height]) = size.filter(|_| !self.sized) {
             self.picture = self.picture.size(width, height);
         }
-        pool.install(|| self.draw(&frames, target, tell))
+        pool.install(|| self.draw(&frames, target, report))
     }
 
-    /// The meshes in order, and their sequence where they are one.
+    /// The meshes in order, with their sequence if they are one.
     fn frames(&self) -> Result<(Option<Sequence>, Vec<FrameFile>), Error> {
         if let [mesh] = &self.meshes[..]
             && is_list(file_and_step(mesh).0)
@@ -253,7 +253,7 @@ impl Pictures {
         let inputs = if let [mesh] = &self.meshes[..]
             && mesh.is_dir()
         {
-            // Beside meshes lie other files.
+            // The folder may contain other files.
             let files = files_in(mesh, |file| MeshFormat::of(file).is_some())?;
             match &files[..] {
                 [] => {
@@ -305,7 +305,7 @@ impl Pictures {
             let files: Vec<PathBuf> = frames.iter().map(named).collect();
             for file in &files {
                 self.refuse_inputs(frames, file)?;
-                // Not kept: it is there to see that it can be.
+                // Not kept: this only checks that the file can be written.
                 drop(PictureFile::prepare(file, self.replace)?);
             }
             return Ok(Target::Each(files));
@@ -329,7 +329,7 @@ impl Pictures {
     fn refuse_inputs(&self, frames: &[FrameFile], output: &Path) -> Result<(), Error> {
         match frames.iter().find(|frame| is_same_file(&frame.path, output)) {
             Some(frame) => {
-                Err(Error::TwoPurposes { path: output.to_owned(), other: frame.path.clone() })
+                Err(Error::SameFile { path: output.to_owned(), other: frame.path.clone() })
             }
             None => Ok(()),
         }
@@ -339,7 +339,7 @@ impl Pictures {
         mut self,
         frames: &[FrameFile],
         target: Target,
-        mut tell: impl FnMut(PictureDone<'_>) + Send,
+        mut report: impl FnMut(PictureDone<'_>) + Send,
     ) -> Result<(), Error> {
         if frames.len() > 1 {
             self.picture = self.picture.clone().scope(self.scope(frames)?);
@@ -350,7 +350,7 @@ impl Pictures {
             Ok::<_, Error>((n, frame, image))
         });
         let mut done = |n: usize, frame: &FrameFile, output: &Path| {
-            tell(PictureDone { mesh: &frame.path, output, done: n + 1, all: frames.len() });
+            report(PictureDone { mesh: &frame.path, output, done: n + 1, all: frames.len() });
         };
         match target {
             Target::One(file) => {
@@ -381,7 +381,7 @@ impl Pictures {
                 })?;
             }
             Target::Animation(file) => {
-                // An error of the picture is returned as such, not as a fault of the file.
+                // An error of the picture is returned as it is, not as an error of the file.
                 let mut fault = None;
                 let written = file.write(|out| {
                     let mut animation: Option<Animation<'_>> = None;
@@ -418,7 +418,7 @@ impl Pictures {
         Ok(())
     }
 
-    /// The box and the values of all meshes.
+    /// The bounding box and the range of values of all meshes.
     fn scope(&self, frames: &[FrameFile]) -> Result<Scope, Error> {
         let mut scope = Scope::default();
         for frame in frames {
@@ -443,7 +443,7 @@ impl Pictures {
         picture.draw(mesh.source()).map_err(|fault| of_file(frame, fault))
     }
 
-    /// A mesh in half of the memory, or read piece by piece.
+    /// Opens a mesh, in at most half of the memory, or as a stream.
     fn read(&self, frame: &FrameFile) -> Result<OpenedMesh, Error> {
         if self.cancel.is_cancelled() {
             return Err(Error::Cancelled);
@@ -452,7 +452,7 @@ impl Pictures {
     }
 }
 
-/// The meshes in a list, or the one of a number in it.
+/// The meshes in a list of frames, or the one with a given number.
 fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
     let (list, step) = file_and_step(path);
     let frames = match step {
@@ -470,7 +470,7 @@ fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
     (step.unwrap_or(0) as i64..).zip(frames).map(frame).collect()
 }
 
-/// A mesh whose name need not have a number.
+/// A mesh file, whose name need not have a number.
 fn alone(path: &Path) -> FrameFile {
     FrameFile::new(0, String::new(), path.to_owned())
 }
@@ -552,7 +552,7 @@ impl Simulation {
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
         if let Some(other) = self.beside.iter().find(|other| is_same_file(other, &path)) {
-            return Err(Error::TwoPurposes { path: other.clone(), other: path });
+            return Err(Error::SameFile { path: other.clone(), other: path });
         }
         let (inputs, naming) = self.names()?;
         let simulations = || inputs.simulations(None).ok();
@@ -562,7 +562,7 @@ impl Simulation {
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
         let meshes = match (&naming, simulations().and_then(|all| all.into_iter().next())) {
-            // Meshes of frames that are at times are called by these.
+            // Meshes of frames with times in their names have these times.
             (Naming::Pattern(outputs), Some(sequence))
                 if sequence.pattern().is_some_and(|p| p.numbers == Numbers::Times)
                     && outputs.width.is_none() =>
@@ -574,7 +574,7 @@ impl Simulation {
         };
         let pictures = Pictures::new(picture, [&meshes], &path);
         let pictures = pictures.cancel(self.request.control.cancel.clone());
-        // Meshes in a folder are .ply.
+        // Meshes in a folder are `.ply`.
         let small = match &naming {
             Naming::Pattern(outputs)
                 if MeshFormat::of(&self.output).is_some_and(|format| !format.is_read()) =>
@@ -631,15 +631,15 @@ impl Sheet {
         Ok(SheetDone { path, meshes, undrawn })
     }
 
-    /// The text in the picture's file that says of which meshes it is.
+    /// The text in the picture's file that names the meshes.
     fn source(&self) -> String {
         let meshes = self.pictures.meshes.iter().filter_map(|output| output.file_name());
         let names: Vec<_> = meshes.map(|name| name.to_string_lossy()).collect();
         format!("a sheet of {}", names.join(", "))
     }
 
-    /// Whether a file in the sheet's place may be replaced: where outputs are, or where the
-    /// conversion goes on and the file is a sheet of its meshes.
+    /// Whether the sheet may replace an existing file: if outputs may be replaced, or if the
+    /// conversion is resumed and the file is a sheet of its meshes.
     fn replace(&self) -> Replace {
         let is_own = || {
             let file = File::open(&self.path).ok();
@@ -650,7 +650,7 @@ impl Sheet {
     }
 }
 
-/// The sheet's file, by the name of the meshes.
+/// The sheet's file, named after the meshes.
 fn beside(output: &Path) -> PathBuf {
     let is_folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
     let stem = if is_folder { None } else { output.file_stem() };

@@ -1,11 +1,11 @@
-//! Distinguishing frames from their pieces.
+//! Distinguishes frames from their pieces.
 //!
-//! Pieces are identified by a .pvtp or .pvtu that names them, by DualSPHysics' naming, or by the
-//! header of a snapshot whose files are `base.0.hdf5`,
-//! `base.1.hdf5` and so on. These are one frame, numbered as `base.hdf5` is.
+//! Pieces are identified by a .pvtp or .pvtu that names them, by the naming of DualSPHysics, or by
+//! the header of a snapshot with the files `base.0.hdf5`, `base.1.hdf5` and so on. These are one
+//! frame, with the number in `base.hdf5`.
 //!
-//! A .pvtp or .pvtu is written after its pieces. Until then they are identified by their names, if
-//! another frame exists: `pool_2_0.vtp` is a piece where `pool_1.pvtp` names `pool_1_0.vtp`.
+//! A .pvtp or .pvtu is written after its pieces. Until then, they are identified by their names, if
+//! another frame exists: `pool_2_0.vtp` is a piece if `pool_1.pvtp` names `pool_1_0.vtp`.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -15,9 +15,9 @@ use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
 
 use super::pattern::{Candidate, all_digits, digit_runs, skeleton};
 
-/// Keeps those of `paths` that stand for frames, in their order.
+/// Keeps the `paths` that are frames, in their order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
-    // A file that cannot be read names no pieces; its error is reported when it is converted.
+    // A file that cannot be read names no pieces. The error is reported when the file is converted.
     let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
     for index in &paths {
         for piece in pieces_named(index).unwrap_or_default() {
@@ -46,8 +46,8 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
         {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
                 let stands = !snapshot.has_base && number == snapshot.first;
-                // The frame's number is in the name of the snapshot, and that begins the names of
-                // its pieces.
+                // The frame's number is in the name of the snapshot, with which the names of its
+                // pieces begin.
                 stands.then(|| Candidate { runs: Candidate::from(base).runs, ..path.into() })
             }
             _ => Some(path.into()),
@@ -56,8 +56,8 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
     paths.into_iter().filter_map(whole).collect()
 }
 
-/// The names of a frame's pieces, whatever their numbers: the folder, and the skeleton of a name.
-/// `None` where the pieces are not named like the frame, with a number of their own.
+/// The naming scheme of a frame's pieces: the folder, and the skeleton of their names. `None` if
+/// the pieces are not named after the frame with an additional number.
 fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     let stem = index.file_stem()?.to_str()?;
     let own = piece.file_name()?.to_str()?.strip_prefix(stem)?;
@@ -65,30 +65,30 @@ fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     (have_numbers && piece.parent() == index.parent()).then(|| named_like(piece))?
 }
 
-/// The folder of a file, and its name without any digits.
+/// The folder of a file, and its name without digits.
 fn named_like(path: &Path) -> Option<(PathBuf, String)> {
     let name = path.file_name()?.to_str()?;
     Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
 }
 
-/// Whether a file may be a piece of a frame that is not there yet: VTK's writers call that
-/// `pool_1_0.vtp` or `pool_1_0.vtu` whose frame is going to be `pool_1.pvtp` or `pool_1.pvtu`.
+/// Whether a file may be a piece of a frame that does not exist yet: VTK's writers name the pieces
+/// of `pool_1.pvtp` or `pool_1.pvtu` `pool_1_0.vtp` or `pool_1_0.vtu`.
 pub(super) fn may_be_piece(path: &Path) -> bool {
     let is_vtk = path.extension().is_some_and(|extension| extension == "vtp" || extension == "vtu");
     let stem = path.file_stem().and_then(|stem| stem.to_str()).filter(|_| is_vtk);
     stem.and_then(|stem| stem.rsplit_once('_')).is_some_and(|(frame, number)| {
-        // Pieces are counted from 0, and not padded.
+        // Pieces are numbered from 0 without padding.
         let is_count = all_digits(number) && (number == "0" || !number.starts_with('0'));
         is_count && frame.ends_with(|c: char| c.is_ascii_digit())
     })
 }
 
-/// A snapshot, by the names of its files and the header of one.
+/// A snapshot, identified by the names of its files and the header of one of them.
 struct Snapshot {
     in_pieces: bool,
-    /// The lowest number of the pieces that are there.
+    /// The lowest number of the existing pieces.
     first: u64,
-    /// Whether a file is there that is called like the pieces, but for their number.
+    /// Whether a file with the name of the pieces, but without a number, exists.
     has_base: bool,
 }
 

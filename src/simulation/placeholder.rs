@@ -1,22 +1,22 @@
-//! Places of a number in a name, in the notations of several programs: `{}` and `{:04}`, `%04d` of
-//! C, `####` and `@@@@` of compositors, `$F4` of Houdini, `<frame>` of renderers.
+//! Placeholders for a number in a name, in the notations of several programs: `{}` and `{:04}`,
+//! `%04d` of C, `####` and `@@@@` of compositors, `$F4` of Houdini, `<frame>` of renderers.
 
 use std::ops::Range;
 
-/// A place for a number.
+/// A placeholder for a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Placeholder {
     /// An integer, padded with zeros to a width if there is one.
     Number(Option<usize>),
     /// A time.
     Time,
-    /// The number of one of the files that a frame is in.
+    /// The number of one of a frame's files.
     Piece,
-    /// A notation for something else, or one that is not known; with that to write instead.
+    /// An unsupported notation, with a replacement.
     Unknown(String),
 }
 
-/// The placeholders in a name, and where they are.
+/// The placeholders in a name, with their places.
 pub(super) fn all(name: &str) -> Vec<(Range<usize>, Placeholder)> {
     let mut found: Vec<(Range<usize>, Placeholder)> = Vec::new();
     while let Some(next) = first(name, found.last().map_or(0, |(at, _)| at.end)) {
@@ -25,7 +25,7 @@ pub(super) fn all(name: &str) -> Vec<(Range<usize>, Placeholder)> {
     found
 }
 
-/// The first placeholder from a place in the name on.
+/// The first placeholder at or after `from`.
 fn first(name: &str, from: usize) -> Option<(Range<usize>, Placeholder)> {
     let at = |(start, sign): (usize, char)| {
         let rest = &name[start..];
@@ -72,7 +72,7 @@ fn braces(text: &str) -> Found {
     Some((inside.len() + 2, placeholder))
 }
 
-/// `%d` or `%04d`. In `my%20data.npy` there is none.
+/// `%d` or `%04d`. `my%20data.npy` has no placeholder.
 fn printf(text: &str) -> Found {
     let digits = text[1..].len() - text[1..].trim_start_matches(|c: char| c.is_ascii_digit()).len();
     let (digits, rest) = text[1..].split_at(digits);
@@ -87,8 +87,8 @@ fn printf(text: &str) -> Found {
     ends.then_some((digits.len() + 2, placeholder))
 }
 
-/// `####` or `@@@@`, a mark for each digit; a single `#`, for any number of them, stands apart from
-/// letters and digits.
+/// `####` or `@@@@`, one character per digit. A single `#` stands for any number of digits, and
+/// must be separated from letters and digits.
 fn marks(text: &str, sign: char, before: Option<char>) -> Found {
     let count = text.len() - text.trim_start_matches(sign).len();
     let is_apart = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
@@ -101,7 +101,7 @@ fn marks(text: &str, sign: char, before: Option<char>) -> Found {
     }
 }
 
-/// `$F`, `$F4`, `${F}` or `${F4}`. Times and numbers of samples are not frames.
+/// `$F`, `$F4`, `${F}` or `${F4}`. Times and sample numbers are not frames.
 fn houdini(text: &str) -> Found {
     let (inside, length) = match text[1..].strip_prefix('{') {
         Some(rest) => (rest.split_once('}')?.0, 3),
@@ -124,7 +124,7 @@ fn houdini(text: &str) -> Found {
     Some((length + inside.len(), placeholder))
 }
 
-/// `<frame>`, `<frame04>` or `<F4>`. Others, such as `<UDIM>`, do not stand for a frame's number.
+/// `<frame>`, `<frame04>` or `<F4>`. Other names, such as `<UDIM>`, are not frame numbers.
 fn brackets(text: &str) -> Found {
     let (inside, _) = text[1..].split_once('>')?;
     let name = inside.trim_end_matches(|c: char| c.is_ascii_digit());

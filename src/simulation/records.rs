@@ -21,32 +21,32 @@ use crate::io::whole::{Replace, WholeFile};
 use crate::system::held;
 
 use super::frame_file::FrameFile;
-use super::frozen::Stamp;
+use super::shared_calibration::Stamp;
 use crate::error::SimulationError;
 
 const MERGED: &str = "frames.jsonl";
 
-/// A frame that is done.
+/// A finished frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// The input that it was made from.
+    /// The stamp of its input.
     pub input: Stamp,
-    /// The fingerprint of what it was made with.
+    /// The fingerprint of the state that it was made with.
     pub fingerprint: u32,
-    /// The mesh that it was made into.
+    /// The mesh's entry in the list of frames.
     pub mesh: SeriesFrame,
-    /// CRC-32 of the bytes of that file and of the pieces that it names.
+    /// CRC-32 of the bytes of the mesh's file and of its pieces.
     pub crc: u32,
 }
 
 impl Record {
-    /// Whether `output` holds the bytes that were written, which takes as long as to read them.
+    /// Whether `output` still has the recorded bytes. Reads the whole file.
     pub fn is_whole(&self, output: &Path) -> bool {
         crc(output).is_ok_and(|crc| crc == self.crc)
     }
 }
 
-/// CRC-32 of a file's bytes, and of those of the pieces that it names.
+/// CRC-32 of a file's bytes and of the bytes of its pieces.
 fn crc(path: &Path) -> io::Result<u32> {
     let (mut crc, mut buffer) = (Hasher::new(), vec![0; 1 << 18]);
     let pieces = pieces_named(path).map_err(io::Error::other)?;
@@ -62,14 +62,14 @@ fn crc(path: &Path) -> io::Result<u32> {
     Ok(crc.finalize())
 }
 
-/// The record of each frame in the last log that has one.
+/// The latest record of each frame.
 #[derive(Debug, Default, PartialEq)]
 pub struct Records(BTreeMap<i64, Record>);
 
 impl Records {
-    /// Reads the records in `folder`. One that cannot be read is none: the frame is made again.
+    /// Reads the records in `folder`. Invalid records are ignored: their frames are made again.
     pub fn read(folder: &Path) -> Self {
-        // A log that is moved meanwhile is in the merged file, which is why that one is read last.
+        // The merged file is read last, because a log may be moved into it meanwhile.
         let logs: Vec<Vec<u8>> =
             logs(folder).into_values().filter_map(|path| fs::read(path).ok()).collect();
         let mut records = Self::default();
@@ -85,13 +85,14 @@ impl Records {
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
     }
 
-    /// Whether a frame was made into `output`, which may have changed since.
+    /// Whether a frame was written to `output`, which may have changed since.
     pub fn names(&self, output: &Path) -> bool {
         let name = output.file_name();
         self.0.values().any(|record| name.is_some_and(|name| *name == *record.mesh.file))
     }
 
-    /// The record of a frame whose output has its size, and would have it if it were made now.
+    /// The record of a frame whose output has the recorded size, and whose input and state are
+    /// unchanged.
     pub fn current(&self, frame: &FrameFile, output: &Path, fingerprint: u32) -> Option<&Record> {
         let record = self.0.get(&frame.number)?;
         let same = record.fingerprint == fingerprint
@@ -104,7 +105,7 @@ impl Records {
     }
 }
 
-/// Where one process keeps its records, created when it is at work.
+/// The log of this process, created when it starts to work.
 #[derive(Debug)]
 pub struct Log {
     folder: PathBuf,
@@ -112,12 +113,12 @@ pub struct Log {
 }
 
 impl Log {
-    /// Records in a folder that may not be there yet.
+    /// A log in a folder that need not exist yet.
     pub fn new(folder: PathBuf) -> Self {
         Self { folder, file: Mutex::new(None) }
     }
 
-    /// Where it is.
+    /// The folder of the logs.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -136,13 +137,13 @@ impl Log {
         logs(&self.folder).values().any(|path| held::is_held(path))
     }
 
-    /// Keeps the record of a frame.
+    /// Appends the record of a frame.
     pub fn keep(&self, record: &Record) -> Result<(), SimulationError> {
         let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
         line.push(b'\n');
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        // Where locks do not reach from one machine to another, someone may have taken the log for
-        // an ended one.
+        // If locks do not work between machines, another process may have taken this log for an
+        // ended one, and removed it.
         let named = file.take().filter(has_name);
         let written = named.map_or_else(|| create(&self.folder), Ok).and_then(|mut named| {
             named.write_all(&line)?;
@@ -152,11 +153,11 @@ impl Log {
         written.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })
     }
 
-    /// Ends this log, and moves all that are not written any more into one file. Of several
-    /// processes only one may do so at a time.
+    /// Ends this log, and merges all ended logs into one file. Only one process may do this at a
+    /// time.
     pub fn merge(&self) -> Result<(), WriteError> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
-        // What cannot be locked or read stays as it is.
+        // Logs that cannot be locked or read stay as they are.
         let ended = |path: PathBuf| {
             let (mut file, mut lines) = (held::take(&path).ok()?, Vec::new());
             file.read_to_end(&mut lines).ok()?;
@@ -181,8 +182,8 @@ impl Log {
             }
             Ok(())
         })?;
-        // The logs are taken until their names are gone: who just created one will find that, and
-        // begin again.
+        // The logs stay locked until their names are removed. A process that has just opened one
+        // detects this and creates another.
         ended.iter().for_each(|(path, ..)| drop(fs::remove_file(path)));
         Ok(())
     }
@@ -201,7 +202,7 @@ fn logs(folder: &Path) -> BTreeMap<u64, PathBuf> {
         .collect()
 }
 
-/// A log after all that are there.
+/// Creates a log with a number after all existing ones.
 fn create(folder: &Path) -> io::Result<File> {
     let mut number = logs(folder).last_key_value().map_or(0, |(number, _)| *number);
     loop {
@@ -217,7 +218,7 @@ fn create(folder: &Path) -> io::Result<File> {
     }
 }
 
-/// Whether nobody has removed a file since it was opened.
+/// Whether the file still has its name.
 fn has_name(file: &File) -> bool {
     #[cfg(unix)]
     {
@@ -226,7 +227,7 @@ fn has_name(file: &File) -> bool {
     }
     #[cfg(not(unix))]
     {
-        // Whoever removes a log takes it before, which a log that is open cannot be.
+        // A process that removes a log locks it first, which is impossible while the log is open.
         let _ = file;
         true
     }

@@ -1,4 +1,4 @@
-//! Frames of a simulation to meshes: side by side, whatever single frames bring, and resumable.
+//! Converts the frames of simulations to meshes: in parallel, resumable, with errors per frame.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::system::cancel::Unfinished;
 use super::builder::Simulation;
 use super::conversion::{Conversion, Ran, convert};
 use super::event::{Event, Summary};
-use super::event::{Teller, hearing};
+use super::event::{EventSender, with_events};
 use super::forecast::Forecast;
 use super::frame_file::FrameFile;
 use super::inputs::{Inputs, Sequence};
@@ -27,13 +27,13 @@ use super::small_meshes::SmallMeshes;
 use super::solids::SolidNames;
 use super::state::{Found, State, Store};
 
-/// How often all is measured again where files are replaced that nobody watches.
+/// Maximum number of repeated calibrations if files change without being watched.
 const ATTEMPTS: usize = 3;
 
-/// The inputs of one of several simulations, and what came of it.
+/// The inputs of one of several simulations, and its result.
 type Each<T> = (String, Result<T, Arc<Error>>);
 
-/// A simulation that may be converted: nothing of it is refused.
+/// A simulation whose request was checked.
 struct Begun<'a> {
     setup: &'a Setup<'a>,
     series: Series,
@@ -44,16 +44,16 @@ struct Begun<'a> {
 
 impl Simulation {
     /// Converts all frames, and calls `hear` with each event, on the caller's thread. Returns a
-    /// summary of each simulation that there is.
+    /// summary of each simulation.
     ///
-    /// A frame that cannot be made does not stop the others: [`Summary::failed`] lists it. The work
-    /// waits for a `hear` that is slow, which therefore must not wait for the threads of the
-    /// request's [pool](crate::Reconstruction::pool).
+    /// A frame that fails does not stop the others: [`Summary::failed`] lists it. The work waits
+    /// for a slow `hear`, so `hear` must not wait for threads of the request's
+    /// [pool](crate::Reconstruction::pool).
     ///
     /// # Errors
     /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
-    /// [`Error::Simulation`], [`Error::TwoPurposes`], [`Error::Write`] as soon as nothing can be
-    /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
+    /// [`Error::Simulation`], [`Error::SameFile`], [`Error::Write`] if nothing more can be written,
+    /// [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| self.convert(begun))?;
         let summed = |(inputs, converted): (String, Result<Summary, Arc<Error>>)| {
@@ -66,10 +66,10 @@ impl Simulation {
         Ok(converted.into_iter().map(summed).collect())
     }
 
-    /// Converts a simulation, and begins again where the frame that was measured for all changes
-    /// meanwhile: it is measured again, and frames that were made by it are made again.
+    /// Converts a simulation. If the calibration frame changes meanwhile, measures it again, and
+    /// makes the frames that used the old calibration again.
     fn convert(&self, begun: Begun<'_>) -> Result<Summary, Error> {
-        // What is there by now is this conversion's own.
+        // All existing outputs are now from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
         let first = begun.setup;
         let mut ran = self.convert_once(begun)?;
@@ -95,14 +95,14 @@ impl Simulation {
         let _folders = prepare_folder(setup, &store)?;
         let kept = store.begin(found, true)?;
         if let Some(state) = &kept {
-            setup.tell(goes_on(&store, state));
+            setup.send(resumed(&store, state));
         }
         let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
         convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
     }
 
-    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers
-    /// of the frames: for several jobs, each of which converts [some](Self::frames).
+    /// Calibrates all frames, stores the calibration beside the outputs, and returns the frame
+    /// numbers: for several jobs, each of which converts [some frames](Self::frames).
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
@@ -112,18 +112,18 @@ impl Simulation {
             let Begun { setup, mut store, frames, found, .. } = begun;
             let _folders = prepare_folder(setup, &store)?;
             match store.begin(found, false)? {
-                Some(state) => setup.tell(goes_on(&store, &state)),
+                Some(state) => setup.send(resumed(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
             let wanted =
                 frames.iter().map(|frame| frame.number).filter(|&number| plan.wants(number));
             Ok(wanted.collect::<Vec<_>>())
         })?;
-        // Several simulations are not planned at once.
+        // Only one simulation can be planned at once.
         Ok(numbers.into_iter().filter_map(|(_, numbers)| numbers.ok()).flatten().collect())
     }
 
-    /// Finds out what converting would do and take, and writes nothing.
+    /// Estimates the resources of the conversion, and writes nothing.
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
@@ -152,15 +152,15 @@ impl Simulation {
         crate::backend::choice::bytes_of(files)
     }
 
-    /// Refuses what can be refused without an input.
+    /// Checks everything that can be checked without an input.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`] and [`Error::Simulation`].
+    /// [`Error::Unit`], [`Error::SettingConflict`] and [`Error::Simulation`].
     pub fn check(&self) -> Result<(), Error> {
         self.prepare().map(drop)
     }
 
-    /// Checks all numbers, and what goes with what.
+    /// Checks all numbers and combinations of settings.
     fn prepare(&self) -> Result<(Inputs, Naming, Checked), Error> {
         self.validate()?;
         let (inputs, naming) = self.names()?;
@@ -176,20 +176,20 @@ impl Simulation {
         }
         // Parallel frames report their progress by events.
         checked.resources.control.progress = None;
-        // A packed frame says by itself what it is of.
+        // A packed frame stores its own conditions and format.
         if !self.inputs.iter().all(|input| is_packed(input)) {
             checked.refuse_of_indicator()?;
         }
         Ok((inputs, naming, checked))
     }
 
-    /// The simulations that are there, and the selected frames of each; once there are some where a
-    /// simulation is followed.
+    /// The existing simulations with their selected frames. When watching, waits for the first
+    /// frame.
     fn found(
         &self,
         inputs: &Inputs,
         checked: &Checked,
-        teller: &Teller,
+        events: &EventSender,
     ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
         let look = || {
             let simulations = inputs.simulations(self.watch)?;
@@ -205,7 +205,7 @@ impl Simulation {
             simulations.len() < 2 && frames.iter().all(Vec::is_empty)
         };
         if let Some(idle) = self.watch.filter(|_| is_early(&found)) {
-            teller.tell(Event::Waiting { inputs: inputs.describe() });
+            events.send(Event::Waiting { inputs: inputs.describe() });
             while is_early(&found) && begun.elapsed().as_secs_f64() <= idle {
                 checked.go_on()?;
                 sleep(POLL);
@@ -215,31 +215,33 @@ impl Simulation {
         Ok(found)
     }
 
-    /// Does something with each simulation that is there, on threads of its own, while `hear` is
-    /// called on this one. Returns what came of each, beside its inputs; fails with an error that
-    /// concerns them all.
+    /// Runs `act` for each simulation, on separate threads, and calls `hear` on this thread.
+    /// Returns the result of each simulation with its inputs; fails with an error that concerns all
+    /// of them.
     fn each<T: Send>(
         &self,
         hear: impl FnMut(Event),
         act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
     ) -> Result<Vec<Each<T>>, Error> {
-        hearing(&self.request.control.cancel, hear, |teller| self.each_told(teller, &act))
+        with_events(&self.request.control.cancel, hear, |events| self.run_each(events, &act))
     }
 
-    fn each_told<T: Send>(
+    fn run_each<T: Send>(
         &self,
-        teller: &Teller,
+        events: &EventSender,
         act: &(impl Fn(Begun<'_>) -> Result<T, Error> + Sync),
     ) -> Result<Vec<Each<T>>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
         let ready = checked.clone().on_threads()?;
-        let found = || self.found(&inputs, &checked, teller);
+        let found = || self.found(&inputs, &checked, events);
         let (simulations, frames) = ready.threads.install(found)?;
         if simulations.is_empty() {
             return Err(inputs.no_frames().into());
         }
         if simulations.len() > 1
-            && (self.planned || self.watch.is_some() || !told_apart(&simulations, &naming))
+            && (self.planned
+                || self.watch.is_some()
+                || !have_different_names(&simulations, &naming))
         {
             return Err(inputs.several(&simulations).into());
         }
@@ -254,12 +256,12 @@ impl Simulation {
             for (sequence, frames) in simulations.iter().zip(frames) {
                 let outputs = naming.outputs(sequence);
                 let setup =
-                    Setup { simulation: self, sequence, outputs, checked: &ready.checked, teller };
+                    Setup { simulation: self, sequence, outputs, checked: &ready.checked, events };
                 let result = match self.begin(&setup, frames).and_then(act) {
-                    // What is wrong with one fluid's files does not concern the others.
+                    // An error in the files of one simulation does not stop the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
                         let error = Arc::new(error);
-                        setup.tell(Event::SimulationFailed(Arc::clone(&error)));
+                        setup.send(Event::SimulationFailed(Arc::clone(&error)));
                         Err(error)
                     }
                     result => Ok(result?),
@@ -270,7 +272,7 @@ impl Simulation {
         })
     }
 
-    /// Refuses what a simulation's frames and outputs do not allow.
+    /// Checks a simulation's frames and outputs.
     fn begin<'a>(&self, setup: &'a Setup<'a>, frames: Vec<FrameFile>) -> Result<Begun<'a>, Error> {
         let Some(first) = frames.first() else {
             return Err(setup.sequence.no_frames().into());
@@ -286,10 +288,10 @@ impl Simulation {
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
-            return Err(SimulationError::NoneWanted(setup.sequence.describe()).into());
+            return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());
         }
-        // Without a state, what is there is not of this conversion. Looked for before the state: a
-        // state is there before the first output of its conversion is.
+        // Without a state, existing files are not from this conversion. Checked before the state is
+        // read, because a conversion writes its state before its first output.
         let is_new = !self.overwrite && store.text()?.is_none();
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
         let there = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
@@ -308,13 +310,13 @@ impl Simulation {
     }
 }
 
-/// The event of a state that is gone on with.
-fn goes_on(store: &Store, state: &State) -> Event {
-    Event::GoesOn { state: store.state_path(), frozen: Box::new(state.frozen.clone()) }
+/// The event for a conversion that is resumed.
+fn resumed(store: &Store, state: &State) -> Event {
+    Event::Resumed { state: store.state_path(), shared: Box::new(state.shared.clone()) }
 }
 
-/// Makes the folder of the outputs ready, and removes what killed processes have left there. What
-/// is returned removes the folder again if nothing comes to be in it, also where all is abandoned.
+/// Prepares the folder of the outputs, and removes temporary files of killed processes. The
+/// returned guard removes the folder again if it stays empty, also if the work is abandoned.
 fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(MadeFolders, Unfinished), Error> {
     let folder = setup.outputs.folder();
     let cancel = &setup.checked.resources.control.cancel;
@@ -327,8 +329,8 @@ fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(MadeFolders, Unfi
     Ok(made)
 }
 
-/// Whether the outputs of each simulation have names of their own.
-fn told_apart(simulations: &[Sequence], naming: &Naming) -> bool {
+/// Whether the outputs of all simulations have different names.
+fn have_different_names(simulations: &[Sequence], naming: &Naming) -> bool {
     let names: HashSet<_> =
         simulations.iter().map(|sequence| naming::simulation(&naming.outputs(sequence))).collect();
     names.len() == simulations.len()

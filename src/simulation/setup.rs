@@ -1,4 +1,4 @@
-//! Setting up a conversion before any frame is read, and refusing what cannot work.
+//! Prepares a conversion before any frame is read, and rejects requests that cannot work.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -21,16 +21,16 @@ use crate::surface::simplify::BYTES_A_THREAD;
 
 use super::builder::Simulation;
 use super::event::Event;
-use super::event::Teller;
+use super::event::EventSender;
 use super::frame_file::FrameFile;
-use super::frozen::Frozen;
 use super::inputs::Sequence;
 use super::lanes::Division;
 use super::pattern::Pattern;
+use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
 use super::state::{Found, State, Store};
 
-/// Between two looks at a simulation that runs.
+/// Time between two checks for new frames of a running simulation.
 pub(super) const POLL: Duration = Duration::from_millis(250);
 
 /// A simulation before any of its frames is read.
@@ -40,57 +40,57 @@ pub(super) struct Setup<'a> {
     /// The names of the meshes.
     pub(super) outputs: Pattern,
     pub(super) checked: &'a Checked,
-    pub(super) teller: &'a Teller,
+    pub(super) events: &'a EventSender,
 }
 
 impl Setup<'_> {
     /// Sends an event to the caller.
-    pub(super) fn tell(&self, event: Event) {
-        self.teller.tell(event);
+    pub(super) fn send(&self, event: Event) {
+        self.events.send(event);
     }
 
-    /// Ends the work where the caller has asked for it.
+    /// Returns an error if the work was cancelled.
     pub(super) fn go_on(&self) -> Result<(), Error> {
         self.checked.go_on()
     }
 
-    /// All frames that are there now.
+    /// All existing frames.
     pub(super) fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
         let solids = SolidNames::of(&self.checked.settings)?;
         Ok(solids.with_files(self.sequence.list()?))
     }
 
-    /// The mesh's file of a frame: its number padded as it is in the input's name, unless the
-    /// pattern says how.
+    /// The mesh's file of a frame. Its number has the digits of the input's name, unless the
+    /// pattern has a width.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
         self.outputs.path(frame.number, &frame.digits)
     }
 
-    /// The frames of the simulation that are there now.
+    /// The existing selected frames.
     pub(super) fn frames(&self) -> Result<Vec<FrameFile>, Error> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The way to sample a frame by what all have in common, and the walls that its particles pass,
-    /// which are moved or left out. A slab is only for frames that lie in it: the first layer of an
-    /// emitter does, and the second does not.
+    /// The sampling of a frame with the shared calibration, and the walls that its particles
+    /// exceed, which are moved or removed. The slab is used only for frames in its plane: the first
+    /// layer of an emitter is in it, and the second is not.
     pub(super) fn sampling(
         &self,
-        frozen: &Frozen,
+        shared: &SharedCalibration,
         particles: &(impl Particles + ?Sized),
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<(Sampling, Vec<Warning>), Error> {
-        let (request, grid) = (&self.checked.sampling, frozen.grid()?);
-        let walls = frozen.walls.as_ref().map(|found| &found.walls);
-        let (request, past) = request.in_walls_around(walls, particles, frozen.spacing, &grid);
-        let method = request.method.calibrated(frozen.calibration.as_ref());
-        let slab = frozen.slab.filter(|slab| slab.holds(particles));
+        let (request, grid) = (&self.checked.sampling, shared.grid()?);
+        let walls = shared.walls.as_ref().map(|found| &found.walls);
+        let (request, past) = request.in_walls_around(walls, particles, shared.spacing, &grid);
+        let method = request.method.calibrated(shared.calibration.as_ref());
+        let slab = shared.slab.filter(|slab| slab.holds(particles));
         let request = request.in_slab(slab);
-        let sampling = request.sampling_on(grid, method, frozen.spacing, carried, resources)?;
-        let sampling = sampling.sized(frozen.sizes.as_ref(), particles)?;
-        let sampling = Sampling { kinds: frozen.kinds.clone(), ..sampling };
-        Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
+        let sampling = request.sampling_on(grid, method, shared.spacing, carried, resources)?;
+        let sampling = sampling.sized(shared.sizes.as_ref(), particles)?;
+        let sampling = Sampling { kinds: shared.kinds.clone(), ..sampling };
+        Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
     }
 
     /// The division of the machine among `frames`.
@@ -101,13 +101,13 @@ impl Setup<'_> {
         Division::of(frames, *threads, resources.budget, chunk)
     }
 
-    /// The first mesh or listing of these frames that exists already.
+    /// The first existing mesh or list of these frames.
     pub(super) fn existing(&self, frames: &[FrameFile], series: &Series) -> Option<PathBuf> {
         let meshes = frames.iter().map(|frame| self.output(frame));
         meshes.chain(series.files()).find(|path| path.exists())
     }
 
-    /// The format that the outputs' names say, able to hold what is asked for.
+    /// The format of the outputs, which can store the requested attributes.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.output(first);
         let unknown =
@@ -117,15 +117,15 @@ impl Setup<'_> {
         Ok(format)
     }
 
-    /// Refuses outputs that are inputs, by whatever name, or would be taken for some, and inputs that
-    /// a frame has twice.
+    /// Rejects outputs that are inputs, under any name, or would become inputs, and inputs that a
+    /// frame has twice.
     pub(super) fn refuse_own_inputs(
         &self,
         frames: &[FrameFile],
         series: &Series,
         store: &Store,
     ) -> Result<(), Error> {
-        let two_purposes = |path: &Path, other: &Path| Error::TwoPurposes {
+        let same_file = |path: &Path, other: &Path| Error::SameFile {
             path: path.to_owned(),
             other: other.to_owned(),
         };
@@ -145,7 +145,7 @@ impl Setup<'_> {
             }
             let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
-                return Err(two_purposes(&output, input));
+                return Err(same_file(&output, input));
             }
             if self.sequence.takes(&output) {
                 return Err(Error::Request(format!(
@@ -164,14 +164,14 @@ impl Setup<'_> {
             if let Some(other) =
                 taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))
             {
-                return Err(two_purposes(beside, &other));
+                return Err(same_file(beside, &other));
             }
         }
         Ok(())
     }
 
-    /// The state that is there, if it is of these settings and of these inputs. Where only an input
-    /// has changed it is made anew.
+    /// The existing state, if it has these settings and these inputs. If only an input has changed,
+    /// a new state is made.
     pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Found, Error> {
         let Some(text) = store.text()? else { return Ok(Found::Nothing) };
         let anew = self.simulation.overwrite;
@@ -181,9 +181,9 @@ impl Setup<'_> {
         };
         let mut differing = state.differing(&self.checked.settings.kept());
         let of_others = !differing.is_empty();
-        if state.frozen.changed_in(frames).is_some() {
+        if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
-            let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);
+            let _ = write!(differing, "{comma}input frame {}", state.shared.frame);
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {
@@ -198,17 +198,16 @@ impl Setup<'_> {
             };
         }
         if anew || self.simulation.resume && !of_others {
-            self.tell(Event::Anew { state: store.state_path(), differing });
+            self.send(Event::Restarted { state: store.state_path(), differing });
             return Ok(Found::Stale { text, of_others });
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }
 
-    /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of
-    /// their own.
+    /// Whether a state has a complete calibration. Packed frames have their own mu0.
     fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
         let Method::Indicator { kind, .. } = self.checked.sampling.method else { return true };
-        let Some(known) = &state.frozen.calibration else { return false };
+        let Some(known) = &state.shared.calibration else { return false };
         let is_known = known.suits(kind) && (known.mean().is_some() || !kind.counts());
         is_known || frames.iter().all(|frame| is_packed(&frame.path))
     }

@@ -1,5 +1,5 @@
-//! Small meshes beside the state: coarse copies of frames in a format that is not read again, which
-//! a sheet of all frames is drawn of.
+//! Small meshes beside the state: coarse copies of frames whose format cannot be read again, for
+//! the contact sheet.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -12,10 +12,11 @@ use crate::surface::mesh::Mesh;
 use crate::surface::mesh::clustered::{BYTES_A_VERTEX, clustered};
 use crate::surface::mesh::source::{Bounds, MeshSource};
 
-/// Cells along the longest edge of a mesh: about one for every other pixel of a picture on a sheet.
+/// Cells along the longest edge of a mesh: about one for every second pixel of a picture on a
+/// sheet.
 const CELLS: u32 = 160;
 
-/// The folder that holds them, a .ply of each frame.
+/// The folder with a .ply of each frame.
 #[derive(Debug)]
 pub(super) struct SmallMeshes(PathBuf);
 
@@ -25,20 +26,20 @@ impl SmallMeshes {
         Self(state.join("small"))
     }
 
-    /// The small mesh of a frame, which may not be there.
+    /// The file of a frame's small mesh, which may not exist.
     pub(super) fn path(&self, frame: i64) -> PathBuf {
         self.0.join(format!("{frame}.ply"))
     }
 
-    /// Removes what killed processes have left half-written.
+    /// Removes temporary files of killed processes.
     pub(super) fn sweep(&self) {
         sweep(&self.0);
     }
 
-    /// Makes the small mesh of a mesh in `bounds`; `None` where that takes more than `memory` bytes.
+    /// Makes the small mesh of a mesh in `bounds`; `None` if that needs more than `memory` bytes.
     ///
     /// # Errors
-    /// Where the mesh cannot be read from where it is kept.
+    /// If the mesh cannot be read from its scratch file.
     pub(super) fn of(
         mesh: &dyn MeshSource,
         bounds: Option<Bounds>,
@@ -51,11 +52,11 @@ impl SmallMeshes {
         }
     }
 
-    /// Keeps the small mesh of a frame in place of an earlier one; removes that where there is no
-    /// other, for it is of another mesh.
+    /// Stores the small mesh of a frame, and replaces an earlier one. Without a new one, removes
+    /// the earlier one, because it belongs to another mesh.
     ///
     /// # Errors
-    /// Those of the system.
+    /// Errors of the system.
     pub(super) fn keep(&self, frame: i64, mesh: Option<&Mesh>) -> Result<(), WriteError> {
         let path = self.path(frame);
         let kept = match mesh {

@@ -1,4 +1,4 @@
-//! Solids of a simulation's frames: the same ones in all of them, or one for each number.
+//! Solids of a simulation's frames: the same for all, or one for each frame number.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -17,11 +17,11 @@ pub(super) struct SolidNames {
 }
 
 impl SolidNames {
-    /// Reads the names that were asked for: with `{}` for the number, or another program's notation,
-    /// each frame has a mesh of its own.
+    /// Reads the solids of the settings. A name with `{}`, or another program's notation, stands
+    /// for one mesh per frame.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    /// [`SimulationError::Names`] for an invalid pattern.
     pub(super) fn of(settings: &Settings) -> Result<Self, SimulationError> {
         let mut names = Self::default();
         for path in settings.solid_files().iter().map(PathBuf::from) {
@@ -37,12 +37,12 @@ impl SolidNames {
         Ok(names)
     }
 
-    /// Whether frames have solids of their own.
+    /// Whether each frame has its own solids.
     pub(super) fn are_numbered(&self) -> bool {
         !self.numbered.is_empty()
     }
 
-    /// Frames with the files of their solids, which need not be there.
+    /// Adds the files of solids to frames. The files need not exist.
     pub(super) fn with_files(&self, mut frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let numbered: Vec<_> =
             self.numbered.iter().map(|pattern| (pattern, there(pattern))).collect();
@@ -57,12 +57,13 @@ impl SolidNames {
     }
 }
 
-/// The files of a pattern by their numbers.
+/// The files that match a pattern, by their numbers.
 fn there(pattern: &Pattern) -> BTreeMap<i64, PathBuf> {
     let Ok(files) = std::fs::read_dir(pattern.folder()) else { return BTreeMap::new() };
     let mut names: Vec<String> =
         files.filter_map(|file| file.ok()?.file_name().into_string().ok()).collect();
-    // Of names with one number the last is taken, the one with the fewest zeros.
+    // If several names have the same number, the last one in order is used, which has the fewest
+    // zeros.
     names.sort_unstable();
     let numbered =
         |name: String| Some((pattern.digits(&name)?.parse().ok()?, pattern.folder.join(name)));
@@ -85,7 +86,7 @@ mod tests {
         let frame = |number: i64| FrameFile::new(number, number.to_string(), path("water"));
         let frames = names.with_files(vec![frame(2), frame(3)]);
         assert_eq!(frames[0].solids, [path("tank.obj"), path("ship_0002.obj")]);
-        // A missing one has the name that it should have.
+        // A missing solid has its expected name.
         assert_eq!(frames[1].solids, [path("tank.obj"), path("ship_3.obj")]);
         let timed = Some(vec![text("ship_{time}.obj")]);
         assert!(SolidNames::of(&Settings { solid: timed, ..Settings::default() }).is_err());

@@ -1,6 +1,5 @@
-//! Files beside the outputs, in a folder named as the simulation with `.meniscus` appended:
-//! `state.json`, what all frames have in common, and the [records](super::records) of those that
-//! are done.
+//! Files in a folder beside the outputs, with the simulation's name and `.meniscus`: `state.json`
+//! with the shared calibration, and the [records](super::records) of finished frames.
 
 use std::fs::{self, File};
 use std::io;
@@ -11,56 +10,56 @@ use serde::{Deserialize, Serialize};
 use crate::io::whole::{make_folder, replace_small};
 use crate::settings::{Kept, differing};
 
-use super::frozen::Frozen;
 use super::records::Log;
+use super::shared_calibration::SharedCalibration;
 use crate::error::SimulationError;
 
-/// The state of a simulation: all that its frames have in common.
+/// The state of a simulation: everything that its frames share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// The version of this library.
     pub meniscus: String,
     /// The settings of the request.
     pub settings: Kept,
-    /// The measurements.
-    pub frozen: Frozen,
+    /// The shared calibration.
+    pub shared: SharedCalibration,
 }
 
 impl State {
-    /// By this version.
-    pub fn new(settings: Kept, frozen: Frozen) -> Self {
-        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, frozen }
+    /// A state of this version.
+    pub fn new(settings: Kept, shared: SharedCalibration) -> Self {
+        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
     }
 
-    /// A number that differs where anything does.
+    /// Changes with any value of the state.
     pub fn fingerprint(&self) -> u32 {
         crc32fast::hash(&json(self))
     }
 
-    /// The names of the settings that differ from `wanted`, for people; empty where none does.
+    /// The names of the settings that differ from `wanted`, as text; empty if there are none.
     pub fn differing(&self, wanted: &Kept) -> String {
         differing(&self.meniscus, &self.settings, wanted)
     }
 }
 
-/// A state that was looked for.
+/// The result of a search for a state.
 #[derive(Debug)]
 pub enum Found {
     /// No state.
     Nothing,
-    /// A state that holds for what is asked for, and the bytes of its file.
+    /// A state of this request, and the bytes of its file.
     Kept(Box<State>, Vec<u8>),
-    /// A state that is to be made anew.
+    /// A state that will be replaced.
     Stale {
         /// The bytes of its file.
         text: Vec<u8>,
-        /// Whether it is of other settings, or cannot be read.
+        /// Whether it has other settings, or cannot be read.
         of_others: bool,
     },
 }
 
 impl Found {
-    /// The state, if it holds.
+    /// The state, if it is kept.
     #[must_use]
     pub fn kept(self) -> Option<State> {
         match self {
@@ -70,12 +69,12 @@ impl Found {
     }
 }
 
-/// The folder that holds all this.
+/// The folder of the state and the records.
 #[derive(Debug)]
 pub struct Store {
-    /// Where this process keeps its records.
+    /// The records of this process.
     pub log: Log,
-    /// The bytes of a state that is to be made anew, and whether it is of other settings.
+    /// The bytes of a state that will be replaced, and whether it has other settings.
     stale: Option<(Vec<u8>, bool)>,
     /// Whether this process makes frames.
     at_work: bool,
@@ -89,7 +88,7 @@ impl Store {
         Self { log: Log::new(name.into()), stale: None, at_work: false }
     }
 
-    /// Where it is.
+    /// The folder of the state and the records.
     pub fn folder(&self) -> &Path {
         self.log.folder()
     }
@@ -102,7 +101,7 @@ impl Store {
     /// The state, if there is one.
     ///
     /// # Errors
-    /// [`SimulationError::Io`] and [`SimulationError::State`] where it cannot be read.
+    /// [`SimulationError::Io`] and [`SimulationError::State`] if it cannot be read.
     pub fn load(&self) -> Result<Option<State>, SimulationError> {
         self.text()?.map(|text| self.parsed(&text)).transpose()
     }
@@ -122,19 +121,19 @@ impl Store {
         }
     }
 
-    /// The state that some bytes of its file hold.
+    /// Parses the bytes of the state's file.
     pub fn parsed(&self, text: &[u8]) -> Result<State, SimulationError> {
         let path = self.state_path();
         let state: State = serde_json::from_slice(text)
             .map_err(|e| SimulationError::State { path: path.clone(), what: e.to_string() })?;
-        match state.frozen.grid() {
+        match state.shared.grid() {
             Ok(_) => Ok(state),
             Err(fault) => Err(SimulationError::State { path, what: fault.to_string() }),
         }
     }
 
-    /// Begins with the state that was found, and returns it if it is kept. From now on, other
-    /// processes can see whether this one is `at_work`. A stale state stays until
+    /// Starts with the result of the search, and returns the state if it is kept. From now on,
+    /// other processes can see whether this one is `at_work`. A stale state stays until
     /// [`add`](Self::add) replaces it.
     ///
     /// # Errors
@@ -163,12 +162,12 @@ impl Store {
         if self.at_work { self.log.open() } else { Ok(()) }
     }
 
-    /// Keeps a state in place of the stale one, if there is one, unless another process has kept
-    /// another meanwhile: then returns that, if it is of the same settings.
+    /// Stores a state, replacing a stale one. If another process has stored one meanwhile, returns
+    /// that, provided that its settings are the same.
     ///
     /// # Errors
-    /// [`SimulationError::Settings`], [`SimulationError::Busy`] where somebody is at work by a stale
-    /// state of other settings, [`SimulationError::Io`] and those of [`load`](Self::load).
+    /// [`SimulationError::Settings`], [`SimulationError::Busy`] if another process works with the
+    /// stale state of other settings, [`SimulationError::Io`] and those of [`load`](Self::load).
     pub fn add(&self, state: &State) -> Result<State, SimulationError> {
         let (folder, path) = (self.folder(), self.state_path());
         let fail = |fault| SimulationError::Io { path: path.clone(), fault };
@@ -201,8 +200,8 @@ impl Store {
         Ok(kept)
     }
 
-    /// Keeps other processes that ask for the same from going on until this is dropped, where the
-    /// file system has locks.
+    /// Locks the state against other processes until the result is dropped, if the file system has
+    /// locks.
     pub fn locked(&self) -> Option<File> {
         let folder = File::open(self.folder()).ok()?;
         folder.lock().ok()?;
@@ -224,10 +223,10 @@ mod tests {
     use crate::particles::AttributeInfo;
     use crate::particles::kind::{AttributeKind, SettledKind};
     use crate::particles::sizes::{Meaning, Sizes};
-    use crate::simulation::frozen::Stamp;
+    use crate::simulation::shared_calibration::Stamp;
 
-    fn frozen(calibration: Calibration) -> Frozen {
-        Frozen {
+    fn shared(calibration: Calibration) -> SharedCalibration {
+        SharedCalibration {
             frame: 1,
             input: Stamp { bytes: 1, modified: u64::MAX, files: 3 },
             spacing: Some(0.1 + 0.2),
@@ -266,14 +265,16 @@ mod tests {
             for calibration in
                 [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
-                let state = State::new(Kept::new(), frozen(calibration));
+                let state = State::new(Kept::new(), shared(calibration));
                 assert_eq!(store.add(&state).unwrap(), state);
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
                 assert_eq!(loaded.fingerprint(), state.fingerprint());
                 // Another process that measures at the same time uses the state that exists first.
-                let late =
-                    State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
+                let late = State {
+                    shared: SharedCalibration { frame: 7, ..state.shared.clone() },
+                    ..state.clone()
+                };
                 assert_eq!(store.add(&late).unwrap(), state);
                 let other = State {
                     settings: Kept::from_iter([("cell".to_owned(), 1.into())]),
@@ -281,7 +282,7 @@ mod tests {
                 };
                 assert!(matches!(store.add(&other), Err(SimulationError::Settings { .. })));
                 assert_eq!(store.load().unwrap(), Some(state));
-                // A stale state is replaced while nobody is at work by its settings.
+                // A stale state can be replaced if no process works with its settings.
                 let busy = Store::beside(&folder.path().join("fluid.ply"));
                 busy.log.open().unwrap();
                 let text = store.text().unwrap().unwrap();
@@ -292,7 +293,7 @@ mod tests {
                 assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));
                 drop(busy);
                 assert_eq!(anew.add(&other).unwrap(), other);
-                // Made anew by another meanwhile: of other settings.
+                // Another process has replaced it meanwhile by a state of other settings.
                 assert!(matches!(anew.add(&late), Err(SimulationError::Settings { .. })));
                 fs::remove_file(store.state_path()).unwrap();
             }

@@ -1,5 +1,4 @@
-//! The outcome of all frames: noted one by one, listed for other programs, and summed up at the
-//! end.
+//! Collects the outcomes of all frames, lists frames for other programs, and makes the summary.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -17,27 +16,27 @@ use crate::io::{WriteError, WriteFault};
 use rayon::prelude::*;
 
 use super::conversion::Conversion;
-use super::event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
+use super::event::{Event, FrameCounts, FrameDone, FrameFailed, LeftOut, Missing, Summary};
 use super::one_frame::Done;
 use super::setup::Setup;
 
-/// Between two writings of what lists all frames, at the least.
+/// Minimum time between two writes of the list of all frames.
 const SERIES_PAUSE: Duration = Duration::from_millis(250);
 
-/// The outcome of the frames so far.
+/// The outcomes of the frames so far.
 pub(super) struct Tally<'a> {
     conversion: &'a Conversion<'a>,
     series: &'a Series,
-    /// All frames that can be loaded, of this run or another.
+    /// All frames that can be loaded, from this run or another.
     listed: BTreeMap<i64, SeriesFrame>,
-    /// Frames that could not be made, by their numbers.
+    /// Failed frames by their numbers.
     pub(super) failed: BTreeMap<i64, Arc<FrameFailed>>,
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
     left_out: LeftOut,
     begun: Instant,
-    /// When the series was written last, or would have been.
+    /// The time of the last write of the series.
     series_written: Instant,
 }
 
@@ -58,8 +57,8 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Lists what else is done already. Those whose bytes are looked at are done if these are as
-    /// they were written.
+    /// Adds frames that are already finished. For frames whose bytes must be checked, the bytes
+    /// must match the record.
     pub(super) fn list(
         &mut self,
         frames: &[FrameFile],
@@ -78,23 +77,23 @@ impl<'a> Tally<'a> {
         listed.extend(done);
     }
 
-    /// Whether a frame is done.
+    /// Whether a frame is finished.
     pub(super) fn lists(&self, frame: &FrameFile) -> bool {
         self.listed.contains_key(&frame.number)
     }
 
-    /// Whether the mesh of any frame was made into this file.
+    /// Whether any frame's mesh was written to this file.
     pub(super) fn has_made(&self, output: &Path) -> bool {
         let name = output.file_name();
         self.listed.values().any(|mesh| name.is_some_and(|name| *name == *mesh.file))
     }
 
-    /// Whether nothing more can be made.
+    /// Whether no further frame can succeed.
     pub(super) fn is_broken(&self) -> bool {
         self.fatal.is_some()
     }
 
-    /// Notes a frame; true where it makes no sense to go on with any other.
+    /// Records the outcome of a frame. Returns whether no further frame can succeed.
     pub(super) fn take(
         &mut self,
         frame: &FrameFile,
@@ -126,7 +125,7 @@ impl<'a> Tally<'a> {
                     progress: self.tallied(frame),
                 };
                 self.listed.insert(frame.number, done.mesh.clone());
-                setup.tell(Event::Done(Box::new(done)));
+                setup.send(Event::Done(Box::new(done)));
                 if self.series_written.elapsed() > SERIES_PAUSE {
                     self.write_series()?;
                 }
@@ -138,14 +137,14 @@ impl<'a> Tally<'a> {
                 let input = frame.path.clone();
                 let failed = Arc::new(FrameFailed { frame: frame.number, input, error, progress });
                 self.failed.insert(frame.number, Arc::clone(&failed));
-                setup.tell(Event::Failed(failed));
+                setup.send(Event::Failed(failed));
             }
         }
         Ok(false)
     }
 
-    fn tallied(&self, frame: &FrameFile) -> Tallied {
-        Tallied {
+    fn tallied(&self, frame: &FrameFile) -> FrameCounts {
+        FrameCounts {
             done: self.done,
             total: self.total,
             failed: self.failed.len(),
@@ -160,10 +159,10 @@ impl<'a> Tally<'a> {
         Ok(())
     }
 
-    /// Lists all frames that are there, moves the records of ended jobs together, and sums up.
+    /// Lists all existing frames, merges the records of ended jobs, and makes the summary.
     pub(super) fn finish(mut self, frames: &[FrameFile]) -> Result<Summary, Error> {
         let Setup { simulation, sequence, outputs, checked, .. } = self.conversion.setup;
-        // Other jobs may have done frames meanwhile, and the last of them lists all.
+        // Other jobs may have finished frames meanwhile. The last job lists all of them.
         let alone = self.conversion.store.locked();
         self.list(&self.conversion.setup.all_frames()?, |_| false);
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
@@ -201,12 +200,12 @@ impl<'a> Tally<'a> {
             smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),
             seconds: self.begun.elapsed().as_secs_f64(),
         };
-        self.conversion.setup.tell(Event::Ended(Box::new(summary.clone())));
+        self.conversion.setup.send(Event::Ended(Box::new(summary.clone())));
         self.fatal.map_or(Ok(summary), Err)
     }
 }
 
-/// Whether an error of one frame is one of all others, too.
+/// Whether an error of one frame would occur in all others.
 fn ends_all(error: &Error) -> bool {
     match error {
         Error::Write(WriteError { fault: WriteFault::Io(fault), .. }) => {

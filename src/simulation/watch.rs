@@ -1,19 +1,18 @@
-//! Finding the complete frames of a running simulation: those whose file has not changed for a
-//! while. One that turns out not to be, because it grows after a pause or is written once more, is
-//! given again.
+//! Finds the complete frames of a running simulation: those whose file has not changed for a while.
+//! A frame that changes after all, because its file grows or is replaced, is reported again.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::frame_file::{FrameFile, Selection};
-use super::frozen::Stamp;
+use super::shared_calibration::Stamp;
 
-/// A file that has not changed for so long is taken to be complete.
+/// A file without changes for this long counts as complete.
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// The frames that were seen so far.
 pub(super) struct Watch {
-    /// Seconds without news after which the simulation is over.
+    /// Seconds without a new frame after which the simulation is over.
     idle: f64,
     selection: Selection,
     seen: BTreeMap<i64, Seen>,
@@ -23,7 +22,7 @@ pub(super) struct Watch {
 struct Seen {
     stamp: Stamp,
     since: Instant,
-    /// The file's stamp when the frame was given.
+    /// The file's stamp when the frame was reported.
     given: Option<Stamp>,
     under_way: bool,
 }
@@ -31,7 +30,7 @@ struct Seen {
 /// A frame that appears to be complete.
 pub(super) struct Ready {
     pub(super) frame: FrameFile,
-    /// Whether it was given before, and has changed since.
+    /// Whether it was reported before, and has changed since.
     pub(super) again: bool,
 }
 
@@ -40,13 +39,13 @@ impl Watch {
         Self { idle, selection, seen: BTreeMap::new(), last_news: Instant::now() }
     }
 
-    /// The frames that have become complete since the last call, of those that are there now. Each
-    /// is under way until it is [`done`](Self::done).
+    /// The existing frames that have become complete since the last call. A frame is in progress
+    /// until [`done`](Self::done) is called.
     pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<Ready> {
         let now = Instant::now();
         let mut ready = Vec::new();
         for frame in frames {
-            // A file that is gone again will be seen when it comes back.
+            // A deleted file is noticed if it reappears.
             let Ok(stamp) = frame.stamp() else { continue };
             let seen = self.seen.entry(frame.number).or_insert_with(|| {
                 self.last_news = now;
@@ -64,15 +63,14 @@ impl Watch {
         ready
     }
 
-    /// Nothing more is done with a frame that was given until its file changes: it was made, or
-    /// could not be read.
+    /// Marks a frame as done, successfully or not. It is reported again only if its file changes.
     pub(super) fn done(&mut self, number: i64) {
         if let Some(seen) = self.seen.get_mut(&number) {
             seen.under_way = false;
         }
     }
 
-    /// Whether nothing more is to be expected.
+    /// Whether no further frame is expected.
     pub(super) fn is_over(&self) -> bool {
         let Selection { end, step, .. } = self.selection;
         let last = self.seen.last_key_value();

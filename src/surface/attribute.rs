@@ -1,16 +1,15 @@
 //! Particle attributes carried to the vertices.
 //!
-//! A cell's value is blur(sum of values) / blur(N), both blurred as the DIF is; a vertex takes the
-//! mean of the two ends of its edge, weighted as its position is. Sums over particles are integers:
-//! values are rounded to a step that is a power of two, 2^-30 of the greatest magnitude among the
-//! particles that a block of vertices sees, or finer. Values that are not finite count as if the
-//! particle did not have the attribute.
+//! A cell's value is blur(sum of values) / blur(N), both blurred like the DIF. A vertex
+//! interpolates between the two ends of its edge, with the weights of its position. Sums over
+//! particles are integers: values are rounded to a step that is a power of two, 2^-30 of the
+//! greatest magnitude among the particles that affect a block of vertices, or finer. Values that
+//! are not finite count as missing.
 //!
-//! There is no mean of whole numbers, such as identifiers: a vertex takes those of the particle
-//! nearest to it, of equally near ones those of the particle that comes first by its place, and then
-//! by its numbers.
+//! Integers such as identifiers have no mean: a vertex takes the value of the nearest particle.
+//! Ties are decided by the particle's position, and then by its values.
 //!
-//! Reaches as far as the smoothing.
+//! The reach is that of the smoothing.
 
 use std::io;
 use std::ops::Range;
@@ -23,24 +22,24 @@ use crate::grid::{BIN, CellBox, FRACTION_BITS, MortonKey};
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::BlockMesh;
 
-/// Components that are smoothed at once: those of any common attribute, and few enough that threads
-/// work in little memory.
+/// Number of components that are smoothed together: enough for common attributes, and few enough
+/// for the memory of a thread.
 const AT_ONCE: usize = 16;
 
-/// Bytes of a cell while an attribute with `components` is smoothed: sums of some of them and of
-/// the particles, in two fields.
+/// Bytes per cell while an attribute with `components` is smoothed: sums of several components and
+/// of the particles, in two fields.
 pub fn cell_bytes(components: usize) -> u64 {
     ((components.min(AT_ONCE) + 3) * size_of::<f64>()) as u64
 }
 
-/// The step to which values are rounded before they are added.
+/// The step to which values are rounded for summation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct FixedPoint {
     steps_per_unit: f64,
 }
 
 impl FixedPoint {
-    /// The finest step at which magnitudes up to `greatest` take no more than 30 bits.
+    /// The finest step at which magnitudes up to `greatest` fit 30 bits.
     fn for_magnitude(greatest: f32) -> Self {
         let exponent =
             if greatest > 0.0 { 29 - f64::from(greatest).log2().floor() as i32 } else { 0 };
@@ -56,11 +55,11 @@ impl FixedPoint {
     }
 }
 
-/// An attribute of the particles on the vertices of a block, all components of one vertex after the
-/// other.
+/// The values of a particle attribute at the vertices of a block, with the components of each
+/// vertex together.
 ///
 /// # Errors
-/// Where particles are in a scratch file that cannot be read.
+/// If a scratch file with particles cannot be read.
 pub fn vertex_values(
     bins: &Bins,
     (attribute, components): (usize, usize),
@@ -99,11 +98,11 @@ pub fn vertex_values(
     Ok(values)
 }
 
-/// Whole numbers of the particles on the vertices of a block, all components of one vertex after the
-/// other: those of the nearest particle within `reach` cells, or zeros.
+/// The integers of a particle attribute at the vertices of a block, with the components of each
+/// vertex together: the values of the nearest particle within `reach` cells, or zeros.
 ///
 /// # Errors
-/// Where particles are in a scratch file that cannot be read.
+/// If a scratch file with particles cannot be read.
 pub fn nearest_values(
     bins: &Bins,
     (attribute, components): (usize, usize),
@@ -119,7 +118,7 @@ pub fn nearest_values(
         return Ok(Vec::new());
     }
     let cells = used.grown(reach, reach);
-    // Particles by their cells, the numbers of a cell's from `starts` on.
+    // Particles sorted by cell; `starts` has the first index of each cell.
     let mut found: Vec<(usize, [i64; 3], Vec<u32>)> = Vec::new();
     let index_of = Block::<u8>::zero(cells);
     for coord in cells.cubes(BIN) {
@@ -136,7 +135,7 @@ pub fn nearest_values(
             }
         }
     }
-    // By cell, and in it by place and numbers, whatever the order of the particles.
+    // Sorted by cell, then by position and values, so that the input's order does not matter.
     found.sort_unstable();
     let of_cell = |cell: IVec3| {
         let index = index_of.index(cell);
@@ -150,7 +149,7 @@ pub fn nearest_values(
         place[axis] += (crossings.fraction(ends) * (2 * half) as f64).round() as i64;
         let mut best: Option<(i64, [i64; 3], &[u32])> = None;
         for shell in 0..=reach {
-            // What lies in shells further out is farther than this.
+            // All particles in outer shells are farther than this.
             let passed = (i64::from(shell) << FRACTION_BITS) - 3 * half;
             if best.is_some_and(|(squared, ..)| passed > 0 && squared < passed * passed) {
                 break;
@@ -171,7 +170,7 @@ pub fn nearest_values(
     Ok(values)
 }
 
-/// The cells at this distance from another, by the axis along which they are farthest.
+/// The cells whose Chebyshev distance from another is `distance`.
 fn shell_around(cell: IVec3, distance: i32) -> impl Iterator<Item = IVec3> {
     let along = move || -distance..=distance;
     along().flat_map(move |z| along().map(move |y| (y, z))).flat_map(move |(y, z)| {
@@ -181,13 +180,14 @@ fn shell_around(cell: IVec3, distance: i32) -> impl Iterator<Item = IVec3> {
     })
 }
 
-/// The cell of this number in the bin at `coord`.
+/// Cell number `local` in the bin at `coord`.
 fn cell_of(coord: IVec3, local: usize) -> IVec3 {
     let local = local as i32;
     coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN))
 }
 
-/// The values of a vertex: the mean of those of two `cells`, of which the second has `upper_share`.
+/// The values of a vertex: the mean of those of two `cells`; the second has the weight
+/// `upper_share`.
 fn interpolate(
     values: &mut [f32],
     sums: &[Block<f64>],
@@ -197,7 +197,7 @@ fn interpolate(
 ) {
     let index = cells.map(|cell| weight.index(cell));
     let weights = index.map(|i| weight.samples()[i]);
-    // An end that no particle reaches has no value to give.
+    // An end without particles in reach has no value.
     let shares = match weights.map(|w| w > 0.0) {
         [true, true] => [(1.0 - upper_share) / weights[0], upper_share / weights[1]],
         [true, false] => [1.0 / weights[0], 0.0],
@@ -210,8 +210,8 @@ fn interpolate(
     }
 }
 
-/// Per cell the sum of each of a `group` of components over its particles, and last the number of
-/// particles. The step is that of all components.
+/// For each cell, the sums of a `group` of components over its particles, followed by the number of
+/// particles. All components have the same step.
 fn sums(
     bins: &Bins,
     (attribute, components): (usize, usize),

@@ -1,5 +1,5 @@
-//! From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and what a
-//! mesh is checked, compared and looked at by.
+//! From the field to a mesh: dual marching cubes, attributes, stitching and simplifying; checks,
+//! comparisons and pictures of meshes.
 
 pub mod attribute;
 pub mod dual_mc;

@@ -1,12 +1,12 @@
-//! Solids that a fluid ends at, by their signed distance at the centres of cells.
+//! Solids at which a fluid ends, as signed distances at the centres of cells.
 //!
-//! A solid is a closed mesh. Its inside is what the mesh winds around: pieces may overlap or touch,
-//! a piece in another that faces the other way is a cavity, and a solid that faces inwards as a
-//! whole is the same solid. How often a mesh winds around a place is counted where a line along x
-//! passes through it. The distance is that of the nearest point on any triangle.
+//! A solid is a closed mesh. Its inside is where the winding number is not 0: parts may overlap or
+//! touch, and a part inside another that faces the other way is a cavity. A solid that faces
+//! inwards as a whole is the same solid. The winding number of a place is counted along a line in x
+//! direction. The distance is that of the nearest point on any triangle.
 //!
-//! A distance depends on the cell alone, and not on the box of cells that it is asked for with:
-//! cells are looked at in cubes of 4^3, by the distance of the cube's middle.
+//! A distance depends only on the cell, not on the box of cells in a request: cells are processed
+//! in cubes of 4^3, bounded by the distance of the cube's centre.
 
 use glam::{DVec3, IVec3};
 use thiserror::Error;
@@ -19,14 +19,14 @@ use super::mesh::Mesh;
 use super::mesh::compare::{CompareError, Surface};
 use super::mesh::measure::measure;
 
-/// Bytes of memory that a solid takes for each triangle, with its share of the vertices.
+/// Bytes of memory of a solid per triangle, including its share of the vertices.
 const TRIANGLE_BYTES: u64 = 320;
 
-/// A mesh that is no solid.
+/// A mesh that cannot be a solid.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SolidFault {
-    /// The mesh has no surface, or a vertex that is no point.
+    /// The mesh has no surface, or an invalid vertex.
     #[error(transparent)]
     Mesh(#[from] CompareError),
     /// The mesh has holes.
@@ -35,21 +35,21 @@ pub enum SolidFault {
          that are apart by a rounding"
     )]
     Open {
-        /// How many edges have one triangle.
+        /// Number of edges with only one triangle.
         edges: usize,
     },
-    /// Triangles beside one another face opposite ways.
+    /// Neighbouring triangles face opposite ways.
     #[error(
         "triangles on both sides of {edges} edges face opposite ways, so that inside and outside are not defined: recalculate the \
          normals of the mesh, or turn the triangles that face inwards"
     )]
     Inconsistent {
-        /// How many such edges there are.
+        /// Number of such edges.
         edges: usize,
     },
 }
 
-/// Closed meshes that a fluid ends at.
+/// Closed meshes at which a fluid ends.
 #[derive(Debug)]
 pub struct Solid {
     meshes: Vec<Surface>,
@@ -60,7 +60,7 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// Solids before which the fluid ends by an offset.
+    /// Combines meshes, with the distance at which the fluid ends before them.
     ///
     /// # Errors
     /// [`SolidFault`], with the number of the mesh.
@@ -88,20 +88,19 @@ impl Solid {
         Ok(solid)
     }
 
-    /// By how many spacings the fluid ends before the solid.
+    /// The distance between the fluid and the solid in spacings.
     #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset.spacings()
     }
 
-    /// The numbers of the meshes whose triangles face inwards, and are taken to face outwards.
+    /// The numbers of the meshes whose triangles face inwards and were reversed.
     #[must_use]
     pub fn turned(&self) -> &[usize] {
         &self.turned
     }
 
-    /// How thick each mesh is, as a plate of its volume and area would be; infinite where that is
-    /// not known.
+    /// The thickness of each mesh: that of a plate with its volume and area; infinite if unknown.
     #[must_use]
     pub fn thickness(&self) -> &[f64] {
         &self.thickness
@@ -113,8 +112,8 @@ impl Solid {
         self.triangles * TRIANGLE_BYTES
     }
 
-    /// Whether some cells, 2^`level` times as wide as those of the grid, may hold any of a solid, or
-    /// lie in one.
+    /// Whether some cells, 2^`level` times as wide as those of the grid, may contain a part of a
+    /// solid, or lie in one.
     #[must_use]
     pub fn is_near(&self, grid: &Grid, level: u32, cells: CellBox) -> bool {
         let world = |cell: IVec3| grid.world_from_cells(cell.as_dvec3() * width(level));
@@ -123,8 +122,8 @@ impl Solid {
     }
 
     /// Signed distances of the centres of some cells, 2^`level` times as wide as those of the grid,
-    /// in steps of length `step`: negative in a solid, and at most 32767 steps. What is more than
-    /// `most` steps away is told to be that far.
+    /// in steps of length `step`: negative in a solid, and at most 32767 steps. Distances of more
+    /// than `most` steps are clamped.
     #[must_use]
     pub fn distances(
         &self,
@@ -146,7 +145,7 @@ impl Solid {
     }
 }
 
-/// Cells of the grid along a cell that is 2^`level` times as wide.
+/// Number of grid cells along a cell that is 2^`level` times as wide.
 fn width(level: u32) -> f64 {
     f64::from(1_u32 << level)
 }
@@ -182,7 +181,7 @@ fn distances_from(
                 for x in part.lo.x..part.hi.x {
                     let cell = IVec3::new(x, y, z);
                     let at = centre(cell);
-                    // No farther than by way of the middle.
+                    // The triangle inequality through the cube's centre.
                     let bound = (of_middle + at.distance(middle)).min(farthest);
                     if let Some(distance) = mesh.distance_within(at, bound * (1.0 + 1e-9)) {
                         let steps = (distance / step).round().min(f64::from(most));
@@ -219,10 +218,10 @@ fn distances_from(
     distances
 }
 
-/// A mesh whose vertices in the same place are one.
+/// Merges the vertices of a mesh that have the same position.
 fn joined(mesh: Mesh) -> Mesh {
     let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    // Adding 0 leaves one of the two zeros.
+    // Adding 0 makes both zeros equal.
     let key = |vertex: u32| mesh.positions[vertex as usize].map(|x| (x + 0.0).to_bits());
     order.sort_unstable_by_key(|&vertex| (key(vertex), vertex));
     let mut first_of: Vec<u32> = (0..mesh.positions.len() as u32).collect();
@@ -239,8 +238,8 @@ fn joined(mesh: Mesh) -> Mesh {
     Mesh { positions: mesh.positions, triangles, ..Mesh::default() }
 }
 
-/// Refuses a mesh that does not wind around every place a whole number of times: every edge is run
-/// along as often in one direction as in the other.
+/// Rejects a mesh unless its winding number is an integer everywhere: every edge must occur equally
+/// often in both directions.
 fn refuse_unclosed(mesh: &Mesh) -> Result<(), SolidFault> {
     let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
     let mut edges: Vec<([u32; 2], i8)> =
@@ -266,7 +265,7 @@ fn refuse_unclosed(mesh: &Mesh) -> Result<(), SolidFault> {
 mod tests {
     use super::*;
 
-    /// A box of two triangles a side, turned about z by an angle.
+    /// A box with two triangles per side, rotated about z by an angle.
     fn turned_box(lo: DVec3, hi: DVec3, angle: f64) -> Mesh {
         let corner = |i: u32| {
             let [x, y, z] = [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { lo } else { hi }[axis]);
@@ -348,7 +347,7 @@ mod tests {
         };
         assert_eq!(middle(both(outer.clone(), &inner)), -500);
         assert_eq!(middle(both(outer, &inwards)), 500);
-        // By itself it is a box again.
+        // The inner mesh alone is a box again.
         let turned = solid(vec![inner, inwards.clone()]);
         assert_eq!(turned.turned(), [1]);
         assert_eq!(middle(inwards), -500);
@@ -367,7 +366,7 @@ mod tests {
         turned.triangles[0].reverse();
         assert_eq!(fault(&turned), (1, SolidFault::Inconsistent { edges: 3 }));
         assert!(matches!(fault(&Mesh::default()), (1, SolidFault::Mesh(_))));
-        // Every triangle with vertices of its own.
+        // Every triangle has its own vertices.
         let apart = Mesh {
             positions: whole
                 .triangles

@@ -1,6 +1,6 @@
-//! Bits of a word.
+//! Iteration over the bits of a word.
 
-/// Places of the bits that are set, from the lowest.
+/// Indices of the set bits, from the lowest.
 #[inline]
 pub(crate) fn ones(mut word: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {

@@ -1,4 +1,4 @@
-//! Cancelling work at any time and from any thread, without leaving unfinished files.
+//! Cancels work at any time and from any thread, without leaving unfinished files.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -35,33 +35,34 @@ impl From<Cancelled> for io::Error {
 #[derive(Debug, Default)]
 struct Shared {
     asked: AtomicBool,
-    /// The temporary files of outputs in progress, and after them the folders that were made for
+    /// The temporary files of outputs in progress, followed by the folders that were created for
     /// them.
     unfinished: Mutex<Vec<PathBuf>>,
-    /// Held by everyone whom no end of the process may disturb, and for good by that end itself.
+    /// Held for reading by work that [`abandon`](Cancel::abandon) must not interrupt; `abandon`
+    /// holds it for writing forever.
     undisturbed: RwLock<()>,
 }
 
 impl Cancel {
-    /// Makes a handle by which nothing is cancelled yet.
+    /// A handle that is not cancelled.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Asks all work with this handle to end soon, by an error whose cause is that. Every stage of
-    /// a frame looks for it as it goes.
+    /// Cancels all work with this handle: it ends soon with the error [`Cancelled`]. Every stage of
+    /// a frame checks the handle.
     pub fn cancel(&self) {
         self.0.asked.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it was asked to end.
+    /// Whether the work was cancelled.
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
         self.0.asked.load(Ordering::Relaxed)
     }
 
-    /// Refuses to go on once it was asked to end.
+    /// Returns an error if the work was cancelled.
     ///
     /// # Errors
     /// [`Cancelled`].
@@ -79,7 +80,7 @@ impl Cancel {
             let _ = std::fs::remove_file(path);
             remove_belongings(path);
         }
-        // Those that are folders, if nothing is in them.
+        // Folders are removed only if they are empty.
         for path in &*self.unfinished() {
             let _ = std::fs::remove_dir(path);
         }
@@ -94,14 +95,14 @@ impl Cancel {
         self.0.undisturbed.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does something short that no [`abandon`](Self::abandon) comes between.
+    /// Runs `act` without interruption by [`abandon`](Self::abandon).
     pub(crate) fn undisturbed<T>(&self, act: impl FnOnce() -> T) -> T {
         let _held = self.hold();
         act()
     }
 
-    /// Prepares an output whose `temporary` files and empty folders are removed, in that order, when
-    /// all is abandoned, also if that comes right after.
+    /// Prepares an output. Its `temporary` files and empty folders are removed, in this order, by
+    /// [`abandon`](Self::abandon), even immediately after the preparation.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
@@ -115,26 +116,24 @@ impl Cancel {
     }
 }
 
-/// Endings of the names of folders that belong to a temporary file: one that is filled, and one
-/// that it replaces.
+/// Suffixes of the folders of a temporary file: the new folder, and the old one that it replaces.
 pub(crate) const BELONGINGS: [&str; 2] = [".new", ".old"];
 
-/// The folder of this ending that belongs to a temporary file.
+/// The folder of a temporary file with this suffix.
 pub(crate) fn belonging(temporary: &Path, ending: &str) -> PathBuf {
     let mut name = temporary.as_os_str().to_owned();
     name.push(ending);
     name.into()
 }
 
-/// Removes the folders that belong to a temporary file.
+/// Removes the folders of a temporary file.
 pub(crate) fn remove_belongings(temporary: &Path) {
     for ending in BELONGINGS {
         let _ = std::fs::remove_dir_all(belonging(temporary, ending));
     }
 }
 
-/// An output in progress: as long as this lives, its temporary files are removed when all is
-/// abandoned.
+/// An output in progress. Until this is dropped, [`Cancel::abandon`] removes its temporary files.
 #[derive(Debug)]
 pub(crate) struct Unfinished {
     of: Cancel,
@@ -142,7 +141,7 @@ pub(crate) struct Unfinished {
 }
 
 impl Unfinished {
-    /// Whether its maker was asked to end.
+    /// Whether the work was cancelled.
     pub(crate) fn is_cancelled(&self) -> bool {
         self.of.is_cancelled()
     }
@@ -153,7 +152,7 @@ impl Drop for Unfinished {
         let _held = self.of.hold();
         let mut unfinished = self.of.unfinished();
         for own in &self.paths {
-            // Several outputs may be waiting for the same folder.
+            // Several outputs may have created the same folder.
             if let Some(at) = unfinished.iter().position(|path| path == own) {
                 unfinished.remove(at);
             }
@@ -180,7 +179,7 @@ mod tests {
         cancel.abandon();
         assert!(done.exists() && !begun.exists());
         assert!(!cancel.is_cancelled());
-        // Dropped, it would wait for the end of the process.
+        // Dropping it would wait until the process ends.
         std::mem::forget(unfinished);
     }
 
@@ -198,7 +197,7 @@ mod tests {
             let paths = || vec![file.clone(), inner.clone(), outer.clone()];
             cancel.guard(prepare, |()| paths()).unwrap().1
         };
-        // The folders are waited for by one output less when the first is dropped.
+        // Dropping the first output removes one entry of each folder.
         drop(begin("done"));
         let second = begin("second");
         fs::remove_file(inner.join("done")).unwrap();

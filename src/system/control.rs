@@ -1,4 +1,4 @@
-//! The caller's hold on long work: how far it has come, and an early end.
+//! Progress and cancellation of long work.
 
 use std::fmt;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -7,15 +7,15 @@ use std::time::{Duration, Instant};
 
 use super::cancel::{Cancel, Cancelled};
 
-/// A step on the way from particles to a mesh file.
+/// A stage between particles and a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Stage {
     /// The input is read.
     Reading,
-    /// Particles are counted in the cells, to know what memory the frame takes.
+    /// Particles are counted in cells, to estimate the memory of the frame.
     Counting,
-    /// A large frame waits until others are done.
+    /// A large frame waits for others to finish.
     Waiting,
     /// Particles are sampled on the grid.
     Sampling,
@@ -28,7 +28,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// The stage in one word, such as "meshing".
+    /// The name of the stage, such as "meshing".
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -53,19 +53,19 @@ impl fmt::Display for Stage {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Progress {
-    /// The stage that it is in.
+    /// The current stage.
     pub stage: Stage,
-    /// The share of this stage that is done, from 0 to 1.
+    /// The finished fraction of this stage, from 0 to 1.
     pub done: f64,
 }
 
-/// Takes progress, from any thread.
+/// A callback for progress, called from any thread.
 pub type Watcher = Arc<dyn Fn(Progress) + Send + Sync>;
 
-/// The caller's hold on a frame.
+/// Progress and cancellation of a frame, for its caller.
 #[derive(Clone, Default)]
 pub struct Control {
-    /// The handle that ends it early.
+    /// The cancel handle.
     pub cancel: Cancel,
     /// The callback for progress.
     pub progress: Option<Watcher>,
@@ -80,30 +80,30 @@ impl Control {
         work: impl FnOnce() -> Result<T, E>,
     ) -> Result<T, E> {
         self.cancel.go_on()?;
-        self.tell(stage, 0.0);
+        self.report(stage, 0.0);
         let result = work();
         self.cancel.go_on()?;
         if result.is_ok() {
-            self.tell(stage, 1.0);
+            self.report(stage, 1.0);
             self.cancel.go_on()?;
         }
         result
     }
 
-    /// Reports the beginning of a stage.
+    /// Reports the start of a stage.
     pub(crate) fn begin(&self, stage: Stage) {
-        self.tell(stage, 0.0);
+        self.report(stage, 0.0);
     }
 
     /// Returns a meter for a stage of `parts` parts.
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
         let done = AtomicUsize::new(0);
-        let told = Mutex::new((0, Instant::now()));
-        Meter { control: self, stage, span: [0.0, 1.0], parts, done, told }
+        let last_report = Mutex::new((0, Instant::now()));
+        Meter { control: self, stage, span: [0.0, 1.0], parts, done, last_report }
     }
 
     /// Reports the progress of a stage.
-    fn tell(&self, stage: Stage, done: f64) {
+    fn report(&self, stage: Stage, done: f64) {
         if let Some(progress) = &self.progress {
             progress(Progress { stage, done });
         }
@@ -112,53 +112,53 @@ impl Control {
 
 /// Maximum number of progress reports of a stage.
 const STEPS: usize = 128;
-/// The time after which the caller is told of less than a step.
+/// Minimum time between reports of less than a step.
 const LONG: Duration = Duration::from_millis(50);
 
-/// Counts the finished parts of a stage over all threads, reports progress to the caller, and says
-/// whether to go on.
+/// Counts the finished parts of a stage on all threads, reports progress to the caller, and checks
+/// for a cancel.
 #[derive(Debug)]
 pub struct Meter<'a> {
     control: &'a Control,
     stage: Stage,
-    /// The share of the stage that the parts are.
+    /// The range of the stage that the parts make up.
     span: [f64; 2],
     parts: usize,
     done: AtomicUsize,
-    /// Parts that were reported, and when. A thread that finds the lock taken leaves the report to
-    /// the other.
-    told: Mutex<(usize, Instant)>,
+    /// The last reported number of parts, and its time. A thread that finds the lock taken skips
+    /// its report.
+    last_report: Mutex<(usize, Instant)>,
 }
 
 impl Meter<'_> {
-    /// Makes all parts together the share of the stage between `from` and `to`.
+    /// The parts make up the stage between `from` and `to`.
     pub fn between(self, from: f64, to: f64) -> Self {
         Self { span: [from, to], ..self }
     }
 
-    /// Refuses to go on once the caller has asked for an early end.
+    /// Returns an error if the caller cancelled the work.
     pub fn go_on(&self) -> Result<(), Cancelled> {
         self.control.cancel.go_on()
     }
 
-    /// Whether the caller has not asked for an early end.
+    /// Whether the caller has not cancelled the work.
     pub fn goes_on(&self) -> bool {
         !self.control.cancel.is_cancelled()
     }
 
-    /// Adds `parts` to the finished ones.
+    /// Adds `parts` finished parts.
     pub fn add(&self, parts: usize) {
         self.done.fetch_add(parts, Ordering::Relaxed);
-        let Ok(mut told) = self.told.try_lock() else { return };
+        let Ok(mut last_report) = self.last_report.try_lock() else { return };
         let done = self.done.load(Ordering::Relaxed);
-        let (before, since) = *told;
+        let (before, since) = *last_report;
         let is_step = done >= before + self.parts.div_ceil(STEPS);
         let is_due = is_step || done > before && since.elapsed() >= LONG;
-        // What follows the last part is of the stage, too.
+        // The end of the last part is not the end of the stage.
         if done < self.parts && is_due && self.goes_on() {
-            *told = (done, Instant::now());
+            *last_report = (done, Instant::now());
             let [from, to] = self.span;
-            self.control.tell(self.stage, from + (to - from) * done as f64 / self.parts as f64);
+            self.control.report(self.stage, from + (to - from) * done as f64 / self.parts as f64);
         }
     }
 }
@@ -174,14 +174,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_that_took_long_is_told_of_though_it_is_less_than_a_step() {
-        let told = Arc::new(Mutex::new(Vec::new()));
-        let hear = Arc::clone(&told);
+    fn a_part_that_took_long_is_reported_although_it_is_less_than_a_step() {
+        let last_report = Arc::new(Mutex::new(Vec::new()));
+        let hear = Arc::clone(&last_report);
         let watcher: Watcher = Arc::new(move |progress| hear.lock().unwrap().push(progress.done));
         let control = Control { progress: Some(watcher), ..Control::default() };
         let meter = control.meter(Stage::Meshing, 1 << 20);
         std::thread::sleep(2 * LONG);
         meter.add(1);
-        assert_eq!(*told.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
+        assert_eq!(*last_report.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
     }
 }

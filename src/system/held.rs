@@ -1,7 +1,8 @@
-//! Files that their process holds while it works on them, by which others tell whether it lives.
+//! Files that a process holds while it works on them, so that other processes can see whether it is
+//! alive.
 //!
-//! On Windows a file is held by refusing others the right to write: a lock there would refuse it to
-//! its holder, too. Elsewhere it is held by a lock, which most network file systems pass on.
+//! On Windows, the process denies others write access, because a lock would deny it to the process
+//! itself. Elsewhere, it holds a lock, which most network file systems support.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
@@ -9,11 +10,11 @@ use std::path::Path;
 
 /// Creates a file that this process holds until it is closed.
 ///
-/// Where locks are missing nobody can tell, and nothing that is held is taken. Where another process
-/// takes the file at once, it may have no name any more when this returns.
+/// Without support for locks, other processes cannot see whether the file is held, and do not take
+/// it. If another process takes the file immediately, its name may be gone when this returns.
 ///
 /// # Errors
-/// The system's, such as [`io::ErrorKind::AlreadyExists`].
+/// Errors of the system, such as [`io::ErrorKind::AlreadyExists`].
 pub fn create(path: &Path) -> io::Result<File> {
     let file = options().create_new(true).open(path)?;
     #[cfg(not(windows))]
@@ -21,10 +22,10 @@ pub fn create(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Opens a file that no process holds, and keeps others from taking it until it is closed.
+/// Opens a file that no process holds, and prevents others from taking it until it is closed.
 ///
 /// # Errors
-/// [`TryLockError::WouldBlock`] for a file that is held or taken, and the system's own.
+/// [`TryLockError::WouldBlock`] for a file that is held or taken, and errors of the system.
 pub fn take(path: &Path) -> Result<File, TryLockError> {
     let file = options().open(path).map_err(|fault| match fault.raw_os_error() {
         Some(SHARING_VIOLATION) if cfg!(windows) => TryLockError::WouldBlock,
@@ -35,15 +36,16 @@ pub fn take(path: &Path) -> Result<File, TryLockError> {
     Ok(file)
 }
 
-/// Whether a process holds a file, as far as the file system tells.
+/// Whether a process holds a file, if the file system supports locks.
 pub fn is_held(path: &Path) -> bool {
     matches!(take(path), Err(TryLockError::WouldBlock))
 }
 
-/// The error of Windows for a file that another process keeps from being opened like that.
+/// The error of Windows for a file that another process has opened exclusively.
 const SHARING_VIOLATION: i32 = 32;
 
-/// Options for reading and writing: over a network some locks are for readers, and some for writers.
+/// Opens for reading and writing, because over a network some locks need read access and some write
+/// access.
 fn options() -> OpenOptions {
     let mut options = OpenOptions::new();
     options.read(true).write(true);
@@ -52,7 +54,7 @@ fn options() -> OpenOptions {
         use std::os::windows::fs::OpenOptionsExt;
         const READ: u32 = 1;
         const DELETE: u32 = 4;
-        // Others may read the file, rename and delete it, and not write it.
+        // Others may read, rename and delete the file, but not write it.
         options.share_mode(READ | DELETE);
     }
     options

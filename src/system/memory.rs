@@ -1,4 +1,4 @@
-//! How much memory this process may take, and has taken.
+//! Available and peak memory of this process.
 
 use std::fs::read_to_string;
 use std::io;
@@ -50,8 +50,8 @@ fn group_available() -> Option<u64> {
     })
 }
 
-/// Bytes that this process's limits on data and on addresses leave: files that are mapped later
-/// take of the addresses too.
+/// Bytes that remain within this process's limits on data and address space. Files that are mapped
+/// later also use address space.
 fn limit_available() -> Option<u64> {
     let limits = read_to_string("/proc/self/limits").ok()?;
     let left = |limit: &str, used: &str| {
@@ -63,7 +63,7 @@ fn limit_available() -> Option<u64> {
     all.into_iter().flatten().min()
 }
 
-/// The most memory that this process ever had resident, in bytes, mapped files included.
+/// Peak resident memory of this process in bytes, including mapped files.
 #[must_use]
 pub fn peak_memory() -> Option<u64> {
     kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
@@ -77,7 +77,7 @@ pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
     zeros
 }
 
-/// An empty vector with room, in huge pages where the system has them.
+/// An empty vector with this capacity, in huge pages if the system has them.
 pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     let mut empty = Vec::with_capacity(capacity);
     advise_huge_pages(empty.spare_capacity_mut());
@@ -87,17 +87,17 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
 /// A separate mapping of zeros, in huge pages if the system has them and `bytes` fill some.
 ///
 /// # Errors
-/// Where the system has no memory left.
+/// If the system has no memory left.
 pub(crate) fn mapped_in_huge_pages(bytes: usize) -> io::Result<MmapMut> {
     let zeros = MmapMut::map_anon(bytes)?;
     advise_huge_pages(&zeros);
     Ok(zeros)
 }
 
-/// Before anything is written: what has its pages keeps them.
+/// Called before anything is written, because existing pages do not change.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn advise_huge_pages<T>(memory: &[T]) {
-    /// The alignment of huge pages on most machines; on others less of the memory lies in them.
+    /// The size of huge pages on most machines; on others, less of the memory is in huge pages.
     const HUGE: usize = 2 << 20;
     let bytes = memory.as_ptr().cast::<u8>();
     let first = bytes.align_offset(HUGE).min(size_of_val(memory));

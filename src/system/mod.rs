@@ -1,5 +1,5 @@
-//! Resources of the machine: memory and its budget, scratch files, time, an early end, and bits of
-//! its words.
+//! Resources of the machine: memory and its limit, scratch files, time, cancellation, and bits of
+//! words.
 
 pub(crate) mod bits;
 pub mod cancel;

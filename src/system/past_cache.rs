@@ -1,42 +1,42 @@
-//! Writing a large file past the system's cache.
+//! Writes a large file without the system's cache.
 //!
-//! A program that writes gigabytes and waits until they are on disk gains nothing from the cache:
-//! the system finds as much memory, copies everything into it, and drops useful data for it, such
-//! as the particles of the next frame.
+//! A program that writes gigabytes and waits until they are on disk does not benefit from the
+//! cache: the system copies all data into it, and evicts useful data, such as the particles of the
+//! next frame.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
 
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 
-/// Bytes of any file that go through the cache: a small one may be read again at once.
+/// Bytes at the start of each file that are written through the cache, because a small file may
+/// soon be read again.
 const CACHED: u64 = 64 << 20;
-/// Bytes that are written past the cache at once.
+/// Bytes per write without the cache.
 const PIECE: usize = 1 << 20;
-/// The multiple at which pieces that are written past the cache begin and end, in memory and in the
-/// file, in bytes.
+/// Alignment of uncached writes in bytes, in memory and in the file.
 const PAGE: usize = 4096;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(4096))]
 struct Page([u8; PAGE]);
 
-/// A file that is written in order, and is whole after [`finish`](Self::finish).
+/// A file that is written in order, and complete after [`finish`](Self::finish).
 pub struct PastCache<'a> {
     file: &'a File,
     way: Way,
 }
 
-/// How what comes next is written.
+/// How the next bytes are written.
 enum Way {
-    /// Through the cache, this many bytes at the most.
+    /// Through the cache, at most this many bytes.
     Cached(u64),
-    /// Past it by pieces, of which the next is filled so far.
+    /// Without the cache, in pieces. The current piece has `filled` bytes.
     Past { piece: Vec<Page>, filled: usize },
 }
 
 impl<'a> PastCache<'a> {
-    /// Takes a file that is empty.
+    /// Writes an empty file.
     pub fn new(file: &'a File) -> Self {
         Self::after(CACHED, file)
     }
@@ -46,10 +46,10 @@ impl<'a> PastCache<'a> {
         Self { file, way: Way::Cached(cached) }
     }
 
-    /// Writes what is left of the last piece.
+    /// Writes the rest of the last piece.
     ///
     /// # Errors
-    /// The system's, such as a full disk.
+    /// Errors of the system, such as a full disk.
     pub fn finish(mut self) -> io::Result<()> {
         match &self.way {
             Way::Cached(_) => Ok(()),
@@ -57,7 +57,7 @@ impl<'a> PastCache<'a> {
         }
     }
 
-    /// Begins with the first piece, or keeps to the cache where the file system knows no other way.
+    /// Starts the first uncached piece, or stays with the cache if the file system requires it.
     fn leave_cache(&mut self) {
         self.way = match past_cache(self.file, true) {
             Ok(()) => Way::Past { piece: vec![Page::zeroed(); PIECE / PAGE], filled: 0 },
@@ -65,7 +65,7 @@ impl<'a> PastCache<'a> {
         };
     }
 
-    /// Keeps to the cache from byte `from` of the piece on.
+    /// Writes through the cache from byte `from` of the piece on.
     fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
         let Way::Past { piece, filled } = std::mem::replace(&mut self.way, Way::Cached(u64::MAX))
         else {
@@ -109,7 +109,7 @@ impl Write for PastCache<'_> {
     }
 }
 
-/// Writes pages, and returns how many bytes of them could be written past the cache.
+/// Writes pages, and returns the number of bytes that were written without the cache.
 fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
     let mut written = 0;
     while written < pages.len() && written % PAGE == 0 {
@@ -117,7 +117,7 @@ fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
             Ok(0) => return Err(ErrorKind::WriteZero.into()),
             Ok(count) => written += count,
             Err(fault) if fault.kind() == ErrorKind::Interrupted => {}
-            // Some file systems refuse it no sooner than now.
+            // Some file systems report only here that they require the cache.
             Err(fault) if fault.kind() == ErrorKind::InvalidInput => break,
             Err(fault) => return Err(fault),
         }
@@ -125,7 +125,7 @@ fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
     Ok(written)
 }
 
-/// Lets what is written to a file from now on go past the cache, or through it.
+/// Switches the cache off or on for later writes to a file.
 fn past_cache(file: &File, past: bool) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     {
@@ -148,7 +148,8 @@ mod tests {
 
     use super::*;
 
-    /// The content of a new file that has `before`, after `bytes` were written `at_once`.
+    /// The content of a new file that starts with `before`, after `bytes` were written in chunks of
+    /// `at_once`.
     fn written(folder: &Path, before: &[u8], bytes: &[u8], at_once: usize) -> Vec<u8> {
         let mut file = tempfile::NamedTempFile::new_in(folder).unwrap();
         file.write_all(before).unwrap();
@@ -158,7 +159,7 @@ mod tests {
         fs::read(file.path()).unwrap()
     }
 
-    /// A folder on a disk, and one in memory, where many systems have one.
+    /// A folder on a disk, and one in memory, if the system has one.
     fn folders() -> impl Iterator<Item = tempfile::TempDir> {
         let in_memory = Path::new("/dev/shm");
         let in_memory = in_memory.is_dir().then(|| tempfile::tempdir_in(in_memory).unwrap());
@@ -198,7 +199,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_written_past_the_cache_is_written_through_it() {
-        // No page of the file begins where one of what is written does.
+        // The pages of the file and those of the written data are offset.
         for folder in folders() {
             let bytes = bytes(3 * PIECE + 5);
             let all = [&b"odd"[..], &bytes].concat();

@@ -1,6 +1,6 @@
-//! Files that are read by position, of which only those that were read last are open: a frame may
-//! be in more pieces than a process may have open files. Whichever is opened again is made sure to
-//! be the file that it was.
+//! Files that are read by position. Only the most recently read ones are open, because a frame may
+//! have more pieces than a process may have open files. After reopening, a check ensures that the
+//! file is the same.
 
 use std::fs::{File, Metadata};
 use std::io;
@@ -14,19 +14,18 @@ use quick_cache::{OptionsBuilder, UnitWeighter};
 #[cfg(target_os = "linux")]
 use std::num::NonZeroU64;
 
-/// Files that stay open, at the most: more than threads read at once, and far fewer than any system
-/// allows.
+/// Maximum number of files that stay open: more than threads that read at once, and far fewer than
+/// any system allows.
 pub const MOST_OPEN: usize = 96;
 
-/// Files that are open, by their numbers.
+/// The open files by their numbers.
 static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
     let options = OptionsBuilder::new()
         .estimated_items_capacity(MOST_OPEN)
         .weight_capacity(MOST_OPEN as u64)
-        // They are read one after the other, so that those that were read often before are worth no
-        // more than those of the moment.
+        // Files are read one after the other, so recent reads matter more than frequent ones.
         .hot_allocation(0.5)
-        // So that the number is exact.
+        // With one shard, the capacity is exact.
         .shards(1)
         .build()
         .expect("all that has no default is given");
@@ -34,19 +33,19 @@ static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
 });
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
-/// A file's identity, size and time, which show whether it was changed or replaced since.
+/// A file's identity, size and time, which show whether it was changed or replaced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileStamp {
     /// The file's size.
     pub bytes: u64,
     modified: Option<SystemTime>,
-    /// Device and number there.
+    /// Device and inode.
     #[cfg(unix)]
     node: [u64; 2],
 }
 
 impl FileStamp {
-    /// Stamps a file by what the system says of it.
+    /// The stamp from the system's metadata.
     pub fn of(metadata: &Metadata) -> Self {
         #[cfg(unix)]
         use std::os::unix::fs::MetadataExt;
@@ -59,12 +58,12 @@ impl FileStamp {
     }
 }
 
-/// A file that cannot be read as it was.
+/// An error of reading a file that should be unchanged.
 #[derive(Debug)]
 pub enum Lost {
-    /// Written to meanwhile, or replaced by another of its name.
+    /// The file was changed or replaced.
     Changed,
-    /// The system's refusal.
+    /// The system's error.
     Io(io::Error),
 }
 
@@ -83,7 +82,7 @@ impl From<io::Error> for Lost {
     }
 }
 
-/// A file that is opened again whenever it is read and is not open any more.
+/// A file that is reopened for reading if it is not open.
 #[derive(Debug)]
 pub struct ReopenedFile {
     number: u64,
@@ -92,10 +91,10 @@ pub struct ReopenedFile {
 }
 
 impl ReopenedFile {
-    /// Takes the file at `path`, which is open.
+    /// Takes the open file at `path`.
     ///
     /// # Errors
-    /// The system's.
+    /// Errors of the system.
     pub fn new(path: &Path, file: File) -> io::Result<Self> {
         let stamp = FileStamp::of(&file.metadata()?);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
@@ -103,21 +102,20 @@ impl ReopenedFile {
         Ok(Self { number, path: absolute(path)?, stamp })
     }
 
-    /// A number that no other has.
+    /// A unique number.
     pub fn number(&self) -> u64 {
         self.number
     }
 
-    /// The file as it was when it was taken.
+    /// The stamp of the file when it was first opened.
     pub fn stamp(&self) -> FileStamp {
         self.stamp
     }
 
-    /// The file, open.
+    /// The open file.
     ///
     /// # Errors
-    /// [`Lost::Changed`] where it has to be opened again and is not what it was, and the system's
-    /// refusal to open it.
+    /// [`Lost::Changed`] if the file must be reopened and has changed, and errors of the system.
     pub fn file(&self) -> Result<Arc<File>, Lost> {
         OPEN.get_or_insert_with(&self.number, || {
             let file = File::open(&self.path)?;
@@ -129,16 +127,16 @@ impl ReopenedFile {
         })
     }
 
-    /// Fills `bytes` from position `at` on.
+    /// Fills `bytes` from position `at`.
     ///
     /// # Errors
-    /// As [`file`](Self::file); and [`io::ErrorKind::UnexpectedEof`] past the file's end.
+    /// Those of [`file`](Self::file), and [`io::ErrorKind::UnexpectedEof`] past the file's end.
     pub fn read_exact_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), Lost> {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }
 
-    /// Makes sure that the file is what it was: if it is open still, whatever has its name
-    /// meanwhile.
+    /// Checks that the file is unchanged. While it is open, a different file with the same name
+    /// does not matter.
     pub fn check(&self) -> Result<(), Lost> {
         let metadata = match OPEN.get(&self.number) {
             Some(file) => file.metadata()?,
@@ -154,10 +152,10 @@ impl Drop for ReopenedFile {
     }
 }
 
-/// Fills `bytes` from position `at` on.
+/// Fills `bytes` from position `at`.
 ///
 /// # Errors
-/// The system's, and [`io::ErrorKind::UnexpectedEof`] past the file's end.
+/// Errors of the system, and [`io::ErrorKind::UnexpectedEof`] past the file's end.
 pub fn read_exact_at(file: &File, at: u64, bytes: &mut [u8]) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::read_exact_at(file, bytes, at);
@@ -165,10 +163,10 @@ pub fn read_exact_at(file: &File, at: u64, bytes: &mut [u8]) -> io::Result<()> {
     return windows::read_exact_at(file, bytes, at);
 }
 
-/// Writes all of `bytes` from position `at` on.
+/// Writes all of `bytes` from position `at`.
 ///
 /// # Errors
-/// The system's, such as a full disk.
+/// Errors of the system, such as a full disk.
 pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::write_all_at(file, bytes, at);
@@ -176,16 +174,16 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     return windows::write_all_at(file, bytes, at);
 }
 
-/// Asks the system to read `bytes` from position `at` on ahead of time.
+/// Asks the system to read `bytes` from position `at` in advance.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
-    // A refusal is no matter.
+    // An error has no effect.
     #[cfg(target_os = "linux")]
     let _ = rustix::fs::fadvise(file, at, NonZeroU64::new(bytes), rustix::fs::Advice::WillNeed);
     #[cfg(not(target_os = "linux"))]
     let _ = (file, at, bytes);
 }
 
-/// Whole ranges by calls that read or write a part.
+/// Reads and writes whole ranges with calls that may handle only a part.
 #[cfg(windows)]
 mod windows {
     use std::fs::File;
@@ -245,8 +243,7 @@ mod tests {
             assert_eq!(read(number).unwrap(), format!("{number:04}").as_bytes());
             taken[number].check().unwrap();
         }
-        // What is not open any more is seen to have changed, or to be another file, by whoever
-        // reads or asks.
+        // For files that are not open any more, a later read or check detects changes.
         assert!(OPEN.len() <= MOST_OPEN);
         let closed = |number: &usize| OPEN.get(&taken[*number].number).is_none();
         let [gone, longer, other, ..] = (0..files).filter(closed).collect::<Vec<_>>()[..] else {

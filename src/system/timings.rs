@@ -1,8 +1,8 @@
-//! How long each stage of a frame took.
+//! Time of each stage of a frame.
 
 use std::time::Instant;
 
-/// Seconds that stages took, by name, in the order in which they ended.
+/// Seconds of each stage by name, in the order in which they ended.
 #[derive(Debug, Clone)]
 pub struct Timings {
     last: Instant,
@@ -16,25 +16,25 @@ impl Default for Timings {
 }
 
 impl Timings {
-    /// Ends a stage, which began when the one before it ended.
+    /// Ends a stage, which began when the previous one ended.
     pub fn done(&mut self, stage: &'static str) {
         let now = Instant::now();
         self.seconds.push((stage, (now - self.last).as_secs_f64()));
         self.last = now;
     }
 
-    /// Leaves out the time since the last stage ended: others were at work.
+    /// Ignores the time since the last stage ended, in which other work was done.
     pub fn skip(&mut self) {
         self.last = Instant::now();
     }
 
-    /// Seconds of every stage that has ended.
+    /// Seconds of every finished stage.
     #[must_use]
     pub fn seconds(&self) -> &[(&'static str, f64)] {
         &self.seconds
     }
 
-    /// Seconds of all stages together.
+    /// Seconds of all stages.
     #[must_use]
     pub fn total(&self) -> f64 {
         self.seconds.iter().map(|(_, seconds)| seconds).sum()

@@ -61,7 +61,7 @@ enum Memory {
     /// Memory of its own, which can be exported.
     Own(vk::DeviceMemory),
     /// A caller's, as is the buffer.
-    Foreign,
+    External,
 }
 
 /// A part of a buffer.
@@ -267,8 +267,8 @@ impl Device {
     /// written before must be done, or submitted before on the same queue with a dependency on
     /// compute shaders and transfers.
     #[must_use]
-    pub unsafe fn foreign_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
-        Arc::new(Buffer { device: Arc::clone(&self.shared), raw, memory: Memory::Foreign, bytes })
+    pub unsafe fn external_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
+        Arc::new(Buffer { device: Arc::clone(&self.shared), raw, memory: Memory::External, bytes })
     }
 }
 
@@ -405,7 +405,7 @@ impl View {
     pub fn address(&self) -> Option<vk::DeviceAddress> {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
         let info = vk::BufferDeviceAddressInfo::default().buffer(*raw);
-        let known = device.addresses && !matches!(memory, Memory::Foreign);
+        let known = device.addresses && !matches!(memory, Memory::External);
         // SAFETY: the buffer is the device's, and was made to have one.
         known.then(|| unsafe { device.raw.get_buffer_device_address(&info) } + self.offset)
     }
@@ -464,7 +464,7 @@ impl View {
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        if matches!(self.memory, Memory::Foreign) {
+        if matches!(self.memory, Memory::External) {
             return;
         }
         self.device.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
@@ -478,7 +478,7 @@ impl Drop for Buffer {
             }
             // SAFETY: it was bound to this buffer alone.
             Memory::Own(memory) => unsafe { self.device.raw.free_memory(memory, None) },
-            Memory::None | Memory::Foreign => {}
+            Memory::None | Memory::External => {}
         }
     }
 }

@@ -118,7 +118,7 @@ pub(super) struct AtomicCounters {
 }
 
 /// A device that a caller has opened, and keeps open.
-pub struct Foreign {
+pub struct ExternalDevice {
     /// The loader's functions for the instance.
     pub instance: ash::Instance,
     /// The device.
@@ -224,7 +224,7 @@ impl Device {
         // A device that offers it requires that it is enabled.
         let subset = names(&known, khr::portability_subset::NAME);
         let exports = names(&known, khr::external_memory_fd::NAME).filter(|_| options.exports);
-        let unfit = |lacks| VulkanError::Unfit { device: info.name.clone(), lacks };
+        let unfit = |lacks| VulkanError::Unsuitable { device: info.name.clone(), lacks };
         if options.exports && exports.is_none() {
             return Err(unfit("its memory cannot be exported"));
         }
@@ -252,8 +252,8 @@ impl Device {
     /// Works on a device that the caller has opened.
     ///
     /// # Errors
-    /// [`VulkanError::Unfit`] for a device that lacks what is needed; others where memory for the
-    /// first few objects is refused.
+    /// [`VulkanError::Unsuitable`] for a device that lacks what is needed; others where memory for
+    /// the first few objects is refused.
     ///
     /// # Safety
     /// - All handles must belong together, made for Vulkan 1.2 or later, with `timelineSemaphore`
@@ -264,8 +264,11 @@ impl Device {
     /// - Buffers made here belong to the queue's family: other families need a transfer of
     ///   ownership, and every reader on the device a dependency on compute shaders and transfers. A
     ///   buffer must not be dropped before the caller's own commands are done with it.
-    pub unsafe fn adopt(foreign: Foreign, options: &DeviceOptions) -> Result<Self, VulkanError> {
-        let Foreign { instance, physical, device, family, queue } = foreign;
+    pub unsafe fn adopt(
+        foreign: ExternalDevice,
+        options: &DeviceOptions,
+    ) -> Result<Self, VulkanError> {
+        let ExternalDevice { instance, physical, device, family, queue } = foreign;
         // SAFETY: the device is one of the instance's.
         let (properties, families) = unsafe {
             (
@@ -280,7 +283,7 @@ impl Device {
         if let Some(lacks) = lacks(&instance, physical, &properties).or(of_queue) {
             let device =
                 properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
-            return Err(VulkanError::Unfit { device, lacks });
+            return Err(VulkanError::Unsuitable { device, lacks });
         }
         Self::around(&instance, None, physical, device, vec![(family, queue)], options)
     }
@@ -591,8 +594,8 @@ impl fmt::Debug for Shared {
     }
 }
 
-impl fmt::Debug for Foreign {
+impl fmt::Debug for ExternalDevice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Foreign").field("family", &self.family).finish_non_exhaustive()
+        f.debug_struct("ExternalDevice").field("family", &self.family).finish_non_exhaustive()
     }
 }

@@ -258,7 +258,7 @@ impl Instance {
             });
         };
         match found.lacks {
-            Some(lacks) => Err(VulkanError::Unfit { device: found.name.clone(), lacks }),
+            Some(lacks) => Err(VulkanError::Unsuitable { device: found.name.clone(), lacks }),
             None => Ok(found.clone()),
         }
     }

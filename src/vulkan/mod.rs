@@ -13,7 +13,9 @@ mod shader;
 
 pub use batch::{Batch, Moment, Ticket};
 pub use buffer::{Buffer, Place, View};
-pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, PIECE, Queue, Queues, Timing};
+pub use device::{
+    Counters, Device, DeviceOptions, ExternalDevice, Limits, PIECE, Queue, Queues, Timing,
+};
 pub use faults::Faults;
 pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
 pub use shader::{ComputePipeline, Shader};
@@ -54,7 +56,7 @@ pub enum VulkanError {
     },
     /// A device that lacks what is needed.
     #[error("{device} cannot be used: {lacks}")]
-    Unfit {
+    Unsuitable {
         /// The name of the device.
         device: String,
         /// The requirement that the device does not meet.

@@ -237,7 +237,9 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
 /// A device with more than the default, if there is such.
 fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
     match device::open(options) {
-        Err(VulkanError::Unfit { device, lacks }) => device::skip(format!("{device}: {lacks}")),
+        Err(VulkanError::Unsuitable { device, lacks }) => {
+            device::skip(format!("{device}: {lacks}"))
+        }
         Err(why) => device::skip(why),
         Ok(opened) => return Some(opened),
     }

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use meniscus::error::{Cause, Conflict, Error, Untold};
+use meniscus::error::{Cause, Conflict, Error, NoEstimate};
 use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::FrameError;
@@ -14,7 +14,7 @@ use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::particles::{Particles, StridedPositions};
 use meniscus::internals::reconstruction::SpacingSource;
 use meniscus::internals::surface::mesh::check::check;
-use meniscus::{Emptiness, LiveSimulation, Reconstruction, Settings, Surface, UpAxis, Warning};
+use meniscus::{EmptyReason, LiveSimulation, Reconstruction, Settings, Surface, UpAxis, Warning};
 use tempfile::TempDir;
 
 #[cfg(target_os = "linux")]
@@ -137,7 +137,7 @@ fn a_report_tells_what_was_chosen_measured_and_left_out() {
 fn key(error: &Error) -> String {
     match error {
         Error::Unit(unit) => unit.name().to_owned(),
-        Error::Unfit(unfit) => unfit.setting.key(),
+        Error::SettingConflict(conflict) => conflict.setting.key(),
         Error::LittleMemory { .. } => "memory".to_owned(),
         other => panic!("{other} is about no setting"),
     }
@@ -149,8 +149,8 @@ fn numbers_out_of_range_are_refused_before_any_work() {
     let both = Settings { spacing: Some(1.0), radius: Some(0.5), ..Settings::default() };
     let cells = Settings { cell: Some(0.5), cell_size: Some(0.5), ..Settings::default() };
     for (what, request) in [
-        ("radius", Reconstruction::by(both)),
-        ("cell-size", Reconstruction::by(cells)),
+        ("radius", Reconstruction::new().with_settings(both)),
+        ("cell-size", Reconstruction::new().with_settings(cells)),
         ("spacing", asked().spacing(0.0)),
         ("cell-size", asked().cell_size(f64::NAN)),
         ("cell", asked().cell(-1.0)),
@@ -189,7 +189,10 @@ fn errors_name_the_file_and_lead_to_their_source() {
     assert!(in_file.to_string().starts_with(none.to_str().unwrap()), "{in_file}");
     let in_memory = Reconstruction::new().run(&[[1.0_f64; 3], [2.0, 9.0, 1.0]][..]).unwrap_err();
     assert!(
-        matches!(in_memory, Error::NoSpacing { path: None, particles: 2, why: Untold::TooFew, .. }),
+        matches!(
+            in_memory,
+            Error::NoSpacing { path: None, particles: 2, why: NoEstimate::TooFew, .. }
+        ),
         "{in_memory}"
     );
     let missing =
@@ -261,8 +264,12 @@ fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
         (asked().attributes(["heat"]), "attributes"),
     ] {
         let error = frame.surface_by(&other).unwrap_err();
-        let Error::Unfit(unfit) = &error else { panic!("{what:?}: {error}") };
-        assert_eq!((unfit.setting.name(), &unfit.with), (what, &Conflict::Sampled), "{error}");
+        let Error::SettingConflict(conflict) = &error else { panic!("{what:?}: {error}") };
+        assert_eq!(
+            (conflict.setting.name(), &conflict.with),
+            (what, &Conflict::Sampled),
+            "{error}"
+        );
     }
 }
 
@@ -311,7 +318,7 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_
     let left_out = drop.report().too_small.map(|too_small| too_small.drops);
     assert!(empty(&drop) && drop.report().lost == 0 && left_out == Some(1), "{:?}", drop.report());
     let warned =
-        |warning: &Warning| matches!(warning, Warning::Empty { why: Emptiness::TooSmall(_), .. });
+        |warning: &Warning| matches!(warning, Warning::Empty { why: EmptyReason::TooSmall(_), .. });
     assert!(drop.report().warnings.iter().any(warned), "{:?}", drop.report().warnings);
     // A file of it is as any other.
     let folder = TempDir::new().unwrap();

@@ -421,7 +421,7 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
     let planned = parts.plan().unwrap();
     let all: u64 = planned.parts.iter().map(|part| part.particles).sum();
     assert_eq!(all as usize, planned.census.binned);
-    assert!(planned.parts.iter().all(|part| part.kept >= part.particles && part.takes.is_some()));
+    assert!(planned.parts.iter().all(|part| part.kept >= part.particles && part.needs.is_some()));
     let made = [2, 0, 3, 1].map(|part| parts.part(part).unwrap());
     let surface = parts.merge().unwrap();
     assert_eq!(

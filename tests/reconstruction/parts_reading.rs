@@ -81,7 +81,7 @@ fn change_unseen(path: &Path, change: impl FnOnce(&mut [u8])) {
 fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
     let made = parts.part(part).unwrap();
-    assert!(!made.was_there);
+    assert!(!made.reused);
     (fs::read(made.path).unwrap(), made.read)
 }
 

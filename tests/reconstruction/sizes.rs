@@ -6,7 +6,7 @@ use meniscus::error::{Conflict, Error, SizeFault};
 use meniscus::files::Replace;
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::mesh::{Mesh, measure};
-use meniscus::{Cloud, Doubt, Reconstruction, SpacingSource, Warning};
+use meniscus::{Cloud, Reconstruction, SpacingSource, SpacingWarning, Warning};
 
 use crate::common::scene::Random;
 use crate::common::watertight;
@@ -232,7 +232,7 @@ fn sizes_that_are_none_are_counted() {
     let cloud = Cloud::new(&water.positions).with("radius", &radii);
     let surface = request().run(&cloud).unwrap();
     let found = surface.report().warnings.iter().find_map(|warning| match warning {
-        Warning::Spacing(Doubt::Sizes { invalid, larger, usual, .. }) => {
+        Warning::Spacing(SpacingWarning::Sizes { invalid, larger, usual, .. }) => {
             Some((*invalid, *larger, *usual))
         }
         _ => None,
@@ -263,15 +263,15 @@ fn what_has_no_sizes_says_so() {
         (request().size("radius").spacing(1.0), "spacing"),
         (request().size("radius").periodic([Some([0.0, 1.0]), None, None]), "periodic"),
     ] {
-        let Err(Error::Unfit(unfit)) = request.run(&cloud) else { panic!("{other}") };
-        assert_eq!(unfit.setting.name(), "size");
-        assert!(matches!(&unfit.with, Conflict::Setting(setting) if setting.name() == other));
+        let Err(Error::SettingConflict(conflict)) = request.run(&cloud) else { panic!("{other}") };
+        assert_eq!(conflict.setting.name(), "size");
+        assert!(matches!(&conflict.with, Conflict::Setting(setting) if setting.name() == other));
     }
     let folder = tempfile::tempdir().unwrap();
     let frame = request().sample(&cloud).unwrap();
     let output = request().packed_output(folder.path().join("a.mnf"), Replace::Refuse).unwrap();
-    let Err(Error::Unfit(unfit)) = frame.pack(output) else { panic!("packed") };
-    assert!(matches!(unfit.with, Conflict::PackedSizes));
+    let Err(Error::SettingConflict(conflict)) = frame.pack(output) else { panic!("packed") };
+    assert!(matches!(conflict.with, Conflict::PackedSizes));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 

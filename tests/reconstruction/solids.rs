@@ -207,7 +207,7 @@ fn an_offset_moves_the_water_s_face_and_a_solid_that_faces_inwards_is_turned_wit
             .each_ref()
             .map(|solid| at(request(0.5), solid).solid_offset(offset).run(&water[..]).unwrap());
         assert_eq!(bytes_of(&outwards), bytes_of(&inwards));
-        let is_turned = |warning: &Warning| *warning == Warning::Turned(solids[1].clone());
+        let is_turned = |warning: &Warning| *warning == Warning::InvertedSolid(solids[1].clone());
         let turned = |warnings: &[Warning]| warnings.iter().any(is_turned);
         assert!(turned(&inwards.report().warnings) && !turned(&outwards.report().warnings));
         let mesh = outwards.to_mesh().unwrap();
@@ -255,7 +255,7 @@ fn settings_that_do_not_go_with_solids_are_refused_by_name() {
     let solid = || Reconstruction::new().spacing(1.0).solids(["ball.obj"]);
     let particles = [[0.0; 3]];
     let refused = |request: Reconstruction| match request.run(&particles[..]) {
-        Err(Error::Unfit(unfit)) => (unfit.setting.name(), unfit.with),
+        Err(Error::SettingConflict(conflict)) => (conflict.setting.name(), conflict.with),
         other => panic!("{other:?}"),
     };
     let periodic = solid().periodic([Some([0.0, 4.0]), None, None]);

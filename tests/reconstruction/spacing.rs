@@ -7,12 +7,12 @@ use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
-use meniscus::error::{Error, Untold};
+use meniscus::error::{Error, NoEstimate};
 use meniscus::internals::io::output::read_mesh;
 use meniscus::mesh::{check, measure};
 use meniscus::{
-    Cells, Doubt, Event, LiveSimulation, Mistake, Reconstruction, Simulation, SpacingSource,
-    Summary, Surface,
+    Cells, Event, LiveSimulation, Reconstruction, Simulation, SpacingMistake, SpacingSource,
+    SpacingWarning, Summary, Surface,
 };
 use meniscus::{Slab, Warning};
 use tempfile::TempDir;
@@ -50,9 +50,9 @@ fn cells(surface: &Surface) -> &Cells {
     surface.report().cells.as_ref().unwrap()
 }
 
-fn contradiction(doubts: &[Doubt]) -> Option<(f64, Option<Mistake>)> {
-    doubts.iter().find_map(|doubt| match doubt {
-        Doubt::Contradicted { found, mistake, .. } => Some((*found, *mistake)),
+fn contradiction(warnings: &[SpacingWarning]) -> Option<(f64, Option<SpacingMistake>)> {
+    warnings.iter().find_map(|warning| match warning {
+        SpacingWarning::Contradicted { found, mistake, .. } => Some((*found, *mistake)),
         _ => None,
     })
 }
@@ -68,26 +68,27 @@ fn a_given_spacing_is_doubted_from_a_fifth_off_on_and_the_mistake_is_named() {
     let ball = ball();
     for sound in [0.85, 0.9, 1.0, 1.1, 1.2] {
         let surface = Reconstruction::new().spacing(sound * SPACING).run(&ball).unwrap();
-        assert_eq!(cells(&surface).doubts, [], "{sound}");
+        assert_eq!(cells(&surface).warnings, [], "{sound}");
     }
     for (wrong, mistake) in [
-        (0.1, Some(Mistake::Unit(0.1))),
+        (0.1, Some(SpacingMistake::Unit(0.1))),
         (0.25, None),
         (0.4, None),
-        (0.5, Some(Mistake::Radius)),
+        (0.5, Some(SpacingMistake::Radius)),
         (0.7, None),
         (1.5, None),
-        (2.0, Some(Mistake::Double)),
+        (2.0, Some(SpacingMistake::Double)),
         (4.0, None),
-        (10.0, Some(Mistake::Unit(10.0))),
+        (10.0, Some(SpacingMistake::Unit(10.0))),
     ] {
         let surface = Reconstruction::new().spacing(wrong * SPACING).run(&ball).unwrap();
         let (found, named) =
-            contradiction(&cells(&surface).doubts).unwrap_or_else(|| panic!("{wrong}"));
+            contradiction(&cells(&surface).warnings).unwrap_or_else(|| panic!("{wrong}"));
         assert!((found / SPACING - 1.0).abs() < 0.05, "{wrong}: {found}");
         assert_eq!(named, mistake, "{wrong}");
-        let warned =
-            |warning: &Warning| matches!(warning, Warning::Spacing(Doubt::Contradicted { .. }));
+        let warned = |warning: &Warning| {
+            matches!(warning, Warning::Spacing(SpacingWarning::Contradicted { .. }))
+        };
         assert_eq!(surface.report().warnings.iter().filter(|warning| warned(warning)).count(), 1);
     }
 }
@@ -104,7 +105,7 @@ fn many_particles_bear_out_a_spacing_while_they_are_counted() {
             Reconstruction::new().spacing(given).cell(if given < 1.0 { 1.0 } else { 0.5 });
         let frame = request.sample(&pool).unwrap();
         let found = frame.warnings().into_iter().find_map(|warning| match warning {
-            Warning::Spacing(Doubt::Contradicted { found, .. }) => Some(found),
+            Warning::Spacing(SpacingWarning::Contradicted { found, .. }) => Some(found),
             _ => None,
         });
         assert_eq!(found.is_some(), doubted, "{given}");
@@ -120,7 +121,7 @@ fn spray_does_not_make_a_right_spacing_doubtful() {
     let spray = fill(20.0, 0.5, 1.0, 9, |p| p.length() > 14.0);
     particles.extend(spray.into_iter().map(|p| p.map(|c| SPACING * c)));
     let surface = Reconstruction::new().spacing(SPACING).run(&particles).unwrap();
-    assert_eq!(contradiction(&cells(&surface).doubts), None);
+    assert_eq!(contradiction(&cells(&surface).warnings), None);
 }
 
 #[test]
@@ -138,7 +139,7 @@ fn the_program_names_both_figures_and_the_option_to_use() {
     let info = command(folder.path(), &["info", "f_1.xyz", "--json"]).output().unwrap();
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
     assert!((info[0]["spacing"].as_f64().unwrap() / SPACING - 1.0).abs() < 0.05, "{info}");
-    assert_eq!(info[0]["spacing_doubts"], serde_json::json!([]));
+    assert_eq!(info[0]["spacing_warnings"], serde_json::json!([]));
 }
 
 #[test]
@@ -161,16 +162,16 @@ fn the_spacing_of_a_packed_frame_is_doubted_when_it_is_packed_and_when_it_is_dra
 }
 
 /// The doubts that a simulation's events tell of.
-fn doubts_of(simulation: &Simulation) -> Vec<Doubt> {
-    let mut doubts = Vec::new();
+fn warnings_of(simulation: &Simulation) -> Vec<SpacingWarning> {
+    let mut warnings = Vec::new();
     let hear = |event| {
-        if let Event::Doubted(doubt) = event {
-            doubts.push(*doubt);
+        if let Event::SpacingWarning(warning) = event {
+            warnings.push(*warning);
         }
     };
     let summaries = simulation.run(hear).unwrap();
     assert!(summaries.iter().all(Summary::is_complete), "{summaries:?}");
-    doubts
+    warnings
 }
 
 #[test]
@@ -185,17 +186,18 @@ fn a_simulation_doubts_a_given_spacing_once_and_one_of_its_state_when_it_goes_on
     let by = |spacing| {
         Simulation::new(&inputs, &outputs).reconstruction(Reconstruction::new().spacing(spacing))
     };
-    let doubts = doubts_of(&by(0.5 * SPACING).overwrite());
-    assert_eq!(doubts.len(), 1, "{doubts:?}");
-    assert!(contradiction(&doubts).is_some());
-    assert_eq!(doubts_of(&by(SPACING).overwrite()), []);
+    let warnings = warnings_of(&by(0.5 * SPACING).overwrite());
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(contradiction(&warnings).is_some());
+    assert_eq!(warnings_of(&by(SPACING).overwrite()), []);
     // Frames that come later are of another scale.
     frame(4, 3.0);
     frame(5, 3.0);
-    let doubts = doubts_of(&by(SPACING).resume());
-    let of_state =
-        |doubt: &Doubt| matches!(doubt, Doubt::Contradicted { source: SpacingSource::State, .. });
-    assert!(doubts.len() == 1 && of_state(&doubts[0]), "{doubts:?}");
+    let warnings = warnings_of(&by(SPACING).resume());
+    let of_state = |warning: &SpacingWarning| {
+        matches!(warning, SpacingWarning::Contradicted { source: SpacingSource::State, .. })
+    };
+    assert!(warnings.len() == 1 && of_state(&warnings[0]), "{warnings:?}");
 }
 
 #[test]
@@ -203,8 +205,9 @@ fn a_live_simulation_doubts_a_given_spacing() {
     let mut simulation =
         LiveSimulation::new(&Reconstruction::new().spacing(0.5 * SPACING)).unwrap();
     let surface = simulation.frame(&ball()).unwrap();
-    let doubted =
-        |warning: &Warning| matches!(warning, Warning::Spacing(Doubt::Contradicted { .. }));
+    let doubted = |warning: &Warning| {
+        matches!(warning, Warning::Spacing(SpacingWarning::Contradicted { .. }))
+    };
     assert!(surface.report().warnings.iter().any(doubted));
 }
 
@@ -294,7 +297,7 @@ fn particles_far_from_the_origin_get_a_grid_near_them() {
     let near = Reconstruction::new().spacing(SPACING).run(&ball()).unwrap();
     for far in [[500_000.25, 4_649_776.5, 120.0], [-4e6, 0.5, 4.2e6]] {
         let surface = Reconstruction::new().run(&moved(&ball(), far)).unwrap();
-        assert!(cells(&surface).origin.is_some() && cells(&surface).doubts.is_empty());
+        assert!(cells(&surface).origin.is_some() && cells(&surface).warnings.is_empty());
         assert!((volume(&surface) / volume(&near) - 1.0).abs() < 0.02);
     }
     let close = Reconstruction::new().run(&moved(&ball(), [500.0, 0.0, 0.0])).unwrap();
@@ -309,7 +312,7 @@ fn particles_far_from_the_origin_get_a_grid_near_them() {
     let state = fs::read(folder.path().join("m.meniscus/state.json"));
     let state = state.or_else(|_| fs::read(state_file(folder.path()))).unwrap();
     let state: serde_json::Value = serde_json::from_slice(&state).unwrap();
-    assert!(state["frozen"]["origin"][1].as_f64().unwrap() > 4e6, "{state}");
+    assert!(state["shared"]["origin"][1].as_f64().unwrap() > 4e6, "{state}");
 }
 
 /// The only state file below a folder.
@@ -326,18 +329,18 @@ fn coordinates_in_single_precision_that_are_too_coarse_are_named_with_their_step
     };
     for from in [0.0, 1e4, 9e4] {
         let surface = Reconstruction::new().run(&single(from)).unwrap();
-        assert_eq!(cells(&surface).doubts, [], "{from}");
+        assert_eq!(cells(&surface).warnings, [], "{from}");
     }
     for spacing in [None, Some(SPACING)] {
         let request = Reconstruction::new();
         let request = spacing.into_iter().fold(request, Reconstruction::spacing);
         let surface = request.run(&single(300_000.0)).unwrap();
-        let coarse = |doubt: &Doubt| matches!(doubt, Doubt::SinglePrecision { step, .. } if *step == 0.03125);
-        assert!(cells(&surface).doubts.iter().any(coarse), "{:?}", cells(&surface).doubts);
+        let coarse = |warning: &SpacingWarning| matches!(warning, SpacingWarning::SinglePrecision { step, .. } if *step == 0.03125);
+        assert!(cells(&surface).warnings.iter().any(coarse), "{:?}", cells(&surface).warnings);
     }
     let error = Reconstruction::new().run(&single(3e6)).unwrap_err();
     assert!(
-        matches!(error, Error::NoSpacing { why: Untold::SinglePrecision { step: 0.25 }, .. }),
+        matches!(error, Error::NoSpacing { why: NoEstimate::SinglePrecision { step: 0.25 }, .. }),
         "{error}"
     );
 }
@@ -367,5 +370,5 @@ fn coincident_particles_are_counted_and_a_clump_of_unused_slots_is_reported() {
 
     let error = Reconstruction::new().run(&[[1.0_f64; 3]; 100]).unwrap_err();
     let Error::NoSpacing { particles: 100, why, .. } = error else { panic!("{error}") };
-    assert_eq!(why, Untold::Coincident { places: 1 });
+    assert_eq!(why, NoEstimate::Coincident { places: 1 });
 }

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use meniscus::error::Conflict;
+use meniscus::error::{Conflict, SettingConflict};
 use meniscus::files::Replace;
 use meniscus::internals::field::calibration::CALIBRATING;
 use meniscus::{
@@ -98,7 +98,7 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     let tell = |event: Event| {
         let line = match &event {
             Event::Measured { .. } => "measured".to_owned(),
-            Event::Begins { frames, done, lanes, .. } => {
+            Event::Started { frames, done, lanes, .. } => {
                 assert!(*lanes >= 1);
                 format!("begins {done} of {frames}")
             }
@@ -136,7 +136,10 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     let [summary] = &summaries[..] else { panic!("{summaries:?}") };
     let failed: Vec<_> =
         summary.failed.iter().map(|failed| (failed.frame, failed.error.cause())).collect();
-    assert_eq!((summary.made, &failed[..], summary.lacking()), (3, &[(3, Cause::Input)][..], 2));
+    assert_eq!(
+        (summary.made, &failed[..], summary.incomplete_frames()),
+        (3, &[(3, Cause::Input)][..], 2)
+    );
     assert_eq!((summary.missing[0].first, summary.missing[0].last), (4, 4));
     assert!(!summary.is_complete());
 }
@@ -220,7 +223,7 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
     let again = simulation(folder.path(), "mesh").reconstruction(request.clone()).resume();
     let mut skipped = 0;
     let hear = |event| {
-        if let Event::Begins { done, .. } = event {
+        if let Event::Started { done, .. } = event {
             skipped = done;
         }
     };
@@ -500,8 +503,10 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
         ("iso", asked().method(meniscus::KernelMethod::ZhuBridson).iso(0.5)),
         ("indicator", mueller().indicator(IndicatorKind::Cloud)),
     ] {
-        let refused =
-            |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting.name() == setting);
+        let refused = |error| {
+            let Error::SettingConflict(conflict) = error else { return false };
+            conflict.setting.name() == setting
+        };
         assert!(refused(request.check("none.bgeo").unwrap_err()), "{setting}");
         assert!(refused(request.run(&falling(1)[..]).unwrap_err()), "{setting}");
         assert!(refused(request.run_file("there/is/none.bgeo").unwrap_err()), "{setting}");
@@ -516,8 +521,11 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
     ] {
         let error = request.output(folder.path().join(name), Replace::Refuse).unwrap_err();
         assert!(
-            matches!(&error, Error::Unfit(unfit)
-                if unfit.setting.name() == setting && matches!(unfit.with, Conflict::Format { .. })),
+            matches!(&error, Error::SettingConflict(SettingConflict {
+                setting: refused,
+                with: Conflict::Format { .. },
+                ..
+            }) if refused.name() == setting),
             "{setting}: {error}"
         );
     }
@@ -538,12 +546,12 @@ fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
         }
     };
     simulation(folder.path(), "mesh").reconstruction(request).run(tell).unwrap();
-    let measured_on = found.iter().find_map(|warning| match warning {
-        Warning::Shortfall { measured_on, clouds: false, .. } => Some(*measured_on),
-        Warning::Empty { measured_on, clouds: false, .. } => Some(*measured_on),
+    let calibration_frame = found.iter().find_map(|warning| match warning {
+        Warning::Shortfall { calibration_frame, clouds: false, .. } => Some(*calibration_frame),
+        Warning::Empty { calibration_frame, clouds: false, .. } => Some(*calibration_frame),
         _ => None,
     });
-    assert_eq!(measured_on, Some(Some(1)), "{found:?}");
+    assert_eq!(calibration_frame, Some(Some(1)), "{found:?}");
     assert!(found.iter().all(|warning| !warning.to_string().contains("--")), "{found:?}");
 }
 
@@ -569,16 +577,16 @@ fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_
     }
     let request = Reconstruction::new().spacing(1.0).find_domain();
     let convert = |simulation: Simulation| {
-        let (mut frozen, mut done) = (None, BTreeMap::new());
+        let (mut shared, mut done) = (None, BTreeMap::new());
         let summary = simulation.reconstruction(request.clone()).run(|event| match event {
-            Event::Measured { frozen: found, .. } | Event::GoesOn { frozen: found, .. } => {
-                frozen = Some(found);
+            Event::Measured { shared: found, .. } | Event::Resumed { shared: found, .. } => {
+                shared = Some(found);
             }
             Event::Done(frame) => drop(done.insert(frame.frame, frame)),
             _ => {}
         });
         assert!(summary.unwrap().iter().all(Summary::is_complete));
-        (frozen.unwrap().walls.unwrap(), done)
+        (shared.unwrap().walls.unwrap(), done)
     };
     let (found, done) = convert(simulation(folder.path(), "mesh"));
     let [lo, hi] = found.walls.corners();
@@ -592,7 +600,7 @@ fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_
             .warnings
             .iter()
             .filter_map(|warning| match warning {
-                Warning::PastWall(past) => Some((past.axis, past.reach, past.moved)),
+                Warning::BeyondWall(past) => Some((past.axis, past.reach, past.moved)),
                 _ => None,
             })
             .collect();

@@ -346,9 +346,9 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
     };
     let (first, _) = made(&["--method", "zhu-bridson"]);
     let state: Value = serde_json::from_slice(&first["m.ply.meniscus/state.json"]).unwrap();
-    let frozen = &state["frozen"];
-    assert!(["mu0", "isovalue", "plateau"].iter().all(|key| frozen[key].is_null()), "{frozen}");
-    let spacing = frozen["spacing"].to_string();
+    let shared = &state["shared"];
+    assert!(["mu0", "isovalue", "plateau"].iter().all(|key| shared[key].is_null()), "{shared}");
+    let spacing = shared["spacing"].to_string();
     for frame in 1..=3 {
         let input = format!("in/f_{frame}.xyz");
         let single = [
@@ -528,12 +528,12 @@ fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_i
         run(folder.path(), &with(&[&more[..], &["--overwrite"]].concat()), 0);
         let made = tree(&folder.path().join("out"));
         let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
-        let frozen = &state["frozen"];
+        let shared = &state["shared"];
         assert!(
-            frozen["frame"] == 1 && frozen["mu0"].is_null() == (indicator == "symmetry"),
-            "{frozen}"
+            shared["frame"] == 1 && shared["mu0"].is_null() == (indicator == "symmetry"),
+            "{shared}"
         );
-        let [mu0, iso] = ["mu0", "isovalue"].map(|key| frozen[key].to_string());
+        let [mu0, iso] = ["mu0", "isovalue"].map(|key| shared[key].to_string());
         let single = |known: &[&str]| {
             let alone = ["in/f_2.xyz", "-o", "one.ply", "--overwrite"];
             run(folder.path(), &[&alone[..], &more, known].concat(), 0);
@@ -542,7 +542,7 @@ fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_i
         let mu0 = if indicator == "symmetry" { vec![] } else { vec!["--mu0", &mu0] };
         assert!(
             single(&[&mu0[..], &["--iso", &iso]].concat()) == made["m_2.ply"],
-            "{indicator}: not by {frozen}"
+            "{indicator}: not by {shared}"
         );
         assert!(single(&[]) != made["m_2.ply"], "{indicator}: by its own");
         assert!(single(&mu0) != made["m_2.ply"], "{indicator}: by its own isovalue");
@@ -555,13 +555,13 @@ fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own()
     let dense: Vec<_> = [ball(2), ball(3), ball(4)].concat();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
     let more = ["--cell-size", "0.3", "--spacing", "0.5", "--origin", "0,0,0", "--overwrite"];
-    let frozen = |more: &[&str]| {
+    let shared = |more: &[&str]| {
         run(folder.path(), &with(more), 0);
         let made = tree(&folder.path().join("out"));
         let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
-        (made, state["frozen"].clone())
+        (made, state["shared"].clone())
     };
-    let (made, thin) = frozen(&more);
+    let (made, thin) = shared(&more);
     assert!(thin["frame"] == 1 && thin["mu0"].is_null() && thin["isovalue"].is_null(), "{thin}");
     let single = |frame: u32| {
         let input = format!("in/f_{frame}.xyz");
@@ -573,8 +573,8 @@ fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own()
     // The plateau alone tells the others apart: by a third of it there is more fluid than by all.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
-    let (by_dense, dense) = frozen(&more);
-    let plateau = |frozen: &Value| frozen["plateau"].as_f64().unwrap();
+    let (by_dense, dense) = shared(&more);
+    let plateau = |shared: &Value| shared["plateau"].as_f64().unwrap();
     let ratio = plateau(&dense) / plateau(&thin);
     assert!((2.5..3.5).contains(&ratio), "{dense} and {thin}");
     assert!(by_dense["m_3.ply"] != made["m_3.ply"]);
@@ -587,10 +587,10 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
     let path = folder.path().join("out/m.ply.meniscus/state.json");
     let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     // Clouds had a mu0 and an isovalue.
-    let frozen = state["frozen"].as_object_mut().unwrap();
-    frozen.remove("plateau").unwrap();
-    frozen.insert("mu0".into(), 2.5.into());
-    frozen.insert("isovalue".into(), 0.1.into());
+    let shared = state["shared"].as_object_mut().unwrap();
+    shared.remove("plateau").unwrap();
+    shared.insert("mu0".into(), 2.5.into());
+    shared.insert("isovalue".into(), 0.1.into());
     fs::write(&path, state.to_string()).unwrap();
     fs::write(folder.path().join("in/f_3.xyz"), raw(&ball(3))).unwrap();
     let before = tree(folder.path());
@@ -644,7 +644,7 @@ fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a
         let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
         let state: Value = serde_json::from_slice(&state).unwrap();
         let last = read_mesh(&folder.path().join(format!("m_{}.ply", frames.len()))).unwrap();
-        (state["frozen"]["plateau"].as_f64().unwrap(), measure(&last).volume.unwrap())
+        (state["shared"]["plateau"].as_f64().unwrap(), measure(&last).volume.unwrap())
     };
     let (alone, volume) = plateau(&[&ball]);
     for (name, first, within) in [
@@ -693,7 +693,7 @@ fn the_spacing_is_estimated_on_fluid_however_many_frames_of_spray_come_first() {
         let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--plan"], 0);
         let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
         let state: Value = serde_json::from_slice(&state).unwrap();
-        let spacing = state["frozen"]["spacing"].as_f64().unwrap();
+        let spacing = state["shared"]["spacing"].as_f64().unwrap();
         assert!(
             (spacing - 1.0).abs() < 0.1,
             "{spray} of {frames}, ball of {radius}: {spacing}: {notes}"
@@ -715,7 +715,7 @@ fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made
         ("plateau", "\"two\""),
     ] {
         let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-        state["frozen"][key] = value.parse().unwrap();
+        state["shared"][key] = value.parse().unwrap();
         fs::write(&path, state.to_string()).unwrap();
         let errors = run(folder.path(), &with(&["--resume"]), 2);
         assert!(
@@ -812,16 +812,16 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     ] {
         fs::copy(data.join(name), folder.path().join(name)).unwrap();
     }
-    let frozen = |simulation: &str| -> Value {
+    let shared = |simulation: &str| -> Value {
         let text = fs::read(folder.path().join(simulation).join("state.json")).unwrap();
-        serde_json::from_slice::<Value>(&text).unwrap()["frozen"].clone()
+        serde_json::from_slice::<Value>(&text).unwrap()["shared"].clone()
     };
     let number = |value: &Value| value.as_f64().unwrap();
     // Its own isovalue is 0.0003; that of the last frame alone 0.2093.
     let symmetry =
         ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
     run(folder.path(), &symmetry, 0);
-    let symmetry = frozen("s.ply.meniscus");
+    let symmetry = shared("s.ply.meniscus");
     assert_eq!(symmetry["frame"], 1);
     assert!((number(&symmetry["isovalue"]) - 0.2093).abs() < 0.01, "{symmetry}");
     // Counts on a lattice are all 1, and its plateau too: a share of that would thin the splash by
@@ -829,14 +829,14 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     let counting =
         ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--cell", "1", "--indicator", "counting"];
     run(folder.path(), &counting, 0);
-    let counting = frozen("c.ply.meniscus");
+    let counting = shared("c.ply.meniscus");
     assert_ne!(counting["frame"], 1);
     assert_eq!(number(&counting["mu0"]), 1.0);
     assert!(number(&counting["isovalue"]) < 0.4, "{counting}");
 
     // Clouds are the same wherever they fall.
     run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "d_{}.ply", "--cell", "1"], 0);
-    let clouds = frozen("d.ply.meniscus");
+    let clouds = shared("d.ply.meniscus");
     assert_eq!(clouds["frame"], 1);
     assert_eq!(clouds["origin"], serde_json::json!([0.0, 0.0, 0.0]));
 
@@ -1077,7 +1077,7 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
         let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
     }
-    let frozen = [
+    let shared = [
         "--indicator",
         "counting",
         "--cell-size",
@@ -1099,7 +1099,7 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
         ("usdc", &["--up", "z"]),
     ] {
         let (many, one) = (format!("m_{{}}.{extension}"), format!("one.{extension}"));
-        let more = [&frozen[..], options, &["--overwrite"]].concat();
+        let more = [&shared[..], options, &["--overwrite"]].concat();
         run(folder.path(), &[&["f_{}.xyz", "-o", &many], &more[..]].concat(), 0);
         for frame in 1..=3 {
             let input = format!("f_{frame}.xyz");
@@ -1110,7 +1110,7 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
             sizes.push(one.len());
         }
         // Each is one of the settings that a simulation keeps to.
-        let refused = [&["f_{}.xyz", "-o", &many], &frozen[..], &["--simplify", "0.3"]].concat();
+        let refused = [&["f_{}.xyz", "-o", &many], &shared[..], &["--simplify", "0.3"]].concat();
         let errors = run(folder.path(), &refused, 2);
         assert!(errors.contains("simplify"), "{errors}");
     }

@@ -5,7 +5,7 @@ use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{Engine, Method, Sampling};
-use meniscus::internals::simulation::frozen::{Measured, Origin, measure};
+use meniscus::internals::simulation::shared_calibration::{Measured, Origin, measure};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::timings::Timings;
 

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3, EulerRot};
 use meniscus::files::open_particles;
 use meniscus::internals::field::spacing::evidence;
 use meniscus::internals::reconstruction::{Cells, SamplingRequest, Source};
-use meniscus::{Doubt, Mistake, Particles, Reconstruction, Settings};
+use meniscus::{Particles, Reconstruction, Settings, SpacingMistake, SpacingWarning};
 
 use crate::scene::Random;
 use crate::tables::{Table, figure};
@@ -88,30 +88,30 @@ fn estimate(name: &str, particles: &[[f64; 3]], truth: f64) -> [String; 5] {
 
 fn words(cells: &Cells) -> String {
     let slab = cells.slab.map(|_| "a plane".to_owned());
-    let doubts = cells.doubts.iter().map(|doubt| match doubt {
-        Doubt::Contradicted { said, found, mistake, .. } => {
-            let how = if said < found { "small" } else { "large" };
+    let warnings = cells.warnings.iter().map(|warning| match warning {
+        SpacingWarning::Contradicted { given, found, mistake, .. } => {
+            let how = if given < found { "small" } else { "large" };
             let why = match mistake {
-                Some(Mistake::Radius) => ", radius?",
-                Some(Mistake::Double) => ", twice?",
-                Some(Mistake::Unit(_)) => ", unit?",
+                Some(SpacingMistake::Radius) => ", radius?",
+                Some(SpacingMistake::Double) => ", twice?",
+                Some(SpacingMistake::Unit(_)) => ", unit?",
                 _ => "",
             };
             format!("{how}{why}")
         }
-        Doubt::Thin { taken, counted: Some(counted), .. } => {
-            format!("thin: {} by neighbours, {} by density", figure(*taken), figure(*counted))
+        SpacingWarning::Thin { used, counted: Some(counted), .. } => {
+            format!("thin: {} by neighbours, {} by density", figure(*used), figure(*counted))
         }
-        Doubt::Thin { taken, nearest, .. } => {
-            format!("thin: {} by neighbours, the nearest {}", figure(*taken), figure(*nearest))
+        SpacingWarning::Thin { used, nearest, .. } => {
+            format!("thin: {} by neighbours, the nearest {}", figure(*used), figure(*nearest))
         }
-        Doubt::Random { .. } => "random, may be spray".into(),
-        Doubt::TwoResolutions { spacings: [one, other], .. } => {
+        SpacingWarning::Random { .. } => "random, may be spray".into(),
+        SpacingWarning::TwoResolutions { spacings: [one, other], .. } => {
             format!("two resolutions, {} and {}", figure(*one), figure(*other))
         }
-        doubt => doubt.to_string(),
+        warning => warning.to_string(),
     });
-    slab.into_iter().chain(doubts).collect::<Vec<_>>().join("; ")
+    slab.into_iter().chain(warnings).collect::<Vec<_>>().join("; ")
 }
 
 fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {

@@ -10,7 +10,7 @@ use std::error::Error;
 
 use ash::vk;
 use meniscus::devices::{
-    Coordinate, Device, DeviceOptions, DevicePositions, DeviceRequest, Exchange, Foreign,
+    Coordinate, Device, DeviceOptions, DevicePositions, DeviceRequest, Exchange, ExternalDevice,
     InvalidParticles, Moment, Pipeline, Surfacing,
 };
 use meniscus::error::FrameError;
@@ -212,11 +212,16 @@ unsafe fn simulate_and_draw(
         program.copy(pool, [&simulated, &positions], timeline, [0, SIMULATED])?;
 
         let (instance, device) = (instance.clone(), device.clone());
-        let foreign =
-            Foreign { instance, physical: *physical, device, family: *family, queue: *queue };
+        let foreign = ExternalDevice {
+            instance,
+            physical: *physical,
+            device,
+            family: *family,
+            queue: *queue,
+        };
         let library = Device::adopt(foreign, &DeviceOptions::default())?;
         let pipeline = Pipeline::new(&library)?;
-        let view = library.foreign_buffer(positions.raw, positions.bytes).whole();
+        let view = library.external_buffer(positions.raw, positions.bytes).whole();
         let input =
             [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Single }];
         let settings = DeviceRequest {
@@ -234,7 +239,8 @@ unsafe fn simulate_and_draw(
         let mut rows = [1_u64, 1];
         let (outputs, [vertices, triangles]) = loop {
             let own = [program.buffer(12 * rows[0])?, program.buffer(12 * rows[1])?];
-            let into = own.each_ref().map(|own| library.foreign_buffer(own.raw, own.bytes).whole());
+            let into =
+                own.each_ref().map(|own| library.external_buffer(own.raw, own.bytes).whole());
             let exchange = Exchange {
                 wait: &[moment(SIMULATED)],
                 signal: &[moment(MESHED)],

@@ -1,4 +1,4 @@
-//! The name by which programs ask for the library, and a mark that keeps it loaded.
+//! Sets the soname of the library, and keeps it loaded.
 
 fn main() {
     let get = |name: &str| std::env::var(name).unwrap_or_default();
@@ -8,7 +8,7 @@ fn main() {
         let (major, minor) = (get("CARGO_PKG_VERSION_MAJOR"), get("CARGO_PKG_VERSION_MINOR"));
         let version = if major == "0" { format!("0.{minor}") } else { major };
         println!("cargo::rustc-cdylib-link-arg=-Wl,-soname,libmeniscus.so.{version}");
-        // Threads that were started end a moment after they are asked to, and must find their code.
+        // Threads of the library end shortly after they are asked to, and need its code until then.
         println!("cargo::rustc-cdylib-link-arg=-Wl,-z,nodelete");
     }
 }

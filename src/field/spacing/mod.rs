@@ -92,7 +92,7 @@ pub struct Estimate {
 /// A reason for which particles do not tell their spacing.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
-pub enum Untold {
+pub enum NoEstimate {
     /// Too few particles.
     #[error("there are too few")]
     TooFew,
@@ -395,19 +395,21 @@ fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
 
 impl Evidence {
     /// Estimates the spacing.
-    pub fn estimate(&self) -> Result<Estimate, Untold> {
+    pub fn estimate(&self) -> Result<Estimate, NoEstimate> {
         let places = self.places;
         if places < FEWEST {
             return Err(if self.particles >= 4 * FEWEST {
-                Untold::Coincident { places }
+                NoEstimate::Coincident { places }
             } else {
-                Untold::TooFew
+                NoEstimate::TooFew
             });
         }
-        let estimate = self.estimated().ok_or(Untold::TooFew)?;
+        let estimate = self.estimated().ok_or(NoEstimate::TooFew)?;
         match self.place.step {
             // Places on a grid of such steps are never nearer than one.
-            Some(step) if step > 0.7 * estimate.spacing => Err(Untold::SinglePrecision { step }),
+            Some(step) if step > 0.7 * estimate.spacing => {
+                Err(NoEstimate::SinglePrecision { step })
+            }
             _ => Ok(estimate),
         }
     }

@@ -215,8 +215,8 @@ fn duplicates_and_clumps_are_kept_out() {
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02, "{found:?}, not {alone:?}");
     }
     let places = |particles: &[[f64; 3]]| evidence(particles).unwrap().estimate();
-    assert_eq!(places(&[[1.0; 3]; 500]), Err(Untold::Coincident { places: 1 }));
-    assert_eq!(places(&[[1.0; 3], [2.0; 3]]), Err(Untold::TooFew));
+    assert_eq!(places(&[[1.0; 3]; 500]), Err(NoEstimate::Coincident { places: 1 }));
+    assert_eq!(places(&[[1.0; 3], [2.0; 3]]), Err(NoEstimate::TooFew));
 }
 
 #[test]
@@ -236,7 +236,10 @@ fn duplicates_and_clumps_are_kept_out_of_a_share_of_many() {
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02 && !found.thin, "{found:?}");
     }
     let places: Vec<[f64; 3]> = (0..600_000).map(|i| [f64::from(i % 6); 3]).collect();
-    assert_eq!(evidence(&places[..]).unwrap().estimate(), Err(Untold::Coincident { places: 6 }));
+    assert_eq!(
+        evidence(&places[..]).unwrap().estimate(),
+        Err(NoEstimate::Coincident { places: 6 })
+    );
 }
 
 #[test]
@@ -306,7 +309,7 @@ fn single_precision_is_told_with_its_step() {
     assert_eq!(far.place.step, Some(0.03125));
     assert!(far.estimate().is_ok());
     let farther = evidence(&at(3e6)[..]).unwrap();
-    assert_eq!(farther.estimate(), Err(Untold::SinglePrecision { step: 0.25 }));
+    assert_eq!(farther.estimate(), Err(NoEstimate::SinglePrecision { step: 0.25 }));
     // All of these happen to be numbers of 32 bits.
     let dyadic: Vec<[f64; 3]> =
         layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();

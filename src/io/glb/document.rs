@@ -14,7 +14,7 @@ fn asset() -> Value {
     json!({ "version": "2.0", "generator": concat!("meniscus ", env!("CARGO_PKG_VERSION")) })
 }
 
-/// A scene without a mesh: accessors, views and buffers of nothing are not allowed.
+/// A scene without a mesh, because accessors, views and buffers must not be empty.
 pub fn empty_document() -> Value {
     json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
 }
@@ -67,7 +67,7 @@ pub fn document(
     document
 }
 
-/// Where a view's elements are as they are.
+/// The view of uncompressed elements.
 fn buffer_view(view: &View, offset: u64) -> Value {
     let mut buffer_view = json!({
         "buffer": 0,
@@ -81,7 +81,7 @@ fn buffer_view(view: &View, offset: u64) -> Value {
     buffer_view
 }
 
-/// Where a view's elements are encoded.
+/// The extension object of a view with compressed elements.
 fn compression(view: &View, offset: u64, length: u64) -> Value {
     let mut compression = json!({
         "buffer": 0,
@@ -99,7 +99,7 @@ fn compression(view: &View, offset: u64, length: u64) -> Value {
     compression
 }
 
-/// Returns the accessor of a view: the type, number and bounds of its elements.
+/// The accessor of a view: the type, number and bounds of its elements.
 fn accessor(
     view: &View,
     number: usize,
@@ -127,7 +127,7 @@ fn accessor(
     accessor
 }
 
-/// Where the mesh is, and how it lies.
+/// The node, with the position and rotation of the mesh.
 fn node(up: UpAxis, space: Space) -> Value {
     let mut node = json!({ "mesh": 0 });
     if up == UpAxis::Z {

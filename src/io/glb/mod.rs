@@ -1,11 +1,11 @@
 //! glTF 2.0 in one binary file: a scene of one node with one mesh of one primitive.
 //!
-//! Positions, NORMAL, `_VELOCITY` and further attributes, and u32 indices, each in a buffer view of
-//! its own, in an order that suits vertex caches. glTF's y axis points up; where the particles' z
-//! axis does, the node turns the mesh.
+//! Positions, NORMAL, `_VELOCITY`, other attributes, and u32 indices each have their own buffer
+//! view, in an order that suits vertex caches. In glTF, y points up. If z points up in the
+//! particles, the node rotates the mesh.
 //!
-//! Compressed, everything is quantized (KHR_mesh_quantization) and encoded
-//! (EXT_meshopt_compression, with version 0 of the vertex codec, as it demands):
+//! With compression, everything is quantized (KHR_mesh_quantization) and encoded
+//! (EXT_meshopt_compression, which requires version 0 of the vertex codec):
 //!
 //! | what | as | off by at most |
 //! |---|---|---|
@@ -14,8 +14,7 @@
 //! | other values | 15-bit mantissas, an exponent a vertex | 2^-14 of a vertex's greatest component |
 //! | triangles | as they are | |
 //!
-//! The grid is anchored at the origin, so that what stands still does not flicker from frame to
-//! frame.
+//! The grid is anchored at the origin, so that resting fluid does not flicker between frames.
 
 mod document;
 mod view;
@@ -25,12 +24,12 @@ pub use write::write_mesh;
 
 use super::UpAxis;
 
-/// How a file is laid out.
+/// The layout of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
     /// The axis of the particles that points up.
     pub up: UpAxis,
-    /// Whether it is compressed.
+    /// The compression.
     pub compression: Compression,
 }
 
@@ -39,7 +38,7 @@ impl Layout {
     pub const PLAIN: Self = Self { up: UpAxis::Y, compression: Compression::None };
 }
 
-/// How numbers are stored.
+/// The storage of numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compression {
     /// Plain f32 and u32 numbers.
@@ -48,10 +47,10 @@ pub enum Compression {
     Meshopt,
 }
 
-/// The step of the grid of compressed positions: the least power of two of which 2^16 - 2 span
-/// `extent`.
+/// The step of the grid of compressed positions: the smallest power of two of which 2^16 - 2 steps
+/// span `extent`.
 pub fn grid_step(extent: f64) -> f64 {
-    // One step may be lost at either end, where the mesh's box is not on the grid.
+    // One step may be lost at either end, because the mesh's box is not aligned to the grid.
     let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);
     2f64.powi(least.log2().ceil() as i32)
 }

@@ -1,4 +1,4 @@
-//! The numbers of a .glb file: what there is, and how it is stored.
+//! The buffer views of a .glb file, and the encoding of their numbers.
 
 use std::io::{self, Write};
 
@@ -19,14 +19,14 @@ const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;
 pub const BYTE: u32 = 5120;
 
-/// Bits of a compressed normal's components, and of the mantissas of other values.
+/// Bits of the components of a compressed normal, and of the mantissas of other values.
 const NORMAL_BITS: i32 = 8;
 const MANTISSA_BITS: i32 = 15;
-/// The vertex codec's version that the extension knows, and the best of its levels.
+/// The version of the vertex codec that the extension requires, and its best level.
 const CODEC: Option<i32> = Some(0);
 const LEVEL: i32 = 2;
 
-/// Positions are stored in steps from an origin.
+/// The origin and step of stored positions.
 #[derive(Clone, Copy)]
 pub struct Space {
     pub origin: [f64; 3],
@@ -45,10 +45,10 @@ impl Space {
     }
 }
 
-/// A buffer view, and its accessor.
+/// A buffer view with its accessor.
 pub struct View {
     pub what: What,
-    /// The name in the file; indices have none.
+    /// The name in the file; empty for indices.
     pub name: String,
     pub components: usize,
     pub scalar: u32,
@@ -61,12 +61,12 @@ pub struct View {
 pub enum What {
     Positions,
     Normals,
-    /// By its number.
+    /// The attribute with this number.
     Attribute(usize, AttributeKind),
     Indices,
 }
 
-/// All that a mesh has, its indices last.
+/// The views of all data of a mesh, ending with the indices.
 pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
     let vertices = mesh.vertex_count();
     let view = |what, name: &str, components, scalar, stride| View {
@@ -106,8 +106,7 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
     views
 }
 
-/// Returns the attributes' names in the file, no two alike; None for attributes that it cannot
-/// hold.
+/// Unique names of the attributes in the file; `None` for attributes that the format cannot store.
 fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     let mut taken: Vec<String> = Vec::new();
     let mut colours = (0..).map(|number| format!("COLOR_{number}"));
@@ -138,7 +137,7 @@ impl View {
         self.count * self.stride
     }
 
-    /// Writes its elements as they are.
+    /// Writes the elements without compression.
     pub fn write(&self, out: &mut dyn Write, mesh: &Ordered, space: Space) -> io::Result<()> {
         match self.what {
             What::Indices => write_triangles(out, mesh, |triangles, out| {
@@ -161,7 +160,7 @@ impl View {
         }
     }
 
-    /// Returns the view's elements, compressed.
+    /// The compressed elements.
     pub fn encoded(&self, mesh: &Ordered, space: Space) -> io::Result<Vec<u8>> {
         let encoded = match self.what {
             What::Positions => {
@@ -186,7 +185,7 @@ impl View {
             What::Attribute(index, kind) => {
                 let stored = |&value: &f32| match stored(kind, value) {
                     value if value.is_finite() => value,
-                    // What is no number has no exponent.
+                    // NaN and infinity have no exponent.
                     _ => 0.0,
                 };
                 let values = gathered(mesh, |vertices, out| {
@@ -218,8 +217,7 @@ impl View {
     }
 }
 
-/// A value as f32, which is all that the format has here: shares of a colour from 0 to 1, and whole
-/// numbers rounded.
+/// A value as f32, the only type of the format here: colours from 0 to 1, and rounded integers.
 fn stored(kind: AttributeKind, value: f32) -> f32 {
     if kind.is_colour() { kind.share(value) } else { kind.number(value) }
 }
@@ -230,7 +228,7 @@ fn encode_values<const N: usize>(values: &[f32]) -> meshopt::Result<Vec<u8>> {
     encode_vertex_buffer_level(&filtered, LEVEL, CODEC)
 }
 
-/// Collects the values that `make` appends for the vertices, piece after piece.
+/// Collects the values that `make` appends for the vertices, piece by piece.
 fn gathered<T: Send + Clone>(
     mesh: &Ordered,
     make: impl Fn(&Vertices, &mut Vec<T>) + Sync,

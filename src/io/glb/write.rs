@@ -12,20 +12,20 @@ use super::document::{aligned, document, empty_document};
 use super::view::{Space, View, views};
 use super::{Compression, Layout, grid_step};
 
-/// Writes `mesh` as `layout` says. Uncompressed it streams, but for 4 bytes a vertex; compressed it
-/// is held in memory.
+/// Writes `mesh` with this layout. Without compression, it is streamed and needs 4 bytes per
+/// vertex; with compression, it is in memory.
 ///
-/// Positions are f32; with [`CoordinateWidth::F64`] they are counted from the middle of the mesh's
-/// box, where the node then is. Colours are COLOR_0, COLOR_1 and so on, as shares from 0 to 1 that
-/// are converted to no other space of colours. Other attributes are called by their names in upper case behind an
-/// underscore; those of more than four components have no place.
+/// Positions are f32. With [`CoordinateWidth::F64`], they are relative to the centre of the mesh's
+/// box, which is the position of the node. Colours are COLOR_0, COLOR_1 and so on, from 0 to 1,
+/// without conversion of the colour space. Other attributes have their name in upper case with a
+/// leading underscore. Attributes with more than four components are left out.
 ///
 /// # Errors
-/// Those of `mesh` and `out`; before anything is written
-/// [`io::ErrorKind::InvalidInput`] for more than 4 GiB.
+/// Those of `mesh` and `out`, and before anything is written [`io::ErrorKind::InvalidInput`] for
+/// more than 4 GiB.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -74,7 +74,7 @@ pub fn write_mesh(
     }
 }
 
-/// Writes everything before the `stored` bytes of numbers.
+/// Writes the header before the `stored` bytes of numbers.
 fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Result<()> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');

@@ -1,4 +1,4 @@
-//! Contents of a file in a few lines: what an error lists where no position is found.
+//! A summary of a file's contents, for the error if no position is found.
 
 use std::collections::BTreeSet;
 
@@ -12,23 +12,23 @@ use super::file::checked;
 use super::groups::last_name;
 use super::table::scalar;
 
-/// Groups that are looked into.
+/// Maximum number of groups that are searched.
 pub const MOST_GROUPS: usize = 1 << 10;
-/// Levels of groups below the first.
+/// Maximum depth of groups.
 pub const DEEPEST: usize = 8;
-/// Lines of a list.
+/// Maximum number of lines of the summary.
 const LINES: usize = 20;
-/// Members of a compound type that are named.
+/// Maximum number of listed members of a compound type.
 const MEMBERS: usize = 12;
-/// Prefix of the members of pandas' tables whose columns' names are pickled.
+/// Prefix of the members of pandas' tables, whose column names are pickled.
 const PANDAS: &str = "values_block_";
-/// Letters of a name.
+/// Maximum length of a name.
 const LETTERS: usize = 100;
 
-/// Says what a position may be, and what `root` holds instead.
+/// The error that no position was found, with the contents of `root`.
 ///
 /// # Errors
-/// Where what it holds cannot be read.
+/// If the contents cannot be read.
 pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     let (lines, more) = lines(root)?;
     let mut what = "no positions found. Store float32 or float64 in a data set called position, \
@@ -49,7 +49,7 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     Ok(ReadFault::Unsupported(what))
 }
 
-/// The first groups and data sets below `root`, and how many more there are.
+/// The first groups and data sets below `root`, and the number of others.
 fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     let (mut lines, mut more) = (Vec::new(), 0);
     let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
@@ -86,19 +86,19 @@ fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
     Ok((lines, more))
 }
 
-/// A name that a terminal shows on a line.
+/// A name shortened to a line.
 fn short(name: &str) -> String {
     let shown: String = name.chars().take(LETTERS).flat_map(char::escape_debug).collect();
     if name.chars().nth(LETTERS).is_some() { format!("{shown}...") } else { shown }
 }
 
-/// A type of data in NumPy's words.
+/// A data type as NumPy writes it.
 fn kind(kind: &Datatype) -> String {
     match kind {
         Datatype::FixedPoint { size, signed, .. } => {
             format!("{}int{}", if *signed { "" } else { "u" }, u32::from(*size) * 8)
         }
-        // It may be half floats or bfloat16, which the library does not tell apart.
+        // It may be float16 or bfloat16, which the HDF5 library does not distinguish.
         Datatype::FloatingPoint { size: 2, .. } => "float16, which is not supported".to_owned(),
         Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
         Datatype::Compound { fields, .. } => {

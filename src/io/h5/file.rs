@@ -1,4 +1,4 @@
-//! A file of HDF5 as the library parses it, within bounds.
+//! An HDF5 file with limits on the memory of its data.
 
 use std::io;
 use std::sync::Arc;
@@ -15,19 +15,19 @@ use crate::io::{ReadFault, malformed};
 use super::lzf;
 use super::table::{Array, Part, scalar};
 
-/// Names under which the time of a step or a file may be stored.
+/// Names of attributes and data sets for the time of a step or a file.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
-/// Bytes of decoded chunks that are kept for those who read other rows of them.
+/// Bytes of decoded chunks that are cached for other rows.
 const CHUNKS: u64 = 16 << 20;
-/// Bytes that are read before their memory is given back.
+/// Bytes per read after which memory is released.
 const LARGE: usize = 64 << 10;
 
-/// An open file. Data sets that are read from it must be gone before its bytes are taken.
+/// An open file. All its data sets must be dropped before its bytes are taken.
 pub(super) struct File<'a> {
     hdf: Hdf5File,
     bytes: Arc<Bytes>,
     pub unpacking: Unpacking<'a>,
-    /// Bytes that the data may unpack to.
+    /// Maximum bytes of unpacked data.
     pub limit: u64,
 }
 
@@ -60,22 +60,21 @@ impl<'a> File<'a> {
         checked(self.hdf.group(path))
     }
 
-    /// Makes sure that all that was read is of one file.
+    /// Checks that the file has not changed since it was opened.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] where it was written to since it was opened.
+    /// [`ReadFault::Changed`] if it has.
     pub fn check(&self) -> Result<(), ReadFault> {
         self.bytes.view().check()
     }
 
-    /// The file's bytes, for columns that lie in it as they are.
+    /// The file's bytes, for columns that are read in place.
     pub fn into_bytes(self) -> Bytes {
         drop(self.hdf);
         Arc::into_inner(self.bytes).expect("the library has let go of the file")
     }
 
-    /// Where in the file the rows of a data set lie one after the other as they are, if they do:
-    /// not in chunks, nor elsewhere.
+    /// The position of a data set's rows in the file, if they are contiguous and uncompressed.
     pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
         let header = self.hdf.get_or_parse_header(set.address()).ok()?;
         let elsewhere = |message: &HdfMessage| {
@@ -94,7 +93,7 @@ impl<'a> File<'a> {
     }
 }
 
-/// Numbers and names of filters that are not read.
+/// Numbers and names of unsupported filters.
 const FILTERS: [(&str, &str); 8] = [
     ("305", "LZO"),
     ("307", "bzip2"),
@@ -106,7 +105,7 @@ const FILTERS: [(&str, &str); 8] = [
     ("32026", "Blosc2"),
 ];
 
-/// The library's errors as faults of the file.
+/// Converts errors of the HDF5 library.
 pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     parsed.map_err(|error| match error {
         Error::Io(fault) => ReadFault::Io(fault),
@@ -114,7 +113,7 @@ pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     })
 }
 
-/// Refuses a filter that is not read, where that is what an error is of.
+/// The error for an unsupported filter, if that is the cause.
 fn filter_in(error: &Error) -> Option<ReadFault> {
     match error {
         Error::Context { source, .. } => filter_in(source),
@@ -130,12 +129,12 @@ fn filter_in(error: &Error) -> Option<ReadFault> {
     }
 }
 
-/// The time that a group says in an attribute.
+/// The time in an attribute of a group.
 pub(super) fn time_of(group: &Group) -> Option<f64> {
     TIMES.iter().find_map(|name| number(group, name)).filter(|time| time.is_finite())
 }
 
-/// The time in a data set of a group: one for all frames, or one for each.
+/// The time in a data set of a group, which has one time for all frames or one for each.
 pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> {
     let (_, sets) = group.member_names().ok()?;
     let set = TIMES.iter().chain(&["times"]).find_map(|name| {
@@ -147,7 +146,7 @@ pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> 
     number_of(set, frame).filter(|time| numbers == frames && time.is_finite())
 }
 
-/// A number in a data set that has no more than one long axis.
+/// A number in a data set with at most one long axis.
 pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
     let rows = match *set.shape() {
         [] | [1, 1] => 1,
@@ -160,12 +159,12 @@ pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
     numbers.first().copied()
 }
 
-/// A number in a group's attribute.
+/// A number in an attribute of a group.
 pub(super) fn number(group: &Group, name: &str) -> Option<f64> {
     group.attribute(name).ok()?.read_as_f64().ok()
 }
 
-/// All numbers of a group's attribute.
+/// All numbers in an attribute of a group.
 pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
     let attribute = group.attribute(name).ok()?;
     let whole = |values: Vec<i64>| values.into_iter().map(|value| value as f64).collect();
@@ -182,8 +181,7 @@ pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
     .ok()
 }
 
-/// Reads ranges of the file as the library asks for them, by their position where it lies on disk
-/// as it is, and keeps none of them.
+/// Reads ranges of the file for the HDF5 library, without caching.
 struct Ranges(Arc<Bytes>);
 
 impl Storage for Ranges {

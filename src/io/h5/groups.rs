@@ -1,5 +1,5 @@
-//! Groups that hold particles, wherever they are in a file: data sets of equally many rows, tables
-//! of a compound type, and elements as H5MD has them.
+//! Finds groups of particles anywhere in a file: data sets with the same number of rows, tables of
+//! a compound type, and elements of H5MD.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -17,12 +17,12 @@ use super::file::{File, checked, time_of, times_in};
 use super::h5md;
 use super::table::{Array, Part, Table, chosen_type, scalar, types};
 
-/// Type of particles that is read of several, where it is there: gas, as in snapshots.
+/// The type of particles that is read by default: gas, as in snapshots.
 const USUAL: &str = "PartType0";
 
-/// A group, or a table in one, that holds the positions of particles.
+/// A group, or a table in a group, with positions of particles.
 pub(super) struct Candidate {
-    /// Path from the group that was searched; `/` for that group.
+    /// Path relative to the searched group; `/` for that group.
     path: String,
     group: Group,
     fields: Vec<Field>,
@@ -30,14 +30,14 @@ pub(super) struct Candidate {
     pub arrangement: Arrangement,
 }
 
-/// Where a field is stored.
+/// The storage of a field.
 struct Source {
     set: Arc<Dataset>,
     number: (Scalar, Endian),
     member: Option<Member>,
 }
 
-/// Place of a field in the rows of a data set, in bytes.
+/// A field in the rows of a data set.
 #[derive(Clone, Copy)]
 struct Member {
     offset: usize,
@@ -45,12 +45,12 @@ struct Member {
 }
 
 impl Candidate {
-    /// The number of frames, where the position is stored for several.
+    /// Number of frames, if the position has several.
     pub fn frames(&self) -> Option<u64> {
         self.arrangement.frames
     }
 
-    /// Refuses more frames than the file's size vouches for.
+    /// Rejects more frames than the file's size allows.
     pub fn check_frames(&self, file: &File) -> Result<(), ReadFault> {
         let Arrangement { frames, rows, .. } = self.arrangement;
         let bytes = frames.unwrap_or(1).checked_mul(rows.max(1)).and_then(|n| n.checked_mul(12));
@@ -72,7 +72,7 @@ impl Candidate {
         }
     }
 
-    /// Edges of the box in a frame, where H5MD says them.
+    /// Edges of the box in a frame, for H5MD.
     pub fn box_size(&self, frame: u64) -> Option<[f64; 3]> {
         h5md::box_size(&self.group, frame)
     }
@@ -111,26 +111,26 @@ impl Candidate {
     }
 }
 
-/// Groups and tables below `root` that hold positions, in the order of their paths.
+/// The groups and tables with positions below `root`, in the order of their paths.
 pub(super) struct Search {
     pub candidates: Vec<Candidate>,
-    /// Fault of a group that would hold positions otherwise.
+    /// Error of a group that would otherwise have positions.
     fault: Option<ReadFault>,
 }
 
 impl Search {
-    /// Looks into `root` and all groups below.
+    /// Searches `root` and all groups below.
     pub fn of(root: &Group, file: &File) -> Result<Self, ReadFault> {
         let mut search = Self { candidates: Vec::new(), fault: None };
         let mut seen = BTreeSet::new();
-        // Groups ahead, the next one last.
+        // Groups to search, the next one last.
         let mut ahead = vec![(String::new(), root.clone(), 0)];
         while let Some((path, group, depth)) = ahead.pop() {
             if !seen.insert(group.address()) {
                 continue;
             }
             if seen.len() > MOST_GROUPS {
-                // One that is not looked into may hold positions as well.
+                // A group that is not searched may also have positions.
                 return Err(ReadFault::Unsupported(format!(
                     "HDF5 with more than {MOST_GROUPS} groups; copy the particles' group to a \
                      separate file, for example by h5copy"
@@ -166,7 +166,7 @@ impl Search {
                 fields.push_table(set)?;
                 search.push(joined(&name), &group, fields);
             }
-            // Names of that kind are of references, as MATLAB writes them.
+            // Groups with such names contain references, as MATLAB writes them.
             let below = groups.into_iter().rev().filter(|group| !group.name().starts_with('#'));
             if depth < DEEPEST {
                 ahead
@@ -190,11 +190,11 @@ impl Search {
         }
     }
 
-    /// The candidate that is `named`, or the only one, and the names of all, its own first; none
-    /// where it is the only one.
+    /// The candidate that is `named`, or the only one, and the names of all with the chosen one
+    /// first; empty if there is only one.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] where there is none, which lists what `root` holds, or several.
+    /// [`ReadFault::Unsupported`] if there is none, with the contents of `root`, or several.
     pub fn chosen(
         mut self,
         root: &Group,
@@ -206,7 +206,7 @@ impl Search {
                 None => contents::no_position(root)?,
             });
         }
-        // The last part of a path names it where that is no other's.
+        // The last component of a path is enough if it is unique.
         let last = |path: &str| path.rsplit('/').next().unwrap_or_default().to_owned();
         let paths: Vec<String> = self.candidates.iter().map(|c| c.path.clone()).collect();
         let names = paths.iter().map(|path| {
@@ -216,7 +216,7 @@ impl Search {
         });
         let names: Vec<String> = names.collect();
         if let [only] = &names[..] {
-            // It may have an attribute of that name.
+            // The name may be a value of an attribute instead.
             let called = named.filter(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),
@@ -249,7 +249,7 @@ impl Fields {
         self.sources.push(source);
     }
 
-    /// A data set, if it is of numbers.
+    /// Adds a data set, if it has numbers.
     fn push(&mut self, name: String, set: Dataset) {
         if let Some(number) = scalar(set.dtype()).filter(|_| set.ndim() > 0) {
             let shape = set.shape().to_vec();
@@ -257,7 +257,7 @@ impl Fields {
         }
     }
 
-    /// A block of columns, as pandas writes them.
+    /// Adds a block of columns, as pandas writes them.
     fn push_block(&mut self, set: Dataset, items: &[String]) {
         let (Some(number), &[rows, width]) = (scalar(set.dtype()), set.shape()) else { return };
         if width != items.len() as u64 {
@@ -271,7 +271,7 @@ impl Fields {
         }
     }
 
-    /// The members of a compound type that are numbers, or arrays of numbers.
+    /// Adds the members of a compound type that are numbers, or arrays of numbers.
     fn push_table(&mut self, set: Dataset) -> Result<(), ReadFault> {
         let (&[rows], Datatype::Compound { size, .. }) = (set.shape(), set.dtype()) else {
             return Ok(());
@@ -321,12 +321,13 @@ impl Fields {
     }
 }
 
-/// The last part of a path.
+/// The last component of a path.
 pub(super) fn last_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or_default()
 }
 
-/// Names of the data sets that are blocks of columns in pandas' fixed format, and their columns'.
+/// Names of the data sets that are blocks of columns in pandas' fixed format, with the names of the
+/// columns.
 fn pandas_items(sets: &[Dataset]) -> Result<Vec<(String, Vec<String>)>, ReadFault> {
     let mut all = Vec::new();
     for set in sets {

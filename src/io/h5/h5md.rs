@@ -1,4 +1,4 @@
-//! H5MD: elements of a group of particles, each a group of its own with values, steps and times.
+//! Reads H5MD: each element of a group of particles is a group with values, steps and times.
 
 use hdf5_reader::Dataset;
 use hdf5_reader::group::Group;
@@ -15,13 +15,13 @@ const POSITION: &str = "position";
 const VALUE: &str = "value";
 const STEP: &str = "step";
 const TIME: &str = "time";
-/// Name of the particles' numbers; a row whose number is -1 is no particle of this frame.
+/// Name of the particles' numbers; a row with the number -1 has no particle in this frame.
 const ID: &str = "id";
-/// Rows whose numbers are read at once.
+/// Rows per read of numbers.
 const WINDOW: u64 = 1 << 16;
 
-/// The values of the elements among some groups, by their names. Elements that were stored at other
-/// steps than the position are left out.
+/// The values of the elements in some groups, by name. Elements with other steps than the position
+/// are left out.
 pub fn elements(groups: &[Group], file: &File) -> Result<Vec<(String, Dataset)>, ReadFault> {
     let mut all = Vec::new();
     for group in groups {
@@ -40,7 +40,7 @@ pub fn elements(groups: &[Group], file: &File) -> Result<Vec<(String, Dataset)>,
     Ok(all.map(|(name, values, _)| (name, values)).collect())
 }
 
-/// The steps of an element, where each is stored.
+/// The steps of an element, if they are stored.
 fn steps(group: &Group, sets: &[String], file: &File) -> Result<Option<Vec<i64>>, ReadFault> {
     if !sets.iter().any(|name| name == STEP) {
         return Ok(None);
@@ -50,7 +50,7 @@ fn steps(group: &Group, sets: &[String], file: &File) -> Result<Option<Vec<i64>>
     steps.map(|steps| steps.integers(file)).transpose()
 }
 
-/// Whether a group of particles is one of H5MD.
+/// Whether a group of particles has the structure of H5MD.
 pub fn is_group(group: &Group) -> Result<bool, ReadFault> {
     let (groups, _) = checked(group.member_names())?;
     if !groups.iter().any(|name| name == POSITION) {
@@ -60,18 +60,18 @@ pub fn is_group(group: &Group) -> Result<bool, ReadFault> {
     Ok(sets.iter().any(|name| name == VALUE))
 }
 
-/// The time of a frame, which the position's element says.
+/// The time of a frame, from the element of the position.
 pub fn time(group: &Group, frame: u64) -> Option<f64> {
     let times = group.group(POSITION).ok()?.dataset(TIME).ok()?;
     let time = match times.ndim() {
-        // The time between frames.
+        // A single number is the time between frames.
         0 => number_of(times, 0)? * frame as f64,
         _ => number_of(times, frame)?,
     };
     time.is_finite().then_some(time)
 }
 
-/// Edges of a box whose axes are those of the coordinates.
+/// Edges of a box that is aligned to the axes.
 pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     let all = group.group("box").ok()?;
     let fixed = || all.dataset("edges").ok();
@@ -91,7 +91,7 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     edges.iter().all(|edge| edge.is_finite() && *edge > 0.0).then_some(edges)
 }
 
-/// Numbers of the rows that are particles, where not all are.
+/// Numbers of the rows with particles; `None` if all have some.
 pub fn present(
     arrays: &[Array],
     attributes: &[(AttributeInfo, Vec<Place>)],

@@ -1,11 +1,11 @@
-//! LZF, h5py's own compression: runs of bytes as they are, and copies of bytes before.
+//! Decompresses LZF, the compression of h5py: literals, and copies of earlier bytes.
 
 use hdf5_reader::error::{Error, Result};
 
 /// The filter's number in HDF5.
 pub const ID: u16 = 32000;
 
-/// Unpacks a chunk. Three bytes unpack to 264 at most, so the chunk's size bounds the memory.
+/// Unpacks a chunk. Three bytes unpack to at most 264, so the chunk's size bounds the memory.
 pub fn unpack(packed: &[u8]) -> Result<Vec<u8>> {
     read(packed).ok_or_else(|| Error::InvalidData("damaged LZF data".to_owned()))
 }
@@ -32,7 +32,7 @@ fn read(mut packed: &[u8]) -> Option<Vec<u8>> {
         }
         let distance = (low << 8) + byte()? + 1;
         let start = unpacked.len().checked_sub(distance)?;
-        // The copy may reach into what it appends.
+        // The copy may overlap the bytes that it appends.
         for at in start..start + length + 2 {
             unpacked.push(unpacked[at]);
         }

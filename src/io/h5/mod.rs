@@ -1,4 +1,4 @@
-//! HDF5: which of the layouts that simulations write a file has.
+//! Reads HDF5 with the layouts of common simulators.
 //!
 //! | layout | told by | frames |
 //! |---|---|---|
@@ -9,8 +9,8 @@
 //! | H5Part | groups `Step#12` | its steps |
 //! | H5MD, and others | data sets of equal length or a table, in a group | groups `frame_12`, or an axis |
 //!
-//! `sim.h5part#12` names one of several frames. The library that parses the file is bounded: no
-//! header, chunk or run of rows is read that the file's size does not vouch for.
+//! `sim.h5part#12` names one of several frames. The file's size bounds the memory for headers,
+//! chunks and rows.
 
 mod contents;
 mod file;
@@ -35,7 +35,7 @@ use super::{ParticleFile, ReadError, ReadFault};
 use file::File;
 pub use snapshot::pieces_of;
 
-/// Layouts of a file; a file without one of the others is searched for groups of particles.
+/// The layout of a file. Without a known layout, a file is searched for groups of particles.
 enum Layout {
     VtkHdf,
     OpenPmd,
@@ -63,15 +63,14 @@ impl Layout {
     }
 }
 
-/// Reads a frame of the file at `path`, whose bytes these are; a snapshot's other files lie beside
-/// it.
+/// Reads a frame of the file at `path` with these bytes. Other files of a snapshot are beside it.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] where a step or a type of particles has to be chosen or is not there,
-/// and where no position is found; [`ReadFault::Malformed`] for what HDF5 or the layout does not
-/// allow, and data sets that differ in length; [`ReadFault::Compression`] for a file that unpacks
-/// beyond all reason; [`ReadFault::Scratch`] where it is decoded into a scratch file that fails;
-/// [`ReadFault::Io`] for a missing piece, which the error names.
+/// [`ReadFault::Unsupported`] if a step or a type of particles must be chosen or does not exist,
+/// and if no position is found; [`ReadFault::Malformed`] for violations of HDF5 or the layout, and
+/// data sets of different lengths; [`ReadFault::Compression`] if the compression ratio is too high;
+/// [`ReadFault::Scratch`] for an error of the scratch file; [`ReadFault::Io`] for a missing piece,
+/// which the error names.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -96,10 +95,10 @@ pub fn open_particles(
     }
 }
 
-/// The numbers of the frames in a file, in order; none in a file that is one frame.
+/// The numbers of the frames in a file, in order; empty for a file with a single frame.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for what is no HDF5.
+/// [`ReadFault::Malformed`] for a file that is not HDF5.
 pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
     let file = File::open(bytes, Unpacking::in_memory())?;
     match Layout::of(&file)? {
@@ -110,7 +109,7 @@ pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
     }
 }
 
-/// Whether a file holds polygons in VTKHDF; one of nothing at all is a mesh too.
+/// Whether a file has polygons in VTKHDF. A file without any data also counts as a mesh.
 pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     let file = File::open(bytes, Unpacking::in_memory())?;
     match Layout::of(&file)? {
@@ -119,10 +118,10 @@ pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
     }
 }
 
-/// Reads the polygons of a VTKHDF file as a mesh, fanned from their first corner.
+/// Reads the polygons of a VTKHDF file as a mesh, divided into triangles from their first corner.
 ///
 /// # Errors
-/// As [`open_particles`]; besides [`ReadFault::Unsupported`] for strips, other layouts and data
+/// Those of [`open_particles`], and [`ReadFault::Unsupported`] for strips, other layouts and data
 /// sets, and several steps.
 pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
     let file = File::open(bytes, Unpacking::in_memory())?;

@@ -1,7 +1,7 @@
-//! openPMD in HDF5: species of particles whose records say in what unit they are.
+//! Reads openPMD in HDF5: species of particles with records in known units.
 //!
-//! A particle is at `position` plus `positionOffset`, each in its own unit; all values are turned
-//! into the SI's.
+//! The position of a particle is `position` plus `positionOffset`, each with its own unit. All
+//! values are converted to SI units.
 
 use std::io;
 
@@ -19,11 +19,11 @@ use crate::particles::AttributeInfo;
 use super::file::{File, checked, number, numbers, time_of};
 use super::table::{Array, Windows, chosen_type, fault_of, types};
 
-/// Groups of a species that are no records of its particles.
+/// Groups of a species that are not attributes of its particles.
 const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The group of all iterations, as the root says.
+/// The group of all iterations, whose path the root specifies.
 fn iterations(root: &Group) -> Result<Group, ReadFault> {
     let base = root.attribute("basePath").and_then(|path| path.read_string());
     let base = base.unwrap_or_else(|_| "/data/%T/".to_owned());
@@ -41,7 +41,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     Ok(steps)
 }
 
-/// Reads the particles of an iteration, of the species that is `wanted` or the only one.
+/// Reads the particles of an iteration, of the `wanted` species or the only one.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
@@ -79,18 +79,18 @@ pub fn read_particles(
 /// A component of a record.
 struct Component {
     values: Values,
-    /// The factor that makes SI units of the values.
+    /// The factor that converts the values to SI units.
     unit: f64,
 }
 
 enum Values {
     Stored(Box<Array>),
-    /// One value for all particles, with their number.
+    /// One value for all particles, and their number.
     Constant(f64, u64),
 }
 
 impl Component {
-    /// A data set, or a group that says a value for all.
+    /// A data set, or a group with one value for all particles.
     fn named(group: &Group, name: &str) -> Result<Option<Self>, ReadFault> {
         let (groups, sets) = checked(group.member_names())?;
         if sets.iter().any(|set| set == name) {
@@ -135,7 +135,7 @@ impl Component {
     }
 }
 
-/// A record of one component or of three.
+/// A record with one or three components.
 fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFault> {
     if let Some(scalar) = Component::named(species, name)? {
         return Ok(Some(vec![scalar]));
@@ -201,7 +201,7 @@ fn particles(
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
-/// Appends the sums of components, and says where their columns are.
+/// Appends the sums of components, and returns their columns.
 fn columns_of(
     components: &[Component],
     added: Option<&[Component]>,

@@ -1,5 +1,5 @@
-//! PySPH's output in HDF5: `particles`, with a group for each of its arrays of particles, and the
-//! solver's time.
+//! Reads PySPH's output in HDF5: `particles` has a group for each array of particles, and the
+//! solver's data has the time.
 
 use crate::io::wanted::{TAG, Wanted};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -10,11 +10,11 @@ use super::table::{Array, Place, Table, chosen_type, types};
 
 /// Name of the group of the arrays of particles.
 pub const PARTICLES: &str = "particles";
-/// Name of the group that the solver's time is in.
+/// Name of the group with the solver's time.
 pub const SOLVER: &str = "solver_data";
 
-/// Reads the particles of the array that is `wanted`, or of `fluid`. A `tag` that is not 0 marks
-/// copies of other processes' particles, and those that periodicity needs: they are left out.
+/// Reads the particles of the `wanted` array, or of `fluid`. Particles with a non-zero `tag` are
+/// copies, from other processes or for periodic boundaries, and are left out.
 pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
@@ -25,7 +25,7 @@ pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFa
     Ok(ParticleFile { time, particle_types, ..file.without(TAG) })
 }
 
-/// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.
+/// Columns by name: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.
 fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
     let named =
         |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);

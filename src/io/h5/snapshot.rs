@@ -1,8 +1,8 @@
-//! Snapshots of SWIFT and GADGET: a group for each type of particles, `PartType0` for gas, in one
-//! file or in several.
+//! Reads snapshots of SWIFT and GADGET: a group for each type of particles, with `PartType0` for
+//! gas, in one or several files.
 //!
-//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each says how many they are. A file
-//! `base.hdf5` beside them, whose data sets are views of theirs, is never read but for that number.
+//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each stores their number. Of a file
+//! `base.hdf5` beside them, whose data sets are views of the others, only this number is read.
 
 use std::path::{Path, PathBuf};
 
@@ -26,22 +26,22 @@ const GAS: &str = "PartType0";
 const POSITION: &str = "Coordinates";
 const FORMAT: &str = "SWIFT or GADGET HDF5";
 
-/// Contents of the header that every file of a snapshot has.
+/// The header of every file of a snapshot.
 #[derive(Debug, Clone, PartialEq)]
 struct Header {
-    /// Numbers of particles in this file, by type.
+    /// Numbers of particles in this file by type.
     here: Vec<u64>,
-    /// Numbers of particles in all files, by type.
+    /// Numbers of particles in all files by type.
     total: Option<Vec<u64>>,
     files: u64,
     time: Option<f64>,
     box_size: Option<[f64; 3]>,
     unit_metres: Option<f64>,
-    /// Whether the file's data sets are views of those of others.
+    /// Whether the file's data sets are views of other files.
     is_view: bool,
 }
 
-/// Whether a file is one of a snapshot, by its header.
+/// Whether the header is that of a file of a snapshot.
 pub fn says_pieces(root: &Group) -> bool {
     root.group(HEADER).is_ok_and(|header| header.attribute("NumPart_ThisFile").is_ok())
 }
@@ -79,7 +79,7 @@ impl Header {
         })
     }
 
-    /// The types of which there are particles, in any of the files.
+    /// The types with particles in any of the files.
     fn types(&self) -> Vec<String> {
         let counts = self.total.as_ref().unwrap_or(&self.here);
         (0..)
@@ -89,13 +89,13 @@ impl Header {
             .collect()
     }
 
-    /// Whether another file may be of the same snapshot.
+    /// Whether another file may belong to the same snapshot.
     fn is_like(&self, other: &Self) -> bool {
         self.files == other.files && self.time == other.time && self.total == other.total
     }
 }
 
-/// The unit of length: SWIFT says it in a group, GADGET in the header or among the parameters.
+/// The unit of length: in a group for SWIFT, in the header or among the parameters for GADGET.
 fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     let swift = || number(&root.group("Units").ok()?, "Unit length in cgs (U_L)");
     let gadget = || {
@@ -105,8 +105,7 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
     swift().or_else(gadget).map(|centimetres| centimetres / 100.0).filter(|metres| *metres > 0.0)
 }
 
-/// Reads all files of the snapshot that `file`, at `path`, is one of: particles of the type that is
-/// `wanted`, or gas.
+/// Reads all files of the snapshot of `file`, at `path`: particles of the `wanted` type, or gas.
 pub fn open_particles(
     path: &Path,
     file: File,
@@ -135,7 +134,7 @@ pub fn open_particles(
             });
             read.map_err(|fault| ReadError::new(piece, fault))
         };
-        // All are waited for, so that the error is the first piece's.
+        // Waits for all files, so that the error is always that of the first piece.
         let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
         let unread =
@@ -154,7 +153,7 @@ pub fn open_particles(
     Ok(ParticleFile { time, box_size, unit_metres, particle_types, ..read })
 }
 
-/// Refuses files that hold other particles together than each of them says.
+/// Checks that the files contain the total number of particles in their headers.
 fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFault> {
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     match header.total.as_ref().and_then(|total| total.get(index)) {
@@ -169,7 +168,7 @@ fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFaul
     }
 }
 
-/// The particles of one file. It may be one of those that `of` announces.
+/// The particles of one file, which may be one of `of` pieces.
 fn read_piece(
     file: File,
     kind: &str,
@@ -201,7 +200,7 @@ fn read_piece(
     table.read(file, FORMAT, wanted.attributes)
 }
 
-/// The paths of a snapshot's files, all of which are there.
+/// The paths of a snapshot's files, all of which exist.
 fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> {
     let base = snapshot_piece(path).filter(|(_, number)| !header.is_view && *number < header.files);
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
@@ -216,14 +215,14 @@ fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> 
     let mut paths = Vec::new();
     for number in 0..header.files {
         let piece = path.with_file_name(format!("{stem}.{number}.{extension}"));
-        // Whatever the number of files, those that are there are not many.
+        // The loop stops at the first missing file, even if the header announces far too many.
         piece.metadata().map_err(|fault| ReadError::new(&piece, fault.into()))?;
         paths.push(piece);
     }
     Ok(paths)
 }
 
-/// How many files a snapshot is in, by one of them; `None` of what is no snapshot.
+/// The number of files of a snapshot, from one of them; `None` for other files.
 pub fn pieces_of(path: &Path) -> Option<u64> {
     let file = File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
     let root = file.root().ok().filter(says_pieces)?;

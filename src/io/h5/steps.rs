@@ -1,5 +1,5 @@
-//! Particles in groups of any name, and frames: groups with numbers such as H5Part's `Step#12`, or
-//! the first axis of the arrays.
+//! Reads particles in groups of any name, and frames: numbered groups such as H5Part's `Step#12`,
+//! or the first axis of the arrays.
 
 use hdf5_reader::group::Group;
 
@@ -12,7 +12,7 @@ use super::groups::Search;
 
 /// Prefix of the names of H5Part's groups.
 const STEP: &str = "step#";
-/// Words before the number of a group that is a frame, in lower case.
+/// Words before the number of a group of a frame, in lower case.
 const WORDS: [&str; 14] = [
     "step",
     "timestep",
@@ -29,7 +29,7 @@ const WORDS: [&str; 14] = [
     "state",
     "dump",
 ];
-/// Names of the groups whose groups need no word before the number, in lower case.
+/// Names of the groups in which frames may be named only by a number, in lower case.
 const PARENTS: [&str; 12] = [
     "timestepdata",
     "timesteps",
@@ -45,8 +45,9 @@ const PARENTS: [&str; 12] = [
     "trajectory",
 ];
 
-/// Reads a frame: of the group with its number, or of arrays whose first axis counts frames; or all
-/// of a file that is one. Of several groups of particles the one that is `wanted`.
+/// Reads a frame: from the group with its number, from arrays whose first axis counts frames, or
+/// from a file with a single frame. If there are several groups of particles, reads the `wanted`
+/// one.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
@@ -84,7 +85,7 @@ pub fn read_particles(
     })
 }
 
-/// The numbers of the frames, in order; none in a file that is one frame.
+/// The numbers of the frames, in order; empty for a file with a single frame.
 pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     let root = file.root()?;
     let numbered = numbered(&root, file)?;
@@ -93,7 +94,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     }
     let search = Search::of(&root, file)?;
     let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
-    // Which of several groups is meant is asked when one is read.
+    // Which of several groups is meant is checked when one is read.
     let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
         return Ok(Vec::new());
     };
@@ -101,8 +102,8 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     Ok(longest.arrangement.steps())
 }
 
-/// The groups that are frames, in the order of their numbers: H5Part's, or those of one group or
-/// the root whose names say so and that hold positions.
+/// The groups of frames, in the order of their numbers: those of H5Part, or numbered groups with
+/// positions in one group or the root.
 fn numbered(root: &Group, file: &File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = checked(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
@@ -127,7 +128,7 @@ fn numbered(root: &Group, file: &File) -> Result<Vec<(u64, Group)>, ReadFault> {
     Ok(Vec::new())
 }
 
-/// Groups that have a number by their names in lower case.
+/// Groups that have a number, from their names in lower case.
 fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64, Group)> {
     let number = |group: &Group| {
         let name = group.name().to_ascii_lowercase();
@@ -139,7 +140,7 @@ fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64,
     found
 }
 
-/// The number of a frame in a group's name, in lower case as its parent's.
+/// The number of a frame in a group's name; both names are in lower case.
 fn step_number(name: &str, parent: &str) -> Option<u64> {
     let digits = name.trim_start_matches(|letter: char| !letter.is_ascii_digit());
     let word = name[..name.len() - digits.len()].trim_end_matches(['#', '_', '-', ' ', ':', '=']);

@@ -1,5 +1,5 @@
-//! Data sets of numbers, a row a particle, as columns: where they lie if all do so as they are,
-//! else decoded.
+//! Data sets of numbers with one row per particle, as columns: read in place if all are contiguous
+//! and uncompressed, otherwise decoded.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -21,45 +21,46 @@ use crate::particles::sieve::Sieve;
 
 use super::file::{File, checked};
 
-/// Bytes that are decoded at once, where chunks are not larger.
+/// Bytes per decoding step, unless chunks are larger.
 const WINDOW: u64 = 1 << 20;
-/// Components that an attribute may have: more are a matrix or a spectrum.
+/// Maximum number of components of an attribute: more are a matrix or a spectrum.
 const MOST_COMPONENTS: u64 = 64;
 
-/// Types of particles that an error lists.
+/// Maximum number of types of particles in an error.
 const LISTED: usize = 20;
 
 const NATIVE: Endian = if cfg!(target_endian = "big") { Endian::Big } else { Endian::Little };
 
-/// An array of numbers, a row a particle: a data set, some of its rows, or a part of them.
+/// An array of numbers with one row per particle: a data set, or a range of its rows, or a part of
+/// each row.
 pub(super) struct Array {
     pub set: Arc<Dataset>,
     pub name: String,
     pub scalar: Scalar,
     endian: Endian,
     pub components: usize,
-    /// The first row that is meant.
+    /// The first row.
     pub first: u64,
-    /// The number of rows from there.
+    /// The number of rows.
     pub rows: u64,
     part: Part,
 }
 
-/// Where the numbers of a row are in a data set.
+/// The numbers of a row in a data set.
 #[derive(Clone, Copy)]
 pub(super) enum Part {
-    /// One after the other, in a row of the first axis.
+    /// A row of the first axis.
     Row,
-    /// In a row of the second axis, of the frame that the first one counts.
+    /// A row of the second axis, in this frame of the first axis.
     Frame(u64),
-    /// One in every row of the first axis, while particles run along the second.
+    /// One number of every row of the first axis; particles are along the second.
     Columns,
-    /// From byte `offset` on, in a row of the first axis that has `stride` bytes.
+    /// The numbers from byte `offset` on, in a row of `stride` bytes.
     Member { offset: usize, stride: usize },
 }
 
 impl Array {
-    /// All rows of a data set; `None` where it is not of rows of numbers.
+    /// All rows of a data set; `None` if they are not numbers.
     pub fn new(set: Dataset) -> Option<Self> {
         let name = set.name().rsplit('/').next().unwrap_or_default().to_owned();
         let (components, rows) = match *set.shape() {
@@ -83,26 +84,26 @@ impl Array {
         Self { set, name, scalar, endian, components, first: 0, rows, part }
     }
 
-    /// All of a group, as the file lists them.
+    /// All arrays of a group, in the order of the file.
     pub fn all_of(group: &Group) -> Result<Vec<Self>, ReadFault> {
         Ok(checked(group.datasets())?.into_iter().filter_map(Self::new).collect())
     }
 
-    /// All of a group, in the order of their names.
+    /// All arrays of a group, in the order of their names.
     pub fn by_name(group: &Group) -> Result<Vec<Self>, ReadFault> {
         let mut arrays = Self::all_of(group)?;
         arrays.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(arrays)
     }
 
-    /// The data set called `name` in a group, which must be there and of numbers.
+    /// The data set called `name` in a group, which must exist and contain numbers.
     pub fn named(group: &Group, name: &str) -> Result<Self, ReadFault> {
         let set = checked(group.dataset(name))?;
         Self::new(set)
             .ok_or_else(|| malformed(0, format!("{name} does not consist of rows of numbers")))
     }
 
-    /// Takes `rows` rows from `first` on.
+    /// Restricts the array to `rows` rows from `first` on.
     pub fn part(self, first: u64, rows: u64) -> Result<Self, ReadFault> {
         if first.checked_add(rows).is_none_or(|end| end > self.rows) {
             let Self { name, rows: all, .. } = &self;
@@ -114,7 +115,7 @@ impl Array {
         Ok(Self { first: self.first + first, rows, ..self })
     }
 
-    /// Bytes that are read for each row.
+    /// Bytes per row.
     fn stride(&self) -> usize {
         match self.part {
             Part::Member { stride, .. } => stride,
@@ -122,7 +123,7 @@ impl Array {
         }
     }
 
-    /// Refuses more rows than the file's size vouches for, beside what was decoded before.
+    /// Rejects more rows than the file's size allows, after the decoded bytes `before`.
     fn check(&self, before: u64, limit: u64) -> Result<(), ReadFault> {
         let end =
             self.rows.checked_mul(self.stride() as u64).and_then(|bytes| bytes.checked_add(before));
@@ -134,16 +135,16 @@ impl Array {
         Ok(())
     }
 
-    /// Appends all that is read for the rows.
+    /// Decodes the rows, and appends them.
     fn decode(&self, decoded: &mut Unpacked, file: &File) -> Result<(), ReadFault> {
         self.check(decoded.len(), file.limit)?;
         let windows = self.windows();
-        // Components that are stored apart are decoded one after the other.
+        // Components that are stored separately are decoded one after the other.
         let passes = if let Part::Columns = self.part { self.components } else { 1 };
         let count = windows.count * passes;
         let window =
             |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
-        // A batch of windows is decoded while another is kept.
+        // One batch of windows is decoded while another is stored.
         let held = 4
             * rayon::current_num_threads() as u64
             * windows.size.saturating_mul(self.stride() as u64);
@@ -166,13 +167,13 @@ impl Array {
         read.map_err(fault_of)
     }
 
-    /// The columns of what was decoded, from byte `start` on.
+    /// The columns of decoded data that starts at byte `start`.
     fn decoded_columns(&self, start: usize) -> Vec<Column> {
         let endian = if let Part::Member { .. } = self.part { self.endian } else { NATIVE };
         self.columns(start, self.rows, endian)
     }
 
-    /// The columns in the file, if the rows lie there as they are.
+    /// The columns in the file, if the rows can be read in place.
     fn in_place(&self, file: &File) -> Option<Vec<Column>> {
         let stride = self.stride() as u64;
         let all = *self.set.shape().first()?;
@@ -207,7 +208,7 @@ impl Array {
         }
     }
 
-    /// Rows to read at once: whole chunks.
+    /// Windows of rows that consist of whole chunks.
     pub fn windows(&self) -> Windows {
         let axis = usize::from(matches!(self.part, Part::Frame(_) | Part::Columns));
         let chunk =
@@ -215,14 +216,14 @@ impl Array {
         let chunk = u64::from(chunk).min(self.rows.max(1));
         let fit = WINDOW / (chunk * self.stride() as u64).max(1);
         let size = chunk * fit.max(1);
-        // The first window ends where a chunk does.
+        // The first window ends at the end of a chunk.
         let lead = (size - self.first % size).min(self.rows);
         let count = usize::from(lead > 0) + (self.rows - lead).div_ceil(size) as usize;
         Windows { lead, size, count }
     }
 
-    /// Appends some rows: numbers as the machine stores them, and other data sets as they are. Of
-    /// components that are stored apart it is that of a number.
+    /// Appends the bytes of some rows: numbers in the machine's byte order, other data unchanged.
+    /// `component` selects one of several components that are stored separately.
     fn bytes(&self, rows: [u64; 2], component: usize, out: &mut Vec<u8>) -> Result<(), ReadFault> {
         fn put<T: H5Type + NoUninit>(
             array: &Array,
@@ -253,7 +254,7 @@ impl Array {
             Scalar::U32 => put::<u32>(self, rows, component, out),
             Scalar::I64 => put::<i64>(self, rows, component, out),
             Scalar::U64 => put::<u64>(self, rows, component, out),
-            // It is no number of HDF5.
+            // HDF5 has no such number type.
             Scalar::F16 => Err(malformed(
                 0,
                 format!("{} has 16-bit floats, which are not supported", self.name),
@@ -289,12 +290,12 @@ impl Array {
         })
     }
 
-    /// Refuses rows that the file's size does not vouch for.
+    /// Rejects rows that the file's size does not allow.
     pub fn check_small(&self, file: &File) -> Result<(), ReadFault> {
         self.check(0, file.limit)
     }
 
-    /// All numbers as integers, of a data set that is small or read to be one mesh.
+    /// All numbers as integers, for a small data set or a mesh.
     pub fn integers(&self, file: &File) -> Result<Vec<i64>, ReadFault> {
         self.check(0, file.limit)?;
         self.some_integers([0, self.rows])
@@ -310,7 +311,7 @@ impl Array {
         numbers.collect::<Option<_>>().ok_or_else(no_integers)
     }
 
-    /// The part of the data set that holds some rows.
+    /// The part of the data set with some rows.
     fn selection(&self, [start, end]: [u64; 2], component: usize) -> SliceInfo {
         let slice = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
         let rows = slice(self.first + start, self.first + end);
@@ -337,8 +338,8 @@ impl Array {
     }
 }
 
-/// Elements of any type as the file stores them. The first of several that are decoded at once
-/// holds the bytes of all, so that those of one are no allocation each.
+/// Elements of any type as the file stores them. The first of several elements holds the bytes of
+/// all, to avoid an allocation per element.
 #[derive(Clone)]
 struct Stored(Vec<u8>);
 
@@ -362,17 +363,17 @@ impl H5Type for Stored {
     }
 }
 
-/// How the rows of a data set are divided.
+/// The division of a data set's rows into windows.
 pub(super) struct Windows {
-    /// Rows of the first.
+    /// Rows of the first window.
     lead: u64,
-    /// Rows of all others but the last.
+    /// Rows of the other windows, except the last.
     size: u64,
     pub count: usize,
 }
 
 impl Windows {
-    /// The first row of a window and the one after its last, out of `all`.
+    /// The first row of a window and the end of its rows, of `all` rows.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
         match index as u64 {
@@ -381,19 +382,19 @@ impl Windows {
         }
     }
 
-    /// The number of the window that holds a row.
+    /// The number of the window with a row.
     pub fn holding(&self, row: u64) -> usize {
         row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
-    /// Divides `rows` of `stride` bytes each that are in no data set.
+    /// Divides `rows` of `stride` bytes each without a data set.
     pub fn of(rows: u64, stride: u64) -> Self {
         let size = (WINDOW / stride.max(1)).max(1);
         Self { lead: size.min(rows), size, count: rows.div_ceil(size) as usize }
     }
 }
 
-/// A fault that went through the errors of input and output.
+/// Extracts a fault from an I/O error.
 pub(super) fn fault_of(error: io::Error) -> ReadFault {
     match error.downcast::<ReadFault>() {
         Ok(fault) => fault,
@@ -401,7 +402,7 @@ pub(super) fn fault_of(error: io::Error) -> ReadFault {
     }
 }
 
-/// The number that a type of data is, if it is one.
+/// The number type of a data type, if it is one.
 pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
     let (scalar, order) = match kind {
         Datatype::FixedPoint { size, signed, byte_order } => {
@@ -429,23 +430,23 @@ pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
     Some((scalar, endian))
 }
 
-/// A column: the number of an array and that of its component.
+/// A column: the index of an array and of its component.
 pub(super) type Place = (usize, usize);
 
-/// Columns of equally many rows, by where they are among arrays.
+/// Columns of several arrays with the same number of rows.
 pub(super) struct Table {
     pub arrays: Vec<Array>,
     pub position: [Place; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Place>)>,
-    /// Numbers of the rows that are particles, where not all are.
+    /// Numbers of the rows with particles; `None` if all have some.
     pub present: Option<Sieve>,
 }
 
 impl Table {
-    /// Takes every array as an attribute but for the one called `position`, of three components,
-    /// and those of another number of rows.
+    /// Uses every array with the same number of rows as an attribute, except the one called
+    /// `position`, which has three components.
     ///
-    /// Returns `None` where there is no such position.
+    /// Returns `None` without such a position.
     pub fn of_arrays(arrays: Vec<Array>, position: &str) -> Option<Self> {
         let is_it = |array: &Array| array.name == position && array.components == 3;
         let found = arrays.iter().position(is_it)?;
@@ -466,8 +467,8 @@ impl Table {
         self.arrays[self.position[0].0].rows
     }
 
-    /// The particles with the attributes that are wanted. Their columns are those of the file where
-    /// every array that is used lies there as it is; else all are decoded.
+    /// The particles with the wanted attributes. If every used array can be read in place, the
+    /// columns are those of the file, otherwise all are decoded.
     pub fn read(
         self,
         file: File,
@@ -489,7 +490,7 @@ impl Table {
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
         let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
         let mut decoded = Unpacked::new(file.unpacking);
-        // Where the rows start of which several arrays are members.
+        // The start of the rows with several arrays as members.
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
@@ -526,13 +527,13 @@ impl Table {
     }
 }
 
-/// All types of particles, the chosen one first.
+/// All types of particles, with the chosen one first.
 pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
     let others = known.into_iter().filter(|name| name != chosen);
     [chosen.to_owned()].into_iter().chain(others).collect()
 }
 
-/// The type of particles that is meant: by its name, or `usual`, or the only one.
+/// The chosen type of particles: by its name, or `usual`, or the only one.
 pub(super) fn chosen_type(
     known: &[String],
     named: Option<&str>,

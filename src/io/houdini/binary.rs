@@ -1,4 +1,5 @@
-//! Houdini's binary JSON: a byte of type before each value, texts defined once and named by number.
+//! Reads Houdini's binary JSON: a type byte before each value, and texts that are defined once and
+//! then referred to by number.
 
 use std::collections::HashMap;
 use std::rc::Rc;
@@ -12,12 +13,12 @@ use crate::io::{ReadFault, malformed};
 
 use super::json::{Event, Json, Nesting, Numbers, Storage};
 
-/// The byte that begins a document.
+/// The first byte of a document.
 const MAGIC: u8 = 0x7f;
-/// The word that follows, by which byte order is told.
+/// The next word, which shows the byte order.
 const WORD: u32 = u32::from_le_bytes(*b"NSJb");
 
-/// The byte order of a file that begins with these bytes, if it is binary JSON.
+/// The byte order of a file that starts with these bytes, if it is binary JSON.
 pub fn byte_order(head: &[u8]) -> Option<Endian> {
     let (&MAGIC, rest) = head.split_first()? else { return None };
     let word = *rest.first_chunk()?;
@@ -32,16 +33,16 @@ pub fn byte_order(head: &[u8]) -> Option<Endian> {
 pub struct Binary<'a> {
     cursor: Cursor<'a>,
     len: usize,
-    /// The byte that begins the value that was read last.
+    /// The type byte of the last value.
     value_at: usize,
     nesting: Nesting,
     tokens: HashMap<u64, Rc<str>>,
-    /// Texts that follow in an array of texts.
+    /// Remaining texts in an array of texts.
     texts: Option<u64>,
 }
 
 impl<'a> Binary<'a> {
-    /// At the start of a file, of which [`byte_order`] has found the byte order.
+    /// Starts at the beginning of a file whose byte order is known from [`byte_order`].
     pub fn new(bytes: View<'a>, endian: Endian) -> Self {
         let start = 1 + size_of_val(&WORD);
         Self {

@@ -1,35 +1,35 @@
 //! Chunks of Blosc 1: blocks of bytes, shuffled so that the first bytes of all numbers are
-//! neighbours, and compressed by one of several methods.
+//! adjacent, and compressed by one of several codecs.
 //!
 //! The format is that of c-blosc's README_HEADER.rst; numbers are little endian.
 
 use libdeflater::Decompressor;
 
-/// Bytes of a chunk's header.
+/// Bytes of the header of a chunk.
 const HEADER: usize = 16;
-/// Widest numbers of which each byte is compressed by itself.
+/// Maximum size of numbers whose bytes are compressed separately.
 const MOST_SPLITS: usize = 16;
-/// Numbers of a block that is split.
+/// Minimum count of numbers in a block that is split.
 const LEAST_SPLIT: usize = 128;
-/// Distance of the farthest repetition that BloscLZ writes in 13 bits.
+/// Maximum distance of a match that BloscLZ encodes in 13 bits.
 const FARTHEST: usize = 8191;
 
-/// Bytes of a number and of a block that are written, as Houdini's are.
+/// Bytes of a number and of a block in written chunks, as in Houdini's.
 const WRITTEN_TYPE: usize = 4;
 const WRITTEN_BLOCK: usize = 1 << 19;
 
-/// A reason why a chunk is not unpacked.
+/// An error of unpacking a chunk.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// A method of compression that is not known.
+    /// An unknown codec.
     Unknown(&'static str),
-    /// Damage.
+    /// Damaged data.
     Damaged(&'static str),
 }
 
 use Fault::Damaged;
 
-/// A method of compression.
+/// A compression codec.
 #[derive(Debug, Clone, Copy)]
 enum Codec {
     BloscLz,
@@ -38,7 +38,7 @@ enum Codec {
     Zstd,
 }
 
-/// An order of bytes in a block.
+/// The order of bytes in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Filter {
     None,
@@ -48,7 +48,7 @@ enum Filter {
     Bits,
 }
 
-/// A chunk's header.
+/// The header of a chunk.
 struct Header {
     codec: Codec,
     filter: Filter,
@@ -96,7 +96,7 @@ impl Header {
         Ok(Self { codec, filter, is_stored, may_split, type_size, block })
     }
 
-    /// The number of streams of a block of `bytes`.
+    /// The number of streams in a block of `bytes`.
     fn streams(&self, bytes: usize) -> usize {
         let is_split = self.may_split
             && bytes == self.block
@@ -141,7 +141,7 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Packs a chunk by LZ4, its bytes shuffled as those of numbers of 32 bits.
+/// Compresses a chunk by LZ4, with its bytes shuffled as 32-bit numbers.
 pub fn pack(bytes: &[u8]) -> Vec<u8> {
     let header = |flags: u8, length: usize| {
         let mut header = vec![2, 1, flags, WRITTEN_TYPE as u8];
@@ -160,7 +160,7 @@ pub fn pack(bytes: &[u8]) -> Vec<u8> {
         let (numbers, rest) = block.as_chunks::<WRITTEN_TYPE>();
         (0..WRITTEN_TYPE).for_each(|byte| shuffled.extend(numbers.iter().map(|n| n[byte])));
         shuffled.extend(rest);
-        // Not split, so that blocks of any length are packed alike.
+        // Not split, so that blocks of any length have the same form.
         let small = lz4_flex::block::compress(&shuffled);
         let small = if small.len() < shuffled.len() { &small } else { &shuffled };
         packed.extend((small.len() as u32).to_le_bytes());
@@ -175,7 +175,7 @@ pub fn pack(bytes: &[u8]) -> Vec<u8> {
 
 fn unpack_block(header: &Header, mut packed: &[u8], out: &mut [u8]) -> Result<(), Fault> {
     let streams = header.streams(out.len());
-    // The bytes of a block that is split are a multiple of its streams; the last may be longer.
+    // The number of bytes of a split block is a multiple of its streams, except in the last block.
     let each = out.len() / streams;
     if each * streams != out.len() {
         return Err(Damaged("a block is not of whole numbers"));
@@ -199,7 +199,7 @@ fn unpack_block(header: &Header, mut packed: &[u8], out: &mut [u8]) -> Result<()
     Ok(())
 }
 
-/// Decompresses, and returns how many bytes that gave.
+/// Decompresses data, and returns the number of bytes.
 fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
     match codec {
         Codec::BloscLz => blosc_lz(packed, out),
@@ -209,10 +209,10 @@ fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
     }
 }
 
-/// Decompresses BloscLZ: literals, and repetitions of what came before, as in FastLZ.
+/// Decompresses BloscLZ: literals and matches, as in FastLZ.
 fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut at = 0;
-    // The first byte has no room for a repetition.
+    // The first byte has no bits for a match.
     let mut control = next(&mut packed)? & 0x1f;
     loop {
         if control < 32 {
@@ -242,7 +242,7 @@ fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
             if end > out.len() {
                 return None;
             }
-            // It may repeat what it writes.
+            // The match may overlap its output.
             for to in at..end {
                 out[to] = out[from + (to - at)];
             }
@@ -261,7 +261,7 @@ fn next(packed: &mut &[u8]) -> Option<usize> {
     Some(usize::from(*first))
 }
 
-/// Puts the bytes of numbers side by side; those of no whole number are the last.
+/// Reverses the byte shuffle. The bytes of an incomplete number come last.
 fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
     let whole = count * type_size;
@@ -278,7 +278,7 @@ fn restore_bytes(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     out[whole..].copy_from_slice(&shuffled[whole..]);
 }
 
-/// Puts the bytes of numbers side by side, whose width the compiler knows.
+/// Reverses the byte shuffle for a number size that is known at compile time.
 fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     let count = out.len() / N;
     if count == 0 {
@@ -290,8 +290,8 @@ fn restore<const N: usize>(shuffled: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Puts the bits of numbers side by side: of each byte of the numbers, the lowest bits of all
-/// numbers come first. Numbers that are no multiple of 8 were left as they are.
+/// Reverses the bit shuffle, in which the lowest bits of each byte of all numbers come first. If
+/// the count of numbers is not a multiple of 8, the rest is unshuffled.
 fn restore_bits(shuffled: &[u8], type_size: usize, out: &mut [u8]) {
     let count = out.len() / type_size;
     if !count.is_multiple_of(8) {

@@ -1,8 +1,9 @@
-//! The container of `.bgeo.sc`: chunks of Blosc one after the other, and an index of where they are.
+//! The container of `.bgeo.sc`: consecutive chunks of Blosc, and an index.
 //!
-//! "scf1", the length of metadata and these, the chunks, the offsets of all chunks but the first
-//! from there, the bytes that every chunk but the last unpacks to, those of the last, the length of
-//! this index, and "1fcs". Numbers are of 64 bits and big endian.
+//! "scf1", the length of metadata and the metadata, the chunks, the offsets of all chunks except
+//! the first, relative to the start of the chunks, the unpacked size of all chunks except the last,
+//! the unpacked size of the last, the length of this index, and "1fcs". Numbers have 64 bits and
+//! are big endian.
 
 use std::io::{self, Write};
 
@@ -15,32 +16,32 @@ use crate::io::{ReadFault, malformed};
 
 use super::blosc;
 
-/// Bytes that a container begins with.
+/// The first bytes of a container.
 pub const MAGIC: &[u8] = b"scf1";
-/// Bytes that a container ends with.
+/// The last bytes of a container.
 const END: &[u8] = b"1fcs";
 /// Bytes of a number.
 const NUMBER: u64 = 8;
-/// Bytes that a chunk may unpack to: Houdini's are of 1 MiB.
+/// Maximum unpacked size of a chunk; Houdini's are 1 MiB.
 const LARGEST: u64 = 64 << 20;
 
-/// Bytes of a chunk that is written, as Houdini's are.
+/// Unpacked size of written chunks, as in Houdini's.
 const CHUNK: usize = 1 << 20;
 
-/// Chunks of a container, and what they unpack to.
+/// The chunks of a container with their unpacked sizes.
 struct Chunks<'a> {
     view: View<'a>,
-    /// Where each chunk starts, and the last ends.
+    /// The start of each chunk, and the end of the last.
     bounds: Vec<usize>,
     each: u64,
     last: u64,
 }
 
-/// Unpacks a container, several chunks at once and no more of them than memory has room for.
+/// Unpacks a container, with as many parallel chunks as the memory allows.
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damage; [`ReadFault::Compression`] for
-/// what unpacks beyond all reason; [`ReadFault::Unsupported`] for a compression that is not known.
+/// a compression ratio that is too high; [`ReadFault::Unsupported`] for an unknown codec.
 pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
     let view = bytes.view();
     let chunks = Chunks::of(view)?;
@@ -122,7 +123,7 @@ impl<'a> Chunks<'a> {
         Ok(Self { view, bounds, each, last })
     }
 
-    /// Bytes that some chunks unpack to.
+    /// Unpacked size of some chunks.
     fn length(&self, chunks: std::ops::Range<usize>) -> u64 {
         let has_last = chunks.end == self.bounds.len() - 1;
         let full = chunks.len() as u64 - u64::from(has_last);
@@ -133,7 +134,7 @@ impl<'a> Chunks<'a> {
         self.length(0..self.bounds.len() - 1)
     }
 
-    /// Unpacks chunks from `first` on to fill `out`.
+    /// Unpacks chunks from `first` on into `out`.
     fn unpack(&self, first: usize, out: &mut [u8], unpacking: Unpacking) -> Result<(), ReadFault> {
         let pieces = out.par_chunks_mut(self.each as usize).zip(&self.bounds[first..]);
         let pieces = pieces.zip(&self.bounds[first + 1..]);
@@ -149,27 +150,27 @@ impl<'a> Chunks<'a> {
                 blosc::Fault::Damaged(what) => malformed(start, format!("chunk: {what}")),
             })
         });
-        // The first fault, on any number of threads.
+        // The first error in order, with any number of threads.
         let results: Vec<Result<(), ReadFault>> = results.collect();
         results.into_iter().collect()
     }
 }
 
-/// A container that is written: chunks are compressed on all threads, a few at once.
+/// Writes a container: compresses a few chunks at once, on all threads.
 pub struct Packing<'a> {
     out: &'a mut dyn Write,
-    /// Bytes of chunks that are not compressed yet.
+    /// Bytes that are not compressed yet.
     waiting: Vec<u8>,
     at_once: usize,
-    /// Bytes of chunks that were written.
+    /// Bytes of written chunks.
     written: u64,
-    /// Where each chunk starts, from the first.
+    /// The start of each chunk, relative to the first.
     starts: Vec<u64>,
     last: usize,
 }
 
 impl<'a> Packing<'a> {
-    /// Begins a container.
+    /// Starts a container.
     ///
     /// # Errors
     /// Those of `out`.
@@ -194,10 +195,10 @@ impl<'a> Packing<'a> {
         Ok(())
     }
 
-    /// Writes the chunks that wait, and the index.
+    /// Writes the remaining chunks and the index.
     ///
     /// # Errors
-    /// Those of the output.
+    /// Errors of the output.
     pub fn finish(mut self) -> io::Result<()> {
         self.pack()?;
         let starts = self.starts.iter().skip(1).copied();
@@ -219,7 +220,7 @@ impl Write for Packing<'_> {
         Ok(taken)
     }
 
-    /// Chunks are written when they are full.
+    /// Called when the chunks are full.
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }

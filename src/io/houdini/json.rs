@@ -1,7 +1,7 @@
-//! Events of Houdini's JSON, which its text and its binary form share.
+//! Events of Houdini's JSON, which its text and binary forms share.
 //!
-//! Neither form is read into a tree: a reader takes one event after the other, and long arrays of
-//! numbers stay where they are.
+//! There is no tree of values: readers process one event after the other, and long arrays of
+//! numbers are not copied.
 
 use std::rc::Rc;
 
@@ -11,7 +11,7 @@ use crate::io::ReadFault;
 use crate::io::bytes::View;
 use crate::io::columns::{Endian, Scalar};
 
-/// Lists and maps within each other. Packed geometry in packed geometry has about ten a level.
+/// Maximum depth of nested lists and maps. Nested packed geometry needs about ten levels each.
 const DEEPEST: usize = 1024;
 
 /// A step through a JSON document.
@@ -35,15 +35,15 @@ pub enum Event {
 /// A type of numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Storage {
-    /// Truths, 32 in a word.
+    /// Booleans, 32 in a word.
     Bits,
-    /// IEEE's floating-point numbers of 16 bits.
+    /// 16-bit IEEE floating-point numbers.
     Half,
     Scalar(Scalar),
 }
 
 impl Storage {
-    /// The type that numbers of this one are kept as.
+    /// The type to which these numbers are converted.
     pub fn scalar(self) -> Scalar {
         match self {
             Self::Scalar(scalar) => scalar,
@@ -62,7 +62,7 @@ impl Storage {
     }
 }
 
-/// Numbers that lie in the document's bytes, one after the other.
+/// Consecutive numbers in the document's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Numbers {
     /// Offset of the first.
@@ -71,32 +71,32 @@ pub struct Numbers {
     pub count: u64,
 }
 
-/// A number of a list.
+/// A number in a list.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Number {
     Integer(i64),
     Real(f64),
 }
 
-/// A document that is read from its beginning to its end.
+/// A document that is read sequentially.
 pub trait Json {
     /// The next event.
     ///
     /// # Errors
-    /// Damage of the document, and those of reading its bytes.
+    /// Damage of the document, and errors of reading its bytes.
     fn next(&mut self) -> Result<Event, ReadFault>;
 
-    /// A fault at the place that was read last.
+    /// A fault at the last position.
     fn fault(&self, what: String) -> ReadFault;
 
-    /// Makes sure that the document ends here.
+    /// Checks that the document ends here.
     ///
     /// # Errors
-    /// For bytes that are left over.
+    /// For remaining bytes.
     fn end(&mut self) -> Result<(), ReadFault>;
 }
 
-/// The lists and maps that are open.
+/// The open lists and maps.
 #[derive(Debug, Default)]
 pub struct Nesting(Vec<Event>);
 
@@ -117,11 +117,11 @@ impl Nesting {
     }
 }
 
-/// Numbers that are read at once.
+/// Numbers per read.
 const AT_ONCE: u64 = 1 << 12;
 
 impl Numbers {
-    /// The numbers from `first` on, `count` of them.
+    /// A range of `count` numbers from `first` on.
     pub fn part(self, first: u64, count: u64) -> Self {
         Self { at: self.at + self.storage.bytes(first) as usize, count, ..self }
     }
@@ -151,7 +151,7 @@ impl Numbers {
 macro_rules! numbers {
     ($($scalar:ident $type:ident $number:ident),*) => {
         impl Storage {
-            /// The number of an index among those that are stored.
+            /// The number at an index among stored numbers.
             #[allow(clippy::cast_lossless)] // One line for all types, u64 among them.
             fn number(self, stored: &[u8], index: usize, endian: Endian) -> Number {
                 match self {
@@ -183,7 +183,7 @@ macro_rules! numbers {
         })*
 
         impl Number {
-            /// Appends the number as little-endian bytes, if the type holds it.
+            /// Appends the number as little-endian bytes; `None` if the type cannot represent it.
             pub fn put(self, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
                 match scalar {
                     $(Scalar::$scalar => {
@@ -199,7 +199,7 @@ macro_rules! numbers {
     };
 }
 
-/// A type that numbers are stored as.
+/// A type of stored numbers.
 trait Stored: Sized {
     fn from_bytes(bytes: &[u8], endian: Endian) -> Self;
 }
@@ -209,7 +209,7 @@ numbers!(
     U32 u32 Integer, I64 i64 Integer, U64 u64 Integer, F32 f32 Real, F64 f64 Real
 );
 
-/// A type that a number of text becomes.
+/// A type to which numbers of a text are converted.
 trait OfNumber: Sized {
     fn of(number: Number) -> Option<Self>;
 }

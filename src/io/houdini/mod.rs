@@ -1,9 +1,8 @@
-//! Houdini's geometry since version 12: `.geo` in text, `.bgeo` in binary, `.bgeo.sc` compressed by
-//! Blosc.
+//! Reads Houdini's geometry since version 12: `.geo` in text, `.bgeo` in binary, `.bgeo.sc`
+//! compressed by Blosc.
 //!
-//! The files tell themselves apart, whatever their extension says: a `.bgeo` may also be of the
-//! classic format. Points are particles unless they belong to a primitive that is no particle
-//! system.
+//! The content determines the form, not the extension: a `.bgeo` may also have the classic format.
+//! Points are particles unless they belong to a primitive that is not a particle system.
 
 mod binary;
 mod blosc;
@@ -31,7 +30,7 @@ use schema::{Attribute, Geometry, Place};
 use text::Text;
 pub use write::{attribute_names, write_mesh};
 
-/// Bytes by which formats are told apart.
+/// Bytes that identify the form of a file.
 const HEAD: usize = 64;
 /// Bytes of a position.
 const POSITION: u64 = 12;
@@ -71,7 +70,7 @@ impl Form {
 /// Opens a geometry of any version of Houdini.
 ///
 /// # Errors
-/// As [`read_particles`].
+/// Those of [`read_particles`].
 pub(super) fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -84,8 +83,8 @@ pub(super) fn open_particles(
 /// Reads the particles of a geometry of any version of Houdini.
 ///
 /// # Errors
-/// Damage, by its place; [`ReadFault::Unsupported`] where all points belong to polygons, packed
-/// geometry or other primitives; [`ReadFault::Scratch`] where the scratch file fails.
+/// Damage, with its position; [`ReadFault::Unsupported`] if all points belong to polygons, packed
+/// geometry or other primitives; [`ReadFault::Scratch`] if the scratch file fails.
 pub fn read_particles(
     bytes: Bytes,
     wanted: WantedAttributes,
@@ -101,10 +100,11 @@ pub fn read_particles(
     }
 }
 
-/// Reads all points of a geometry since version 12, those of polygons and other primitives too.
+/// Reads all points of a geometry since version 12, including those of polygons and other
+/// primitives.
 ///
 /// # Errors
-/// As [`read_particles`], for damage and where the scratch file fails.
+/// Those of [`read_particles`] for damage and scratch files.
 pub fn read_points(
     bytes: Bytes,
     wanted: WantedAttributes,
@@ -114,13 +114,13 @@ pub fn read_points(
     Opened::of(bytes, form, unpacking)?.arrange(None, wanted, unpacking)
 }
 
-/// A geometry, and the stores that its numbers lie in.
+/// A geometry with the bytes of its numbers.
 struct Opened {
     geometry: Geometry,
     bytes: Bytes,
     endian: Endian,
     gathered: Kept,
-    /// The format, in the words of `info`.
+    /// The name of the format.
     format: &'static str,
 }
 
@@ -132,7 +132,7 @@ impl Opened {
                 let form = Form::of(unpacked.view())?;
                 (unpacked, form, "Houdini .bgeo.sc")
             }
-            // A text is read through, and no other program may change it meanwhile.
+            // A text is read as a whole, so that other programs cannot change it meanwhile.
             Form::Text => (Bytes::Kept(bytes.read_whole(unpacking)?), form, "Houdini .geo"),
             form => (bytes, form, "Houdini .bgeo"),
         };
@@ -153,7 +153,7 @@ impl Opened {
             }
         };
         view.check()?;
-        // Pages of one value announce any number of points.
+        // Pages with one value can announce any number of points.
         if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
             let what = format!("{} points in {} bytes", geometry.points, view.len());
             return Err(ReadFault::Compression(what));
@@ -166,10 +166,10 @@ impl Opened {
         Stores { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
-    /// The points that belong to no primitive, or to a particle system; None where all do not.
+    /// The points that belong to no primitive, or to a particle system; `None` if all do.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] where there are points and all belong to primitives.
+    /// [`ReadFault::Unsupported`] if there are points and all belong to primitives.
     fn loose(&self) -> Result<Option<Sieve>, ReadFault> {
         let geometry = &self.geometry;
         if geometry.kinds.is_empty() {
@@ -177,7 +177,7 @@ impl Opened {
         }
         let points = geometry.points;
         let run = geometry.vertex_points;
-        // A vertex names a point, so that the file is as large as this.
+        // Each point has a vertex, so the file's size bounds the memory.
         let mut bound = Sieve::none(points as usize);
         let mut vertex = 0;
         let (bytes, endian) = self.stores().of(run.place);
@@ -210,7 +210,7 @@ impl Opened {
         Ok(Some(sieve).filter(|sieve| (sieve.count() as u64) < points))
     }
 
-    /// The points that are selected, or all, with the attributes that are wanted.
+    /// The selected points, or all, with the wanted attributes.
     fn arrange(
         self,
         selected: Option<Sieve>,

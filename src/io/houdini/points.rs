@@ -1,4 +1,4 @@
-//! Columns of a geometry's points: where the file has them, or unpacked from its pages.
+//! Columns of a geometry's points: in the file, or unpacked from pages.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -12,10 +12,10 @@ use crate::particles::Label;
 use super::json::{Number, Numbers, Storage};
 use super::schema::{Attribute, Data, MOST_TEXTS, Pages, Place, Run, Values};
 
-/// Points of a page that are unpacked at once.
+/// Points of a page per step.
 const ROWS: u64 = 1 << 13;
 
-/// The stores that numbers lie in.
+/// The bytes that contain numbers.
 #[derive(Clone, Copy)]
 pub struct Stores<'a> {
     pub document: View<'a>,
@@ -24,7 +24,7 @@ pub struct Stores<'a> {
 }
 
 impl<'a> Stores<'a> {
-    /// A store, and the byte order in it.
+    /// The bytes at a place, with their byte order.
     pub fn of(&self, place: Place) -> (View<'a>, Endian) {
         match place {
             Place::Document => (self.document, self.endian),
@@ -32,7 +32,7 @@ impl<'a> Stores<'a> {
         }
     }
 
-    /// The columns of an attribute, if its numbers lie in one store as columns do.
+    /// The columns of an attribute, if its numbers are stored like columns.
     pub fn columns(&self, values: &Values) -> Option<(Place, Vec<Column>)> {
         let column = |run: Run, components: u64| {
             let Storage::Scalar(scalar) = run.numbers.storage else { return None };
@@ -59,7 +59,7 @@ impl<'a> Stores<'a> {
         }
     }
 
-    /// Some numbers as they are stored, those of 16 bits widened to 32.
+    /// The bytes of some numbers; 16-bit numbers are widened to 32 bits.
     fn stored(&self, run: Run) -> Result<Cow<'a, [u8]>, ReadFault> {
         let Run { place, numbers } = run;
         let (bytes, endian) = self.of(place);
@@ -79,7 +79,7 @@ impl<'a> Stores<'a> {
         Ok(Cow::Owned(wide))
     }
 
-    /// Passes the numbers of a run to `take`, some at once.
+    /// Passes the numbers of a run to `take`, in batches.
     fn each(&self, run: Run, take: &mut Take) -> Result<(), ReadFault> {
         let Run { place, numbers } = run;
         for first in (0..numbers.count).step_by(ROWS as usize) {
@@ -91,7 +91,7 @@ impl<'a> Stores<'a> {
         Ok(())
     }
 
-    /// Passes the tuples of all pages to `take`, some at once.
+    /// Passes the tuples of all pages to `take`, in batches.
     fn each_of_pages(&self, pages: &Pages, points: u64, take: &mut Take) -> Result<(), ReadFault> {
         let Run { place, numbers } = pages.run;
         let width = numbers.storage.scalar().size();
@@ -136,28 +136,28 @@ impl<'a> Stores<'a> {
     }
 }
 
-/// Takes stored bytes.
+/// Consumes stored bytes.
 type Take<'a> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 'a;
 
-/// A column for each component of an attribute whose first column is this one.
+/// A column for each component of an attribute, from its first column.
 fn components(first: Column, values: &Values) -> Vec<Column> {
     (0..values.components as usize).map(|index| first.component(index)).collect()
 }
 
-/// A label, the column of its numbers, and the place among its texts for each number.
+/// A label, the column of its numbers, and the index of its text for each number.
 type LabelColumn = (Label, (Column, Vec<u32>));
 
-/// Numbers that are unpacked, attribute after attribute.
+/// Unpacked numbers, attribute by attribute.
 pub struct Columns<'a> {
     stores: Stores<'a>,
     unpacked: Unpacked<'a>,
     points: u64,
-    /// Bytes that further numbers may take.
+    /// Bytes that may still be added.
     left: u64,
 }
 
 impl<'a> Columns<'a> {
-    /// Starts without any, for a number of points.
+    /// Starts without attributes, for a number of points.
     pub fn new(stores: Stores<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
         let left = unpacked_limit(stores.document.len() as u64);
         Self { stores, unpacked: Unpacked::new(unpacking), points, left }
@@ -171,15 +171,15 @@ impl<'a> Columns<'a> {
     /// Unpacks an attribute.
     ///
     /// # Errors
-    /// [`ReadFault::Compression`] for more than a file of this size may unpack to, and those of
-    /// reading and of the scratch file.
+    /// [`ReadFault::Compression`] for more bytes than a file of this size may unpack to, and errors
+    /// of reading and of the scratch file.
     pub fn push(&mut self, attribute: &Attribute) -> Result<Vec<Column>, ReadFault> {
         let Attribute { name, values, .. } = attribute;
         let run = match &values.data {
             Data::Tuples(run) => run,
             Data::Pages(pages) => &pages.run,
             Data::Arrays(runs) => {
-                // There may be none where there are no points.
+                // Without points, there may be no arrays.
                 let none = self.start(name, Scalar::F64, Endian::Little, 1)?;
                 let mut columns = vec![none; values.components as usize];
                 for (column, run) in columns.iter_mut().zip(runs) {
@@ -201,13 +201,14 @@ impl<'a> Columns<'a> {
         Ok(components(first, values))
     }
 
-    /// Unpacks an attribute of texts: one more than each text's number in the file, as that is -1
-    /// for no text. Also returns its label, and the place among the label's texts for each number.
+    /// Unpacks an attribute of texts: each number is that of the file plus one, because the file
+    /// uses -1 for no text. Also returns its label, and the index of the label's text for each
+    /// number.
     ///
-    /// `None` where the texts are too many to select by, or several for a point.
+    /// `None` if there are too many texts for a label, or several per point.
     ///
     /// # Errors
-    /// [`ReadFault::Malformed`] for a number that is no text's, and those of [`push`](Self::push).
+    /// [`ReadFault::Malformed`] for a number without a text, and those of [`push`](Self::push).
     pub fn push_texts(&mut self, attribute: &Attribute) -> Result<Option<LabelColumn>, ReadFault> {
         let Attribute { name, values, texts } = attribute;
         let texts = texts.as_ref().filter(|texts| texts.len() <= MOST_TEXTS);
@@ -257,7 +258,7 @@ impl<'a> Columns<'a> {
         Ok(Some((Label { name: (**name).to_owned(), texts }, (column, places))))
     }
 
-    /// Makes sure that there is room for an attribute, which starts here.
+    /// Reserves bytes for an attribute, and returns its start.
     fn start(
         &mut self,
         name: &str,

@@ -1,8 +1,7 @@
-//! The contents of a Houdini geometry: the points' attributes, and the primitives that connect
-//! points.
+//! The contents of a Houdini geometry: the points' attributes, and the primitives that use points.
 //!
-//! Lists alternate keys and values as maps do. Numbers that are short lists are gathered in a store
-//! of their own, and arrays of numbers stay where they are.
+//! Lists alternate keys and values like maps. Numbers in short lists are copied to a separate
+//! buffer; arrays of numbers stay in the document.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -14,31 +13,31 @@ use crate::particles::sieve::Sieve;
 
 use super::json::{Event, Json, Number, Numbers, Storage};
 
-/// Attributes of a file: production files have a few hundred.
+/// Maximum number of attributes; production files have a few hundred.
 const MOST_ATTRIBUTES: usize = 1 << 16;
-/// Bytes of an attribute's name.
+/// Maximum length of an attribute's name in bytes.
 const LONGEST_NAME: usize = 1 << 10;
-/// Components of an attribute: more are a spectrum.
+/// Maximum number of components of an attribute: more are a spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
-/// Texts of an attribute that can be selected by.
+/// Maximum number of texts of an attribute that can be used for selection.
 pub const MOST_TEXTS: usize = 4096;
-/// Kinds of primitives that are told apart.
+/// Maximum number of different kinds of primitives.
 const MOST_KINDS: usize = 64;
-/// Words of flags of constant pages, of all attributes: those of 10^11 points.
+/// Maximum number of words for flags of constant pages, of all attributes: enough for 10^11 points.
 const MOST_FLAGS: usize = 1 << 20;
-/// Numbers that are gathered at once.
+/// Numbers per copy.
 const CHUNK: usize = 1 << 13;
 
-/// A geometry, whose attributes are as long as it says.
+/// A geometry, whose attributes have the announced length.
 #[derive(Debug)]
 pub struct Geometry {
     pub points: u64,
     pub attributes: Vec<Attribute>,
-    /// The number of primitives of each kind, in the file's spelling, without particle systems.
+    /// Number of primitives of each kind, with the file's names, without particle systems.
     pub kinds: BTreeMap<Rc<str>, u64>,
     /// The point of each vertex.
     pub vertex_points: Run,
-    /// A bit for each vertex of a particle system; none where there is none.
+    /// A bit for each vertex, set in particle systems; empty without particle systems.
     pub particle_vertices: Vec<u64>,
     /// The time in seconds.
     pub time: Option<f64>,
@@ -49,35 +48,34 @@ pub struct Geometry {
 pub struct Attribute {
     pub name: Rc<str>,
     pub values: Values,
-    /// The texts that the values are the numbers of, where they are; empty where those are too
-    /// many.
+    /// The texts for the values, if they are numbers of texts; empty if there are too many.
     pub texts: Option<Vec<Rc<str>>>,
 }
 
-/// Numbers of points.
+/// The numbers of all points.
 #[derive(Debug)]
 pub struct Values {
-    /// Numbers of a point.
+    /// Numbers per point.
     pub components: u64,
     pub data: Data,
 }
 
-/// How numbers are arranged.
+/// The arrangement of numbers.
 #[derive(Debug)]
 pub enum Data {
-    /// Point after point.
+    /// Point by point.
     Tuples(Run),
-    /// Component after component.
+    /// Component by component.
     Arrays(Vec<Run>),
-    /// Page after page of points.
+    /// Page by page.
     Pages(Pages),
 }
 
-/// Pages of points, each divided into groups of components.
+/// Pages of points, divided into groups of components.
 #[derive(Debug)]
 pub struct Pages {
     pub run: Run,
-    /// Points of a page.
+    /// Points per page.
     pub size: u64,
     pub groups: Vec<Group>,
 }
@@ -86,7 +84,7 @@ pub struct Pages {
 #[derive(Debug)]
 pub struct Group {
     pub components: u64,
-    /// A bit for each page that stores one tuple for all of its points; none where no page does.
+    /// A bit for each page that stores one tuple for all of its points; empty if no page does.
     constant: Vec<u64>,
 }
 
@@ -119,16 +117,16 @@ impl Pages {
     }
 }
 
-/// Where numbers are.
+/// The location of numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
     /// In the document.
     Document,
-    /// Gathered from lists.
+    /// In the buffer of numbers from lists.
     Gathered,
 }
 
-/// Numbers one after the other.
+/// Consecutive numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct Run {
     pub place: Place,
@@ -136,7 +134,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// A fault of a number in it: gathered ones have no place of their own.
+    /// A fault of a number in it. Numbers from lists have no position.
     pub fn fault(self, what: String) -> ReadFault {
         match self.place {
             Place::Document => malformed(self.numbers.at, what),
@@ -153,7 +151,7 @@ impl Run {
 /// Reads the geometry of a document.
 ///
 /// # Errors
-/// Damage, by its place.
+/// Damage, with its position.
 pub fn read(
     json: &mut dyn Json,
     document: (View, Endian),
@@ -198,7 +196,7 @@ impl Reader<'_, '_, '_> {
         match key {
             "pointcount" => head.points = Some(self.count("pointcount")?),
             "info" => {
-                // Of no matter to anything but the time.
+                // Only the time matters.
                 let first = self.json.next()?;
                 if matches!(first, Event::List | Event::Map) {
                     self.entries_within(|reader, key| match (key, reader.json.next()?) {
@@ -244,7 +242,7 @@ impl Reader<'_, '_, '_> {
         Ok(())
     }
 
-    /// Passes the key and value of each entry to `take`, which reads the value.
+    /// Passes the key of each entry to `take`, which reads the value.
     fn entries(
         &mut self,
         what: &str,
@@ -252,13 +250,13 @@ impl Reader<'_, '_, '_> {
     ) -> Result<(), ReadFault> {
         match self.json.next()? {
             Event::List | Event::Map => self.entries_within(take),
-            // As some writers spell an empty list.
+            // Some writers write an empty list like this.
             Event::Numbers(Numbers { count: 0, .. }) => Ok(()),
             _ => Err(self.json.fault(format!("expected {what} as a list of keys and values"))),
         }
     }
 
-    /// The rest of a list whose start was read.
+    /// Processes the rest of a list after its start.
     fn entries_within(
         &mut self,
         mut take: impl FnMut(&mut Self, &str) -> Result<(), ReadFault>,
@@ -277,7 +275,7 @@ impl Reader<'_, '_, '_> {
         self.skip(first)
     }
 
-    /// Passes the rest of a value that begins with an event.
+    /// Skips the rest of a value that starts with this event.
     fn skip(&mut self, first: Event) -> Result<(), ReadFault> {
         let mut event = first;
         let mut depth = 0_usize;
@@ -311,7 +309,7 @@ impl Reader<'_, '_, '_> {
         }
     }
 
-    /// A list of numbers; those of a list are gathered as `storage`.
+    /// A list of numbers; those of a JSON list are copied as `storage`.
     fn numbers(&mut self, what: &str, storage: Storage) -> Result<Run, ReadFault> {
         let first = self.json.next()?;
         self.numbers_from(first, what, storage)
@@ -364,7 +362,7 @@ impl Reader<'_, '_, '_> {
         Ok(Run { place: Place::Gathered, numbers })
     }
 
-    /// Gathers numbers of the document, as one of several lists.
+    /// Copies numbers of the document, as one of several lists.
     fn gather(&mut self, numbers: Numbers) -> Result<Run, ReadFault> {
         let (bytes, endian) = self.document;
         let scalar = numbers.storage.scalar();
@@ -383,7 +381,7 @@ impl Reader<'_, '_, '_> {
         Ok(Run { place: Place::Gathered, numbers })
     }
 
-    /// Passes each number of a list, or the only one, to `take`.
+    /// Passes each number of a list, or a single number, to `take`.
     fn each(&mut self, mut take: impl FnMut(Number)) -> Result<(), ReadFault> {
         let (bytes, endian) = self.document;
         match self.json.next()? {
@@ -413,7 +411,7 @@ impl Reader<'_, '_, '_> {
         }
     }
 
-    /// Definitions of attributes, each with its data.
+    /// Reads definitions of attributes with their data.
     fn attributes(&mut self, points: u64) -> Result<Vec<Attribute>, ReadFault> {
         let mut attributes = Vec::new();
         self.pairs("the point attributes", |reader| {
@@ -435,7 +433,7 @@ impl Reader<'_, '_, '_> {
             let attribute = match &*kind {
                 "numeric" => reader.numeric(name, points)?,
                 "string" => reader.strings(name, points)?,
-                // Lists of any length, and dictionaries.
+                // Lists of variable length, and dictionaries.
                 _ => return reader.skip_value(),
             };
             attributes.extend(attribute);
@@ -447,7 +445,7 @@ impl Reader<'_, '_, '_> {
         Ok(attributes)
     }
 
-    /// Passes over lists of two values, of which `take` reads both.
+    /// Processes lists of pairs; `take` reads both values.
     fn pairs(
         &mut self,
         what: &str,
@@ -511,7 +509,7 @@ impl Reader<'_, '_, '_> {
         loop {
             match self.json.next()? {
                 Event::End => break,
-                // One more says that they are too many.
+                // One additional text shows that there are too many.
                 Event::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
                 Event::Text(_) => {}
                 other => return Err(self.json.fault(format!("{} among texts", shown(&other)))),
@@ -520,8 +518,8 @@ impl Reader<'_, '_, '_> {
         Ok(())
     }
 
-    /// The values of an attribute, of which there is one for each point. `None` for what is no
-    /// attribute of numbers of a point.
+    /// The values of an attribute, one per point. `None` for an attribute without numbers per
+    /// point.
     fn values(&mut self, name: &str, points: u64) -> Result<Option<Values>, ReadFault> {
         let (mut components, mut page) = (None, None);
         let mut storage = Storage::Scalar(Scalar::F64);
@@ -533,7 +531,7 @@ impl Reader<'_, '_, '_> {
                 "storage" => storage = reader.storage(name)?,
                 "pagesize" => page = Some(reader.count("pagesize")?),
                 "packing" => reader.each(|number| {
-                    // What is negative or too long is refused below.
+                    // Negative and large values are rejected below.
                     if let Number::Integer(count) = number
                         && packing.len() <= MOST_COMPONENTS as usize
                     {
@@ -562,7 +560,7 @@ impl Reader<'_, '_, '_> {
         let all = points.checked_mul(components);
         let data = match (tuples, arrays, raw) {
             (Some((own, run)), None, None) => {
-                // There is no tuple to be seen where there are no points.
+                // Without points, there is no tuple from which to take the number.
                 if own != components && points > 0 {
                     return Err(fault(format!("tuples of {own} numbers, not of {components}")));
                 }
@@ -572,7 +570,7 @@ impl Reader<'_, '_, '_> {
                 Data::Tuples(run)
             }
             (None, Some(arrays), None) => {
-                // There may be no array where there are no points.
+                // Without points, there may be no arrays.
                 if arrays.len() as u64 != components && !(arrays.is_empty() && points == 0) {
                     return Err(fault(format!("{} arrays for {components} numbers", arrays.len())));
                 }
@@ -641,7 +639,7 @@ impl Reader<'_, '_, '_> {
         })
     }
 
-    /// For each group of components, the number of flags and their bits.
+    /// The number of flags and their bits, for each group of components.
     fn page_flags(&mut self) -> Result<Vec<(u64, Vec<u64>)>, ReadFault> {
         match self.json.next()? {
             Event::List => {}
@@ -697,7 +695,7 @@ impl Reader<'_, '_, '_> {
         }
     }
 
-    /// Lists of one number for each component, and how many these are.
+    /// Lists with one number for each component, and the number of components.
     fn tuples(&mut self, name: &str, storage: Storage) -> Result<(u64, Run), ReadFault> {
         if self.json.next()? != Event::List {
             return Err(self.json.fault(format!("attribute {name}: expected a list of tuples")));
@@ -810,7 +808,7 @@ impl Reader<'_, '_, '_> {
         })
     }
 
-    /// The number of values in a list, which are passed over.
+    /// The number of values in a list, which are skipped.
     fn items(&mut self) -> Result<u64, ReadFault> {
         match self.json.next()? {
             Event::Numbers(numbers) => return Ok(numbers.count),
@@ -830,7 +828,7 @@ impl Reader<'_, '_, '_> {
     }
 }
 
-/// An event, in the words of a message.
+/// The description of an event for a message.
 fn shown(event: &Event) -> String {
     match event {
         Event::List => "a list".to_owned(),

@@ -1,4 +1,4 @@
-//! Houdini's JSON in text.
+//! Reads Houdini's JSON in text.
 
 use std::rc::Rc;
 
@@ -8,22 +8,22 @@ use crate::io::number::Number as _;
 
 use super::json::{Event, Json, Nesting};
 
-/// Bytes that are passed before their memory is given back.
+/// Bytes after which memory is released.
 const PASSED: usize = 1 << 20;
 
 /// A document in text.
 pub struct Text<'a> {
     store: Slice<'a>,
     at: usize,
-    /// Offset from which on memory was not given back.
+    /// Offset of the bytes whose memory is not released yet.
     held: usize,
-    /// Start of the value that was read last.
+    /// Start of the last value.
     value_at: usize,
     nesting: Nesting,
 }
 
 impl<'a> Text<'a> {
-    /// At the start of a text.
+    /// Starts at the beginning of a text.
     pub fn new(store: Slice<'a>) -> Self {
         let at = if store.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
         Self { store, at, held: at, value_at: at, nesting: Nesting::default() }
@@ -33,7 +33,7 @@ impl<'a> Text<'a> {
         &self.store.bytes()[self.at..]
     }
 
-    /// Passes blanks, and separators: keys and values alternate without them in lists.
+    /// Skips blanks and separators. In lists of keys and values, separators are optional.
     fn skip_blanks(&mut self) {
         let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += self.rest().iter().take_while(is_blank).count();
@@ -43,7 +43,7 @@ impl<'a> Text<'a> {
         }
     }
 
-    /// A text in quotes.
+    /// A quoted text.
     fn quoted(&mut self) -> Result<Rc<str>, ReadFault> {
         let rest = self.rest();
         let mut escaped = false;

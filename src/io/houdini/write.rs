@@ -1,6 +1,6 @@
-//! Writing `.bgeo.sc`: triangles as one run of polygons, in chunks of Blosc.
+//! Writes `.bgeo.sc`: triangles as one run of polygons, in chunks of Blosc.
 //!
-//! Houdini's polygons turn clockwise as seen from outside, so corners are written in that order.
+//! Houdini's polygons are clockwise seen from outside, so corners are written in that order.
 
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -13,7 +13,7 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::container::Packing;
 
-/// Points of a page, as Houdini counts them.
+/// Points per page, as in Houdini's files.
 const PAGE: u64 = 1024;
 
 /// Values of every point.
@@ -21,18 +21,18 @@ struct Array {
     name: String,
     components: usize,
     storage: Type,
-    /// Houdini's word for what the values mean.
+    /// Houdini's name of the values' meaning.
     meaning: &'static str,
     numbers: Numbers,
 }
 
-/// Sources of an array's values.
+/// The source of an array's values.
 #[derive(Clone, Copy)]
 enum Numbers {
     Positions(CoordinateWidth),
     Normals,
     Attribute(usize),
-    /// Components of a colour, as shares from 0 to 1.
+    /// Components of a colour from 0 to 1.
     Shares(usize, [usize; 2]),
 }
 
@@ -46,7 +46,7 @@ enum Type {
 }
 
 impl Type {
-    /// The name of the type, and the byte that stands for it in binary JSON.
+    /// The name of the type, and its byte in binary JSON.
     fn spelled(self) -> (&'static str, u8) {
         match self {
             Self::F32 => ("fpreal32", 0x19),
@@ -57,11 +57,11 @@ impl Type {
     }
 }
 
-/// Writes `mesh` with all of its attributes: velocity as `v`, normals as `N`, and a colour as `Cd`
-/// with `Alpha` beside it.
+/// Writes `mesh` with all of its attributes: velocity as `v`, normals as `N`, and a colour as `Cd`,
+/// with its alpha as `Alpha`.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -120,7 +120,7 @@ fn write_document(
     out.write_all(&tail.0)
 }
 
-/// The names that attributes get, velocity and a colour under their own.
+/// The names of attributes in the file, including `v` and `Cd`.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken: HashSet<String> = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));
@@ -146,7 +146,7 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
     names.collect()
 }
 
-/// A name as Houdini allows it: letters, digits and underscores, no digit first.
+/// A valid name in Houdini: letters, digits and underscores, not starting with a digit.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
     let is_begun = plain.starts_with(|c: char| !c.is_ascii_digit());
@@ -181,7 +181,7 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<Array> {
         let (name, meaning) = if info.is_velocity() { ("v", "vector") } else { (&**name, "") };
         let storage = match info.kind {
             AttributeKind::Signed | AttributeKind::Wide => Type::I32,
-            // Houdini has no integers of 32 bits without a sign.
+            // Houdini has no unsigned 32-bit integers.
             AttributeKind::Unsigned => Type::I64,
             _ => Type::F32,
         };
@@ -226,7 +226,7 @@ impl Array {
                         let words = vertices.attributes[index].iter();
                         words.for_each(|&word| out.extend(kind.whole(word).to_le_bytes()));
                     })?,
-                    // Whole numbers are kept as their 32 bits.
+                    // Integers are stored as their 32 bits.
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }
             }
@@ -244,7 +244,7 @@ impl Array {
     }
 }
 
-/// Binary JSON, as far as numbers of arrays.
+/// A writer of binary JSON.
 struct Tokens(Vec<u8>);
 
 impl Tokens {
@@ -288,7 +288,7 @@ impl Tokens {
         self
     }
 
-    /// The head of an array, whose numbers follow.
+    /// The start of an array, whose numbers follow.
     fn array(&mut self, storage: Type, count: u64) -> &mut Self {
         self.byte(0x40).byte(storage.spelled().1).length(count)
     }

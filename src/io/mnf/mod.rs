@@ -1,7 +1,8 @@
-//! Frames: the DIF of one moment, its bricks compressed page by page in Morton order (.mnf).
+//! Packed frames: the DIF of one frame, with its bricks compressed page by page in Morton order
+//! (.mnf).
 //!
-//! All numbers are little-endian. A page holds the bricks of one bin of 16^3 cells. The file is
-//! written from its first byte to its last; what is in it is known at the end, and stands there.
+//! All numbers are little-endian. A page contains the bricks of one bin of 16^3 cells. The file is
+//! written sequentially, so its summary is at the end.
 //!
 //! | part | bytes | what |
 //! |---|---|---|
@@ -33,16 +34,16 @@
 //! | | 4 | CRC-32 of the header, the footer, the index and the number before this |
 //! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
 //!
-//! The samples of a page are those of its bricks one after the other, x fastest in each: first the
-//! low bytes of all samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for
-//! counting they are numbers of particles, at most 65535, and the DIF is theta(N) = min(N, mu0) /
-//! mu0 in 65535ths, rounded; for cloud a brick has a ghost layer of one more cell on every side,
-//! and its samples are what its own particles add there, each in all as much as suits their spacing
-//! in cells ([`Amount`](crate::field::indicator::Amount)); what lies in a cell is the sum over all
-//! bricks, at most 65535. A cell is full where what its own page holds of it is not 0.
+//! The samples of a page are those of its bricks in order, x fastest in each brick: first the low
+//! bytes of all samples, then the high bytes. For symmetry, samples are the DIF, 0 to 65535. For
+//! counting, they are numbers of particles, at most 65535, and the DIF is theta(N) = min(N, mu0) /
+//! mu0 in 65535ths, rounded. For cloud, a brick has a ghost layer of one cell on every side, and
+//! its samples are the amounts of its own particles, which depend on their spacing in cells
+//! ([`Amount`](crate::field::indicator::Amount)); the value of a cell is the sum over all bricks,
+//! at most 65535. A cell is full if its value in its own page is not 0.
 //!
-//! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is
-//! refused, all others are read.
+//! Version 1 differed only for clouds, whose size depended on mu0. Such frames are rejected; other
+//! frames of version 1 can be read.
 //!
 //! The guide for users is `packed.md`.
 
@@ -54,7 +55,7 @@ use std::path::Path;
 pub use read::{frame_from_file, open_frame};
 pub use write::{FrameWriter, write_frame};
 
-/// Whether a file is a packed frame, by its name.
+/// Whether a file is a packed frame, by its extension.
 #[must_use]
 pub fn is_packed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mnf"))
@@ -63,10 +64,10 @@ pub fn is_packed(path: &Path) -> bool {
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
 const VERSION: u32 = 2;
-/// The version before, of which all but clouds are read.
+/// The previous version. Its frames can be read, except clouds.
 const FIRST_VERSION: u32 = 1;
 
-/// Bits of what the footer says of walls: there are some; the box is periodic.
+/// Bits of the footer's flags: there are walls; the box is periodic.
 const WALLS: u32 = 1;
 const PERIODIC: u32 = 2;
 const BOTH: u32 = WALLS | PERIODIC;
@@ -80,14 +81,14 @@ const ENTRY: usize = 44;
 /// Bytes of the tail.
 const TAIL: usize = 20;
 
-/// The low bytes of `samples`, then the high bytes: alike stands beside alike, and no machine's
-/// order shows.
+/// Splits samples into their low bytes, followed by their high bytes. This compresses better, and
+/// does not depend on the machine's byte order.
 fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
     let bytes = |byte: usize| samples.iter().map(move |sample| sample.to_le_bytes()[byte]);
     bytes(0).chain(bytes(1)).collect()
 }
 
-/// The inverse.
+/// The inverse of [`planes_from_samples`].
 fn samples_from_planes(planes: &[u8]) -> Vec<u16> {
     let (low, high) = planes.split_at(planes.len() / 2);
     low.iter().zip(high).map(|(&low, &high)| u16::from_le_bytes([low, high])).collect()

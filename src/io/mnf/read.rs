@@ -24,25 +24,24 @@ use super::{
     samples_from_planes,
 };
 
-/// Bytes of the map that are looked at before all of it is given back.
+/// Bytes of the map that are read before its memory is released.
 const RELEASED: u64 = 4 << 20;
-/// Bytes that the system maps around a byte that is looked at.
+/// Bytes that the system maps around an accessed byte.
 const AROUND: u64 = 64 << 10;
-/// Bytes that are looked at in one go.
+/// Bytes per check.
 const CHUNK: usize = 1 << 20;
 
-/// Opens a frame, of whatever size. Every byte of it is looked at and checked before this returns,
-/// and none is kept but the index: samples are read again where they are gathered, and those of the
-/// pages last used stay in memory as long as they take no more than `cache_bytes`. Besides, a few
-/// MiB of the file are mapped at a time.
+/// Opens a frame of any size. This reads and checks every byte, but keeps only the index. Samples
+/// are read again when they are needed, and the most recently used pages stay in memory, up to
+/// `cache_bytes`. A few MiB of the file are mapped at a time.
 ///
-/// Another program that changes the file while the field is in use ends the run: by a panic, or a
-/// signal.
+/// If another program changes the file while the field is in use, the process ends with a panic or
+/// a signal.
 ///
 /// # Errors
-/// Whatever the system refuses; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and
-/// [`ReadFault::Compression`] for what is no frame, or a damaged one, and
-/// [`ReadFault::Unsupported`] for a frame of another version.
+/// Errors of the system; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and
+/// [`ReadFault::Compression`] for an invalid or damaged frame, and [`ReadFault::Unsupported`] for a
+/// frame of another version.
 pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let kept = match open_bytes(path)? {
@@ -56,16 +55,17 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
-/// Opens a frame that this process wrote and nobody else can reach: its samples are taken on trust.
+/// Opens a frame that this process wrote and no other process can access. Its samples are not
+/// checked.
 ///
 /// # Errors
-/// As [`open_frame`], as far as the index tells.
+/// Those of [`open_frame`] about the index.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
     let Index { facts, indicator, infos, pages } = read_index(Kept::map(file)?)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
-/// A map whose memory is given back again and again.
+/// A map whose memory is released repeatedly.
 #[derive(Debug)]
 struct Window {
     bytes: Kept,
@@ -73,7 +73,7 @@ struct Window {
 }
 
 impl Window {
-    /// To be called after every look, with the number of bytes.
+    /// Must be called after every access, with the number of bytes.
     fn looked_at(&self, bytes: u64) {
         if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
             self.looked_at.store(0, Ordering::Relaxed);
@@ -94,11 +94,11 @@ impl Window {
 struct MappedPages {
     window: Window,
     shape: PageShape,
-    /// Where each page begins, and where the last one ends.
+    /// The start of each page, and the end of the last one.
     first: Vec<u64>,
-    /// Bricks of each page.
+    /// Number of bricks in each page.
     bricks: Vec<u8>,
-    /// Until they are checked.
+    /// Checksums of the pages until they are checked.
     checksums: Vec<u32>,
 }
 
@@ -107,8 +107,7 @@ impl MappedPages {
         &self.window.bytes[self.first[page] as usize..self.first[page + 1] as usize]
     }
 
-    /// The samples of a page; `None` for a zstd stream that is damaged, or not exactly of the
-    /// page's size.
+    /// The samples of a page; `None` for a damaged zstd stream, or one of the wrong size.
     fn decompress(&self, page: usize) -> Option<Vec<u16>> {
         thread_local! {
             static SCRATCH: RefCell<(Decompressor<'static>, Vec<u8>)> = RefCell::default();
@@ -122,7 +121,7 @@ impl MappedPages {
         })
     }
 
-    /// Makes sure that all pages hold what `infos` say.
+    /// Checks that all pages match `infos`.
     fn check(&self, infos: &[PageInfo]) -> Result<(), ReadFault> {
         let fault = infos.par_iter().enumerate().find_map_first(|(page, info)| {
             let compressed = self.compressed(page);
@@ -159,7 +158,7 @@ impl PageSource for MappedPages {
     }
 }
 
-/// Everything but the pages, and where they are.
+/// All metadata, with the positions of the pages.
 struct Index {
     facts: FrameFacts,
     indicator: Indicator,
@@ -214,7 +213,7 @@ fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
-    // One in a corner of a periodic box has seven images.
+    // In a corner of a periodic box, a cell has seven images.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     let most = places * shape.cells_a_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
@@ -249,7 +248,7 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
     }
 }
 
-/// Where the footer begins, which is unharmed.
+/// The start of the footer, after checking it.
 fn read_tail(window: &Window) -> Result<usize, ReadFault> {
     let bytes = &window.bytes;
     let have = bytes.len() as u64;
@@ -280,7 +279,7 @@ fn read_tail(window: &Window) -> Result<usize, ReadFault> {
     Ok(footer as usize)
 }
 
-/// The frame's facts, its indicator, and the number of its pages.
+/// The frame's facts, its indicator, and its number of pages.
 fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), ReadFault> {
     let at = cursor.at();
     let fault = |error: &dyn std::fmt::Display| malformed(at, error.to_string());
@@ -328,7 +327,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     Ok((FrameFacts { grid, domain, periodic, census, spacing }, indicator, count))
 }
 
-/// The periodic box: an open axis goes from -inf to inf.
+/// The periodic box. An open axis extends from -inf to inf.
 fn read_periodic(cursor: &mut Cursor<'_>, grid: &Grid) -> Result<Periodic, ReadFault> {
     let at = cursor.at();
     let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
@@ -357,7 +356,7 @@ struct Entry {
     checksum: u32,
 }
 
-/// One entry, as far as it can be wrong without regard to others.
+/// Reads one entry, and checks it without regard to others.
 fn read_entry(
     cursor: &mut Cursor<'_>,
     side: BrickSide,

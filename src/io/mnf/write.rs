@@ -13,14 +13,14 @@ use crate::grid::units::MeanCount;
 
 use super::{END_MAGIC, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS, planes_from_samples};
 
-/// Speed matters, and noise compresses no better at any level.
+/// Speed matters, and higher levels do not compress noise better.
 const LEVEL: i32 = 1;
 /// Pages that one thread compresses with one context.
 const CHUNK: usize = 64;
 
-/// Writes a frame page by page. It holds the index, and the compressed pages of one batch.
+/// Writes a frame page by page. The memory holds the index and one batch of compressed pages.
 ///
-/// A file without [`finish`](Self::finish) is refused by every reader.
+/// All readers reject a file without [`finish`](Self::finish).
 #[derive(Debug)]
 pub struct FrameWriter<W> {
     out: W,
@@ -33,18 +33,18 @@ pub struct FrameWriter<W> {
     last: Option<PageInfo>,
 }
 
-/// Pages that were compressed one after the other.
+/// Consecutive compressed pages.
 struct Compressed {
     bytes: Vec<u8>,
-    /// Length and checksum of each.
+    /// Length and checksum of each page.
     parts: Vec<(usize, u32)>,
 }
 
 impl<W: Write> FrameWriter<W> {
-    /// Begins a frame of pages of one shape. Writes are large; `out` needs no buffer.
+    /// Starts a frame with pages of one shape. Writes are large, so `out` needs no buffer.
     ///
     /// # Errors
-    /// Those of `out`, here and below.
+    /// Those of `out`. This also holds for the methods below.
     pub fn create(mut out: W, shape: PageShape) -> io::Result<Self> {
         let mut header = [0; HEADER];
         header[..8].copy_from_slice(&MAGIC);
@@ -54,12 +54,12 @@ impl<W: Write> FrameWriter<W> {
         Ok(Self { out, shape, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
     }
 
-    /// Appends pages, of which `samples` gives all samples of their bricks: compresses them on all
-    /// threads, and writes them in order. The bytes depend neither on the threads nor on how the
-    /// pages are divided among the calls.
+    /// Appends pages; `samples` returns all samples of a page's bricks. Pages are compressed on all
+    /// threads and written in order. The bytes depend neither on the threads nor on the division of
+    /// pages among calls.
     ///
     /// # Panics
-    /// If the pages are not in the order of their keys, or the samples not of their bricks' number.
+    /// If the pages are not in the order of their keys, or their samples do not match their bricks.
     pub fn push<'a, P: Sync>(
         &mut self,
         pages: &'a [(PageInfo, P)],
@@ -82,7 +82,7 @@ impl<W: Write> FrameWriter<W> {
         Ok(())
     }
 
-    /// Adds a page to the index, as it stands in the file.
+    /// Adds a page to the index.
     fn enter(&mut self, info: &PageInfo, length: usize, checksum: u32) {
         let corner = info.key.coord() * BIN;
         let index = &mut self.index;
@@ -100,7 +100,7 @@ impl<W: Write> FrameWriter<W> {
         self.pages += 1;
     }
 
-    /// Writes what makes a frame of the pages. Returns the bytes of the whole file.
+    /// Writes the metadata. Returns the size of the file.
     pub fn finish(mut self, facts: &FrameFacts, indicator: Indicator) -> io::Result<u64> {
         let mut footer = footer(facts, indicator);
         footer.extend(self.pages.to_le_bytes());
@@ -117,7 +117,7 @@ impl<W: Write> FrameWriter<W> {
     }
 }
 
-/// All of the footer but the number of pages.
+/// The footer, except for the number of pages.
 fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
     let walls = facts.domain.map_or([0.0; 6], |domain| {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());
@@ -159,7 +159,7 @@ fn compress<'a, P>(
     shape: PageShape,
 ) -> io::Result<Compressed> {
     let mut compressor = Compressor::new(LEVEL)?;
-    // The index knows the size.
+    // The index has the size.
     compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
     let mut compressed = Compressed { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
     for (info, page) in pages {
@@ -172,11 +172,11 @@ fn compress<'a, P>(
     Ok(compressed)
 }
 
-/// Writes a whole frame, of whatever size. Returns the bytes of the file.
+/// Writes a whole frame of any size. Returns the size of the file.
 pub fn write_frame(out: impl Write, frame: &SampledDif) -> io::Result<u64> {
     let field = &frame.dif;
     let mut writer = FrameWriter::create(out, field.shape())?;
-    // Two chunks a thread at a time: the last to end is not waited for long.
+    // Two chunks per thread at a time, to reduce the wait for the last one.
     let batch = 2 * CHUNK * rayon::current_num_threads();
     for first in (0..field.infos().len()).step_by(batch) {
         let infos = field.infos()[first..].iter().take(batch);

@@ -1,30 +1,30 @@
-//! The header of a .ply file: what elements there are, and of what rows.
+//! The header of a .ply file: the elements and their properties.
 
 use crate::io::ReadFault;
 use crate::io::bytes::View;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::scan::Lines;
 
-/// Bytes of the longest word that a remark begins with, and of one behind it.
+/// Length of the longest keyword of a comment, including the following blank.
 const REMARK: usize = "obj_info ".len();
 
-/// How the rows are stored.
+/// The encoding of the rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Encoding {
     Ascii,
     Binary(Endian),
 }
 
-/// One value of a row, or a list of them behind their number.
+/// A value of a row, or a list of values with a length prefix.
 #[derive(Debug, Clone)]
 pub(super) struct Property {
     pub name: String,
     pub scalar: Scalar,
-    /// The type of a list's length.
+    /// The type of a list's length; `None` for a value.
     pub list: Option<Scalar>,
 }
 
-/// Rows that are alike.
+/// An element: rows with the same properties.
 #[derive(Debug)]
 pub(super) struct Element {
     pub name: String,
@@ -33,30 +33,30 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Bytes of a row in binary; nothing if rows differ in length.
+    /// Bytes of a row in binary; `None` if rows differ in length.
     pub fn row(&self) -> Option<usize> {
         self.properties.iter().map(|p| p.list.is_none().then(|| p.scalar.size())).sum()
     }
 
-    /// The element without its properties that are lists.
+    /// The element without list properties.
     pub fn without_lists(&self) -> Self {
         let properties = self.properties.iter().filter(|p| p.list.is_none()).cloned().collect();
         Self { name: self.name.clone(), count: self.count, properties }
     }
 
-    /// The number of the property of that name, or of one that differs in capitals only.
+    /// The index of the property with this name, or with the name in another case.
     pub fn property(&self, name: &str) -> Option<usize> {
         let exact = self.properties.iter().position(|p| p.name == name);
         exact.or_else(|| self.properties.iter().position(|p| p.name.eq_ignore_ascii_case(name)))
     }
 }
 
-/// All that stands before the data.
+/// The contents of the header.
 #[derive(Debug)]
 pub(super) struct Header {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
-    /// Where the data start, in bytes from the start of the file.
+    /// Start of the data, in bytes from the start of the file.
     pub body: usize,
 }
 

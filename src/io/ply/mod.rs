@@ -1,8 +1,8 @@
-//! .ply, the Stanford format: particles or meshes, in text or in binary of either byte order.
+//! .ply, the Stanford format: particles or meshes, in text or in binary with either byte order.
 //!
 //! A header lists elements in the order of their data, each with a count and its properties.
-//! `vertex` holds particles or the vertices of a mesh; `face` holds polygons, and a file without
-//! any is a particle file.
+//! `vertex` contains particles or the vertices of a mesh; `face` contains polygons, and a file
+//! without any is a particle file.
 
 mod header;
 mod read;
@@ -14,7 +14,7 @@ pub use stream::StreamedMesh;
 pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;
 
-/// Properties that together are one attribute of three components.
+/// Properties that form an attribute with three components.
 const GROUPS: [(&str, [&str; 3]); 4] = [
     ("velocity", ["vx", "vy", "vz"]),
     ("velocity", ["velocity_x", "velocity_y", "velocity_z"]),
@@ -22,5 +22,5 @@ const GROUPS: [(&str, [&str; 3]); 4] = [
     (NORMAL, ["nx", "ny", "nz"]),
 ];
 
-/// Name of the attribute that nx, ny and nz are read as.
+/// Name of the attribute of nx, ny and nz.
 const NORMAL: &str = "normal";

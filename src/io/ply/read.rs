@@ -1,4 +1,4 @@
-//! Reading .ply files: the rows of `vertex` where they lie, the lists of `face` as triangles.
+//! Reads .ply files: the rows of `vertex` in place, the lists of `face` as triangles.
 
 use std::ops::{ControlFlow, Range};
 
@@ -15,13 +15,13 @@ use super::header::{Element, Encoding, Header, Property};
 use super::{GROUPS, NORMAL};
 use crate::io::names::{COLOUR, COLOURS};
 
-/// Bytes of rows that are handed on at once.
+/// Bytes of rows per batch.
 const PIECE: usize = 1 << 16;
 
-/// Reads a file of particles, by [`read_points`].
+/// Reads a file of particles with [`read_points`].
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] where there are faces, and those of [`read_points`].
+/// [`ReadFault::Mesh`] if there are faces, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = Header::parse(bytes.view())?;
     let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
@@ -32,20 +32,19 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     }
 }
 
-/// Reads the rows of `vertex` as particles, whatever faces there are: binary ones stay where they
-/// are, text becomes columns of f64.
+/// Reads the rows of `vertex` as particles, regardless of faces. Binary rows are read in place;
+/// text becomes columns of f64.
 ///
-/// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...)
-/// are the attribute `velocity`, nx, ny and nz `normal`, and red, green, blue and perhaps alpha
-/// `color`; properties `a_0`, `a_1`, ... that follow
-/// each other are one attribute `a`, and any other is an attribute of its own. Lists are passed
-/// over, and elements that follow are not looked at.
+/// x, y and z may be at any position among the properties. vx, vy and vz (`velocity_x`, `vel_x`,
+/// ...) are the attribute `velocity`, nx, ny and nz `normal`, and red, green, blue and optionally
+/// alpha `color`. Consecutive properties `a_0`, `a_1`, ... are one attribute `a`, and any other
+/// property is an attribute. Lists are skipped, and later elements are not read.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a header, or a row of text, that does not parse,
-/// [`ReadFault::Truncated`] for fewer rows than the header counts, [`ReadFault::Malformed`] where
-/// there are no vertices with x, y and z; [`ReadFault::Scratch`] where rows of text, or rows with
-/// lists, are decoded into a scratch file that fails.
+/// [`ReadFault::Line`] for an invalid header or row of text, [`ReadFault::Truncated`] for fewer
+/// rows than the header announces, [`ReadFault::Malformed`] without vertices with x, y and z;
+/// [`ReadFault::Scratch`] if rows of text, or rows with lists, are decoded and the scratch file
+/// fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = Header::parse(bytes.view())?;
     points(bytes, &header, unpacking)
@@ -58,7 +57,7 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
     let is_text = header.encoding == Encoding::Ascii;
-    // Where rows end that hold lists, each of them tells.
+    // The end of rows with lists depends on each list.
     let vertex = header.elements.iter().position(|element| element.name == "vertex");
     let mut upto = header.elements.iter().take(vertex.map_or(0, |vertex| vertex + 1));
     let whole = is_text || upto.any(|element| element.row().is_none());
@@ -66,20 +65,19 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
     Ok(vertices(bytes.view(), header, unpacking)?.into_particles(bytes, format))
 }
 
-/// Whether there are faces, so that the file is a mesh rather than particles. Reads the header
-/// only.
+/// Whether there are faces, so that the file is a mesh. Reads only the header.
 ///
 /// # Errors
-/// As [`read_mesh`], as far as the header shows it.
+/// Those of [`read_mesh`] about the header.
 pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     Ok(faces(&Header::parse(bytes)?)?.is_some())
 }
 
-/// Reads vertices and faces; polygons of more than three corners are fanned from their first.
+/// Reads vertices and faces. Polygons are divided into triangles from their first corner.
 ///
 /// # Errors
-/// As [`read_points`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not
-/// there, and [`ReadFault::Unsupported`] for triangle strips.
+/// Those of [`read_points`], [`ReadFault::Malformed`] for a face with a missing vertex, and
+/// [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = View::from(bytes);
     let header = Header::parse(view)?;
@@ -139,8 +137,7 @@ pub(super) fn vertices(
     Ok(Vertices { decoded, count: element.count, position, attributes, normals })
 }
 
-/// The attributes that `properties` without those of `position` make: names, and numbers of
-/// properties.
+/// The attributes formed by `properties` except `position`: names, and indices of properties.
 fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
     let named = |name: &str| properties.iter().position(|p| p.name.eq_ignore_ascii_case(name));
     let whole = |members: [&str; 3]| members.into_iter().map(named).collect::<Option<Vec<_>>>();
@@ -174,8 +171,8 @@ fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usiz
     attributes
 }
 
-/// The properties `a_0`, `a_1`, ... from number `first` on as `a`, or that one alone under its own
-/// name.
+/// The properties `a_0`, `a_1`, ... from index `first` on as `a`, or a single property under its
+/// own name.
 fn numbered_run(properties: &[Property], taken: &[bool], first: usize) -> (String, Vec<usize>) {
     let name = &properties[first].name;
     let Some(base) = name.strip_suffix("_0") else {
@@ -207,7 +204,7 @@ fn text_columns(element: &Element) -> Vec<Column> {
     columns(0, 8 * components, components, Scalar::F64, Endian::Little)
 }
 
-/// Rows of binary without their lists, so that all are alike.
+/// Binary rows without their lists, so that all have the same size.
 fn plain_rows(
     bytes: &[u8],
     encoding: Encoding,
@@ -258,7 +255,7 @@ fn decode(
         |(rows, outcome)| {
             let missing = all - decoded.len() as usize;
             decoded.push(&rows[..rows.len().min(missing)])?;
-            // What stands behind the last row need not be rows.
+            // Lines after the last row may be anything.
             if rows.len() >= missing {
                 Ok(ControlFlow::Break(()))
             } else {
@@ -272,7 +269,7 @@ fn decode(
     decoded.finish()
 }
 
-/// The rows of whole lines, up to the first that is wrong, and how.
+/// The rows of complete lines, up to the first invalid one, and its error.
 fn decode_rows(
     source: Slice,
     lines: Range<usize>,
@@ -314,8 +311,7 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
     }
 }
 
-/// The element that holds faces, if there are any, and the number of the property that lists
-/// corners.
+/// The element of faces, if there are any, and the index of the property with the corners.
 pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
     let filled =
         |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
@@ -342,13 +338,13 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
     Ok(Some((element, list)))
 }
 
-/// Where the rows of `element` start, all before it being passed.
+/// The start of the rows of `element`, after all elements before it.
 pub(super) fn start(bytes: View, header: &Header, element: &Element) -> Result<usize, ReadFault> {
     let mut before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
     before.try_fold(header.body, |at, other| skip(bytes, header.encoding, other, at))
 }
 
-/// Where the rows of `element` that start at byte `at` end.
+/// The end of the rows of `element` that start at byte `at`.
 fn skip(bytes: View, encoding: Encoding, element: &Element, at: usize) -> Result<usize, ReadFault> {
     let what = || format!("{} rows of `{}`", element.count, element.name);
     match (encoding, element.row()) {
@@ -377,8 +373,8 @@ fn skip(bytes: View, encoding: Encoding, element: &Element, at: usize) -> Result
     }
 }
 
-/// Visits every row of `element` from byte `at` on: its number, its place, and the list that is
-/// property number `list`. Returns where the rows end.
+/// Visits every row of `element` from byte `at` on, with its number, its position, and the list in
+/// property number `list`. Returns the end of the rows.
 fn walk(
     bytes: &[u8],
     encoding: Encoding,
@@ -413,7 +409,7 @@ fn walk(
     Ok(scan.at())
 }
 
-/// How many values of `property` follow: as many as its list says, or one.
+/// The number of values of `property`: the length of its list, or one.
 fn list_length(
     scan: &mut Scanner,
     encoding: Encoding,

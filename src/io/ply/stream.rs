@@ -1,4 +1,4 @@
-//! A mesh that stays in its file: pieces are read when they are asked for.
+//! A mesh that is read from its file piece by piece.
 
 use std::io;
 
@@ -13,12 +13,12 @@ use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 use super::header::{Encoding, Header};
 use super::read::{faces, start, vertices};
 
-/// Vertices or triangles of a piece.
+/// Vertices or triangles per piece.
 const PIECE: usize = 1 << 15;
-/// Bytes of a triangle: how many corners it has, and their numbers.
+/// Bytes of a triangle: the number of corners, and their vertex numbers.
 const ROW: usize = 1 + 3 * size_of::<u32>();
 
-/// The mesh of a binary .ply file, of which no more is in memory than what is read at the moment.
+/// The mesh of a binary .ply file, of which only the current pieces are in memory.
 #[derive(Debug)]
 pub struct StreamedMesh {
     vertices: Pieces,
@@ -26,18 +26,18 @@ pub struct StreamedMesh {
     normals: Option<usize>,
     others: Vec<usize>,
     faces: Source,
-    /// Where the triangles start.
+    /// The start of the triangles.
     at: usize,
     outline: Outline,
 }
 
 impl StreamedMesh {
-    /// A mesh as this library writes it: little-endian, all faces triangles, corners in 32 bits,
-    /// nothing behind them; `None` for any other. The file's bytes are given twice, to read
-    /// vertices and faces apart.
+    /// Opens a mesh in the form that this library writes: little-endian, only triangles, 32-bit
+    /// corners, and nothing after them; `None` for any other. The file's bytes are given twice, to
+    /// read vertices and faces independently.
     ///
     /// # Errors
-    /// Those of [`read_mesh`](super::read_mesh), as far as the header shows them.
+    /// Those of [`read_mesh`](super::read_mesh) about the header.
     pub fn open(bytes: Bytes, again: Bytes) -> Result<Option<Self>, ReadFault> {
         let header = Header::parse(bytes.view())?;
         let Some((element, _)) = faces(&header)? else { return Ok(None) };

@@ -11,19 +11,19 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
 
-/// Bytes of a face: how many corners, and their numbers.
+/// Bytes of a face: the number of corners, and their vertex numbers.
 const FACE: usize = 1 + 3 * size_of::<u32>();
 
 /// Writes `mesh` in little-endian binary: x, y, z as float or double by `width`; nx, ny, nz, and
-/// vx, vy, vz for an attribute `velocity` of three components; the first colour as bytes red, green,
-/// blue and perhaps alpha; further attributes as `name`, or `name_0`, `name_1`, ...; and faces as
-/// lists of three.
+/// vx, vy, vz for an attribute `velocity` of three components; the first colour as bytes red,
+/// green, blue and optionally alpha; other attributes as `name`, or `name_0`, `name_1`, ...; and
+/// faces as lists of three.
 ///
-/// A name that the format has no room for (white space, or one that is taken) is altered by
+/// A name that the format cannot store, because of white space or a conflict, is changed with
 /// underscores.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -50,8 +50,7 @@ pub fn write_mesh(
     })?;
     write_triangles(out, mesh, |triangles, out| {
         let first = out.len();
-        // Each begins with the number of its corners, which is what the rest is filled with until
-        // it is known.
+        // Each face starts with its number of corners, 3, with which all bytes are initialized.
         out.resize(first + triangles.len() * FACE, 3);
         for (face, corners) in out[first..].as_chunks_mut::<FACE>().0.iter_mut().zip(triangles) {
             face[1..].copy_from_slice(
@@ -66,7 +65,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
     };
-    // The same bytes, as long as no index is beyond i32; and int is what every program reads.
+    // The bytes are the same if no index exceeds i32, and all programs support int.
     let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
     let infos = mesh.attributes();
     let normals = if mesh.has_normals() { 3 } else { 0 };
@@ -92,7 +91,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     )
 }
 
-/// Names of the attributes, before the numbers of their components.
+/// Names of the attributes, without the numbers of components.
 pub(in crate::io) fn attribute_names(
     attributes: &[AttributeInfo],
     has_normals: bool,
@@ -100,7 +99,7 @@ pub(in crate::io) fn attribute_names(
     named(attributes, has_normals).into_iter().map(|(name, _)| name).collect()
 }
 
-/// Returns the names of the properties of `vertex`, no two alike.
+/// The unique names of the properties of `vertex`.
 fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
     let properties =
         named(&mesh.attributes(), mesh.has_normals()).into_iter().flat_map(|(_, names)| names);
@@ -118,7 +117,7 @@ fn fixed(has_normals: bool) -> Vec<String> {
     ["x", "y", "z"].map(str::to_owned).into_iter().chain(normals.into_iter().flatten()).collect()
 }
 
-/// The name of each attribute, and those of its properties.
+/// The name of each attribute, and the names of its properties.
 fn named(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<String>)> {
     let mut taken = fixed(has_normals);
     let colour = colour_attribute(attributes);

@@ -1,11 +1,10 @@
-//! Lines of a table and the fields of a line: separators, quotes, comments, and cells without a
-//! value.
+//! Lines of a table and the fields of a line: separators, quotes, comments, and empty cells.
 
 use memchr::memchr;
 
 use crate::io::number::{Decimal, with_decimal};
 
-/// How the fields of a row are separated and its numbers written.
+/// The separator of fields and the decimal separator of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Syntax {
     pub separator: Separator,
@@ -21,10 +20,11 @@ pub enum Separator {
 }
 
 impl Syntax {
-    /// Fields between blanks, numbers with decimal points: what simulations write.
+    /// Fields between blanks, and decimal points, as simulators usually write.
     pub const BLANKS: Self = Self { separator: Separator::Blanks, decimal: Decimal::Point };
 
-    /// All that are read, the likeliest first. A comma separates rather than being decimal.
+    /// All supported combinations in order of preference. A comma is preferably a separator, not a
+    /// decimal comma.
     pub const ALL: [Self; 7] = [
         Self { separator: Separator::Byte(b';'), decimal: Decimal::Point },
         Self { separator: Separator::Byte(b';'), decimal: Decimal::Comma },
@@ -35,7 +35,7 @@ impl Syntax {
         Self { separator: Separator::Blanks, decimal: Decimal::Comma },
     ];
 
-    /// The number in a field: None where it has another value, NaN where it has none.
+    /// The number in a field: `None` for other values, NaN for an empty cell.
     pub fn number(self, field: &[u8]) -> Option<f64> {
         if let number @ Some(_) = with_decimal(field, self.decimal) {
             return number;
@@ -44,27 +44,27 @@ impl Syntax {
         if is_missing(field) { Some(f64::NAN) } else { with_decimal(field, self.decimal) }
     }
 
-    /// Whether a field has a value, and that is a number.
+    /// Whether a field contains a number.
     pub fn is_number(self, field: &[u8]) -> bool {
         !is_missing(unquoted(field)) && self.number(field).is_some()
     }
 }
 
 impl Separator {
-    /// The separator that a line shows by holding it.
+    /// The separator that occurs in a line.
     pub fn of(line: &[u8]) -> Self {
         [b';', b','].into_iter().find(|byte| line.contains(byte)).map_or(Self::Blanks, Self::Byte)
     }
 }
 
-/// Whether a field is one of the words for a value that is missing.
+/// Whether a field is a word for a missing value.
 fn is_missing(field: &[u8]) -> bool {
-    // Na is sodium.
+    // "Na" is sodium.
     const WORDS: [&str; 8] = ["NA", "N/A", "n/a", "null", "NULL", "Null", "none", "None"];
     field.is_empty() || WORDS.iter().any(|word| field == word.as_bytes())
 }
 
-/// A field without the quotes around it.
+/// A field without its quotes.
 pub fn unquoted(field: &[u8]) -> &[u8] {
     match field {
         [b'"', inside @ .., b'"'] | [b'\'', inside @ .., b'\''] => inside.trim_ascii(),
@@ -77,8 +77,8 @@ pub fn is_comment(line: &[u8]) -> bool {
     matches!(line.trim_ascii_start(), [b'#' | b'%' | b'!', ..] | [b'/', b'/', ..])
 }
 
-/// The lines that are not blank: number from 1, first byte, content without spaces at its ends.
-/// Tabs there may separate empty cells.
+/// The non-blank lines: number from 1, first byte, and content without surrounding spaces. Tabs are
+/// kept, because they may separate empty cells.
 pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
     let mut at = 0;
     let lines = std::iter::from_fn(move || {
@@ -91,7 +91,7 @@ pub fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, &[u8])> {
     lines.filter(|(.., content)| content.iter().any(|byte| !byte.is_ascii_whitespace()))
 }
 
-/// A line without its end and the spaces around it.
+/// A line without its end and surrounding spaces.
 fn trimmed(line: &[u8]) -> &[u8] {
     let is_cut = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
     let end = line.iter().rposition(|byte| !is_cut(byte)).map_or(0, |last| last + 1);
@@ -99,16 +99,16 @@ fn trimmed(line: &[u8]) -> &[u8] {
     &line[start..end]
 }
 
-/// The fields of a line, trimmed, up to a comment.
+/// The trimmed fields of a line, up to a comment.
 ///
-/// Quotes around a field hide separators in it. A comment begins with `#` after a blank, or where a
-/// field begins behind the last one that is expected: before that, `#` may be a cell's value. A
-/// separator at the end of the line opens a further field only if one is missing.
+/// Quotes around a field hide separators. A comment starts with `#` after a blank, or at the start
+/// of a field after the last expected one; before that, `#` may be a value. A separator at the end
+/// of the line starts another field only if one is missing.
 pub struct Fields<'a> {
     line: &'a [u8],
     at: usize,
     separator: Separator,
-    /// Fields that are still expected.
+    /// Number of expected fields.
     missing: usize,
     /// Whether the last field ended with a separator.
     open: bool,
@@ -142,13 +142,13 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The byte after the quote that closes the field, if it begins with one.
+    /// The end of a quoted field; `None` if it is not quoted.
     fn quoted_end(&self) -> Option<usize> {
         let quote = self.line[self.at];
         let mut at = self.at + 1;
         loop {
             at += memchr(quote, self.line.get(at..)?)? + 1;
-            // A quote in quotes is doubled.
+            // A quote within quotes is doubled.
             if self.line.get(at) == Some(&quote) {
                 at += 1;
                 continue;

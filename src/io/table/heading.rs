@@ -1,5 +1,4 @@
-//! The head of a table: where its rows start, how their fields are separated, and what the columns
-//! are.
+//! The head of a table: the start of its rows, its syntax, and its columns.
 
 use std::collections::HashMap;
 
@@ -11,18 +10,18 @@ use crate::io::number::{Decimal, is_overflow};
 use super::excerpt;
 use super::fields::{Fields, Separator, Syntax, is_comment, lines, unquoted};
 
-/// Lines, blank ones and comments not counted, within which the columns must be named.
+/// Maximum number of lines before the names of the columns, without blank lines and comments.
 const HEADER_LINES: usize = 32;
-/// Bytes in which the head is looked for, and twice as many where these hold fewer lines.
+/// Bytes in which the head is searched, doubled while these contain too few lines.
 pub const HEAD: usize = 64 << 10;
-/// Bytes in which the head must be.
+/// Maximum size of the head in bytes.
 const LONGEST_HEAD: usize = 16 << 20;
-/// Fields of a line; more are no table of particles.
+/// Maximum number of fields in a line of a table of particles.
 pub const MOST_FIELDS: usize = 4096;
-/// Rows of which the first column is looked at.
+/// Number of rows whose first column is examined.
 const SAMPLED_ROWS: usize = 256;
 
-/// The head of a table, above and up to its first row.
+/// The head of a table, up to its first row.
 #[derive(Debug)]
 pub struct Heading {
     /// The first byte of the first row.
@@ -33,7 +32,7 @@ pub struct Heading {
     pub columns: Named,
 }
 
-/// The columns of a table and the quantities that they are.
+/// The columns of a table with their quantities.
 #[derive(Debug)]
 pub struct Named {
     /// Names of all columns.
@@ -42,7 +41,7 @@ pub struct Named {
     pub attributes: Vec<Quantity>,
 }
 
-/// A line that is no row of numbers.
+/// A line that is not a row of numbers.
 struct Title {
     line: u64,
     names: Vec<String>,
@@ -58,8 +57,8 @@ struct Unnamed {
 }
 
 impl Named {
-    /// Columns of these names; None where no position is among them, or several. Attributes of one
-    /// name are told apart by the numbers of their columns: `a_column4` and `a_column7`.
+    /// Columns with these names; `None` without a position, or with several. Attributes with equal
+    /// names are distinguished by the numbers of their columns: `a_column4` and `a_column7`.
     pub fn of(names: Vec<String>) -> Option<Self> {
         let (position, mut attributes) = quantities(&names)?;
         let mut times = HashMap::new();
@@ -72,7 +71,7 @@ impl Named {
         Some(Self { names, position, attributes })
     }
 
-    /// Columns without names, of which three from `first` on are the position.
+    /// Columns without names; three columns from `first` on are the position.
     pub fn unnamed(first: usize, fields: usize) -> Self {
         let mut names: Vec<String> = (1..=fields).map(|column| column.to_string()).collect();
         for (name, axis) in names[first..].iter_mut().zip(["x", "y", "z"]) {
@@ -82,7 +81,7 @@ impl Named {
         Self { names, position, attributes: Vec::new() }
     }
 
-    /// Takes out the attributes in whose columns the first rows hold text and no number.
+    /// Removes and returns the attributes whose first rows have text instead of numbers.
     pub fn take_texts(&mut self, rows: &[u8], syntax: Syntax) -> Vec<Quantity> {
         let mut numbers = vec![false; self.names.len()];
         let mut texts = numbers.clone();
@@ -98,7 +97,7 @@ impl Named {
 }
 
 impl Heading {
-    /// Finds the head of a text, of which no more is read than it is in.
+    /// Finds the head of a text, and reads no more than necessary.
     pub fn of(text: View, start: usize) -> Result<Self, ReadFault> {
         let mut looked_at = HEAD;
         loop {
@@ -107,7 +106,7 @@ impl Heading {
             let known = lines(&head).filter(|(.., content)| !is_comment(content));
             let whole = end == text.len();
             if whole || looked_at >= LONGEST_HEAD || known.count() > HEADER_LINES + 2 {
-                // The last line may be cut off.
+                // The last line may be incomplete.
                 let cut = head.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
                 let head = if whole { &head[..] } else { &head[..cut] };
                 let found = Self::find(head)?;
@@ -147,7 +146,7 @@ impl Heading {
                 first = Some((line, start, content));
                 break;
             }
-            // A number alone counts the rows, or the steps.
+            // A single number is the number of rows or steps.
             let row =
                 !is_whole(content) && (is_row(content) || is_row_of_words(content, &text[start..]));
             if row && titles.is_empty() {
@@ -155,8 +154,7 @@ impl Heading {
                 break;
             }
             if row {
-                // Under a title that names no position: perhaps the first row, perhaps more of the
-                // title.
+                // After a title without a position, this may be the first row or another title.
                 first = first.or(Some((line, start, content)));
             } else {
                 let names = names_of(content, separator_of(content));
@@ -192,7 +190,7 @@ impl Heading {
         if let Some((names, content)) = named {
             let columns = Named::of(names).expect("they name a position");
             let found = Syntax::of_row(row, &columns).map(|syntax| (syntax, columns));
-            // Tabs may align names that blanks separate.
+            // Tabs may align names that are separated by blanks.
             let aligned = || {
                 let columns = Named::of(names_of(content, Separator::Blanks))?;
                 Some((Syntax::of_row(row, &columns)?, columns))
@@ -237,10 +235,10 @@ impl Heading {
     }
 }
 
-/// The columns of rows that no line names; None where the first is no row.
+/// The columns of rows without names; `None` if the first is not a row.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] where whole numbers stand before what may be the position.
+/// [`ReadFault::Unsupported`] if integers precede the possible position.
 pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault> {
     let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
     let Some(found) = unnamed(row) else { return Ok(None) };
@@ -251,7 +249,7 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault
                         name the columns by Properties=";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
-        // Else it is x, which rows may be sorted by.
+        // Otherwise it is x, by which rows may be sorted.
         (true, true) if are_elements(rows, found) || counts(rows, found) => 1,
         _ => found.first,
     };
@@ -259,13 +257,13 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault
     Ok(Some((syntax, Named::unnamed(first, found.fields))))
 }
 
-/// The names that a line holds.
+/// The names in a line.
 pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
     let name = |name| String::from_utf8_lossy(unquoted(name)).into_owned();
     Fields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
 }
 
-/// The separator of a line of names: tabs where it has any, as names may hold blanks.
+/// The separator of a line of names: tabs if there are any, because names may contain blanks.
 fn separator_of(line: &[u8]) -> Separator {
     match Separator::of(line) {
         Separator::Blanks if line.contains(&b'\t') => Separator::Byte(b'\t'),
@@ -274,7 +272,7 @@ fn separator_of(line: &[u8]) -> Separator {
 }
 
 impl Syntax {
-    /// The syntax under which a row has a field for each column, and numbers in those of the
+    /// The syntax with which a row has a field for each column, and numbers in the columns of the
     /// position.
     fn of_row(row: &[u8], columns: &Named) -> Option<Self> {
         Self::ALL.into_iter().find(|syntax| {
@@ -299,7 +297,7 @@ fn rows_of(
         .map(move |(.., content)| Fields::new(content, syntax.separator, expected))
 }
 
-/// The syntax with decimal commas, if the first number that shows which has one.
+/// The syntax with decimal commas, if the first number with a decimal separator has one.
 fn with_decimals(syntax: Syntax, rows: &[u8], columns: &Named) -> Syntax {
     let comma = Syntax { decimal: Decimal::Comma, ..syntax };
     if syntax.separator == Separator::Byte(b',') {
@@ -323,8 +321,8 @@ fn with_decimals(syntax: Syntax, rows: &[u8], columns: &Named) -> Syntax {
     syntax
 }
 
-/// How the fields of a row without names lie: three numbers come first, or after a word, or after a
-/// whole number and a word.
+/// The layout of a row without names: three numbers come first, or after a word, or after an
+/// integer and a word.
 fn unnamed(row: &[u8]) -> Option<Unnamed> {
     let all = Syntax::ALL.map(|syntax| {
         let fields = Fields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
@@ -333,7 +331,7 @@ fn unnamed(row: &[u8]) -> Option<Unnamed> {
     let between_blanks = Fields::new(row, Separator::Blanks, 0).count();
     let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
         all.iter().find_map(|(syntax, fields)| {
-            // Tabs are blanks, unless there are empty cells or blanks in cells between them.
+            // Tabs are blanks, unless there are empty cells or blanks within cells.
             if syntax.separator == Separator::Byte(b'\t') && fields.len() == between_blanks {
                 return None;
             }
@@ -352,7 +350,7 @@ fn unnamed(row: &[u8]) -> Option<Unnamed> {
     })
 }
 
-/// Whether a line begins with as many numbers as a position has, or holds nothing but numbers.
+/// Whether a line starts with three numbers, or contains only numbers.
 pub fn is_row(line: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| row.first == 0) || {
         let syntax = Syntax { separator: Separator::of(line), decimal: Decimal::Point };
@@ -360,8 +358,7 @@ pub fn is_row(line: &[u8]) -> bool {
     }
 }
 
-/// Whether words stand before the numbers of a line as of all that follow: one that stands alone is
-/// a title.
+/// Whether a line has words before its numbers like all following lines; otherwise it is a title.
 fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| {
         row.first > 0
@@ -369,7 +366,7 @@ fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
     })
 }
 
-/// Whether no field of a line below names is a number: it holds the units of the columns.
+/// Whether no field of a line below names is a number, so that it contains units.
 fn is_units(line: &[u8]) -> bool {
     Syntax::ALL.iter().all(|syntax| {
         Fields::new(line, syntax.separator, 0).all(|field| {
@@ -388,14 +385,14 @@ fn is_whole(field: &[u8]) -> bool {
     !field.is_empty() && field.len() < 20 && field.iter().all(u8::is_ascii_digit)
 }
 
-/// Whether the first column of the first rows holds whole numbers alone.
+/// Whether the first column of the first rows has only integers.
 fn has_whole_first(rows: &[u8], row: Unnamed) -> bool {
     rows_of(rows, row.syntax, row.fields)
         .take(SAMPLED_ROWS)
         .all(|mut fields| fields.next().is_some_and(is_whole))
 }
 
-/// Whether the first column of the first rows may hold atomic numbers.
+/// Whether the first column of the first rows may be atomic numbers.
 fn are_elements(rows: &[u8], row: Unnamed) -> bool {
     let number = |field: &[u8]| std::str::from_utf8(field).ok()?.parse::<u64>().ok();
     rows_of(rows, row.syntax, row.fields)
@@ -403,7 +400,7 @@ fn are_elements(rows: &[u8], row: Unnamed) -> bool {
         .all(|mut fields| fields.next().and_then(number).is_some_and(|n| (1..=118).contains(&n)))
 }
 
-/// Whether each of the three columns behind the first has numbers with fractions.
+/// Whether each of the next three columns has numbers with fractions.
 fn has_fractions(rows: &[u8], row: Unnamed) -> bool {
     let mut fractions = [false; 3];
     for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
@@ -428,7 +425,7 @@ fn counts(rows: &[u8], row: Unnamed) -> bool {
         && has_fractions(rows, row)
 }
 
-/// Refuses a line above the first row that is a row as well, with a field that is no number.
+/// Rejects a line before the first row that looks like a row with an invalid field.
 fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
     let is_number =
         |name: &String| is_overflow(name.as_bytes()) || Syntax::BLANKS.is_number(name.as_bytes());

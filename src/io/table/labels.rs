@@ -1,22 +1,22 @@
-//! Columns of text: each text once, and its number in every row.
+//! Columns of text: a list of the different texts, and a number in every row.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
 
 use crate::particles::Label;
 
-/// Most different texts of a column; one with more is no label.
+/// Maximum number of different texts of a label.
 const MOST: usize = 4096;
 
-/// The texts of a column, as far as rows were decoded.
+/// The texts of a column in the rows so far.
 #[derive(Debug, Default)]
 pub struct Texts(Mutex<HashMap<Vec<u8>, u32>>);
 
-/// The texts that one thread has met.
+/// A thread's cache of the texts.
 pub type Known = HashMap<Vec<u8>, u32>;
 
 impl Texts {
-    /// The number of a text; those of further texts are of no use where there are too many.
+    /// The number of a text; undefined if there are too many texts.
     pub fn number(&self, known: &mut Known, text: &[u8]) -> u32 {
         if let Some(&number) = known.get(text) {
             return number;
@@ -31,14 +31,14 @@ impl Texts {
         number
     }
 
-    /// The label, and for the number of each text its place among the label's; `None` where the
-    /// texts are too many.
+    /// The label, and for the number of each text its index in the label; `None` if there are too
+    /// many texts.
     pub fn label(self, name: &str) -> Option<(Label, Vec<u32>)> {
         let all = self.0.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         if all.len() > MOST {
             return None;
         }
-        // Threads met the texts in any order.
+        // Threads may have found the texts in any order.
         let mut texts: Vec<_> = all.into_iter().collect();
         texts.sort();
         let mut places = vec![0; texts.len()];

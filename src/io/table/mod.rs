@@ -1,11 +1,10 @@
-//! Tables of text: a line for each particle, its fields decoded to little-endian f64, position
-//! first.
+//! Reads tables of text: a line per particle, decoded to little-endian f64 with the position first.
 //!
-//! The separator of fields and the decimal character are those of the first rows. A line that names
-//! `x`, `y` and `z` (see [`names`]) says what the columns hold, even as a comment; the lines above
-//! it are passed over, and so is one line of units below it. Without such a line, the first three
-//! columns are the position and the others have no name to be carried under. Fields of columns that
-//! nobody wants are not parsed.
+//! The first rows determine the separator of fields and the decimal separator. A line that names
+//! `x`, `y` and `z` (see [`names`]) specifies the columns, even in a comment; the lines before it
+//! are skipped, and so is a line of units after it. Without such a line, the first three columns
+//! are the position, and the others are ignored because they have no names. Fields of unused
+//! columns are not parsed.
 //!
 //! [`names`]: super::names
 
@@ -37,20 +36,20 @@ pub(super) use heading::{HEAD, Named, is_row, names_of, unnamed_columns};
 /// Bytes of a number.
 const WIDTH: usize = size_of::<f64>();
 
-/// Rows of a text, and what their fields are.
+/// The rows of a text, with the meaning of their fields.
 pub(super) struct Table {
-    /// Bytes that the rows are in, and lines above them.
+    /// Bytes of the rows, and number of lines before them.
     pub rows: Range<usize>,
     pub lines_above: u64,
     pub syntax: Syntax,
     pub columns: Named,
-    /// The number of rows, where the file says it.
+    /// The number of rows, if the file has it.
     pub count: Option<u64>,
-    /// The box of which the coordinates are fractions.
+    /// The box, if the coordinates are fractions of it.
     pub cell: Option<Cell>,
 }
 
-/// An origin, and the three edges of a box from there.
+/// An origin, and the three edges of a box.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub origin: [f64; 3],
@@ -58,7 +57,7 @@ pub(super) struct Cell {
 }
 
 impl Cell {
-    /// The place that is at these fractions of the edges.
+    /// The place at these fractions of the edges.
     fn place(&self, fractions: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             let along = |edge: usize| fractions[edge] * self.edges[edge][axis];
@@ -67,12 +66,11 @@ impl Cell {
     }
 }
 
-/// Reads a table whose head is at byte `start`.
+/// Reads a table whose head starts at byte `start`.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for a row with a field too many or too few, for a field that is no number
-/// where one is needed, and for a header that names no position; [`ReadFault::Scratch`] where the
-/// scratch file fails.
+/// [`ReadFault::Line`] for a row with a wrong number of fields, a field that must be a number but
+/// is not, and a header without a position; [`ReadFault::Scratch`] if the scratch file fails.
 pub(super) fn read(
     bytes: Bytes,
     start: usize,
@@ -86,21 +84,21 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// Where a field goes that is parsed.
+/// The target of a parsed field.
 #[derive(Debug, Clone, Copy)]
 struct Slot {
-    /// The place among the numbers of a row.
+    /// The index among the numbers of a row.
     place: usize,
-    /// The handling of a field without a number.
+    /// What to do if the field is not a number.
     otherwise: Otherwise,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Otherwise {
     Refuse,
-    /// The column is one of text, and no attribute.
+    /// The column has text and is dropped as an attribute.
     Drop,
-    /// The text of every field is a label's, of this number.
+    /// The text of the field belongs to the label with this number.
     Label(usize),
 }
 
@@ -108,7 +106,7 @@ impl Table {
     /// Decodes the rows.
     ///
     /// # Errors
-    /// Those of [`read`], and [`ReadFault::Line`] where there are fewer rows than the file says.
+    /// Those of [`read`], and [`ReadFault::Line`] if there are fewer rows than the file announces.
     pub fn read(
         self,
         bytes: Bytes,
@@ -206,8 +204,7 @@ impl Table {
         rows.finish()
     }
 
-    /// The numbers of whole lines, and how many lines they were; or the line that is wrong, and
-    /// how.
+    /// The numbers of complete lines, and the number of lines; or the invalid line and its error.
     fn decode_piece(
         &self,
         piece: &[u8],
@@ -282,7 +279,7 @@ impl Table {
     }
 }
 
-/// Returns the part of a field or a line that messages show, in quotes.
+/// A quoted excerpt of a field or a line for a message.
 pub(super) fn excerpt(field: &[u8]) -> String {
     format!("{:?}", String::from_utf8_lossy(&field[..field.len().min(40)]))
 }

@@ -1,10 +1,10 @@
-//! The structure of a binary layer ("crate", version 0.8.0): tables of tokens, fields, paths and
-//! specs behind the values, packed into LZ4 blocks of literals alone.
+//! The structure of a binary layer ("crate", version 0.8.0): values, followed by tables of tokens,
+//! fields, paths and specs, which are stored as LZ4 blocks of literals only.
 
 /// Bytes before the first value.
 pub(super) const HEADER: u64 = 88;
 
-/// Types of values, and of specs, by their numbers.
+/// Type numbers of values and of specs.
 pub(super) const INT: u64 = 3;
 pub(super) const UINT: u64 = 4;
 pub(super) const FLOAT: u64 = 8;
@@ -20,7 +20,7 @@ const PSEUDO_ROOT: i32 = 7;
 const PRIM: i32 = 6;
 const ATTRIBUTE: i32 = 1;
 
-/// A value: its type, and where it lies or what it is.
+/// A value: its type, and its position or inline content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Value(u64);
 
@@ -33,17 +33,17 @@ impl Value {
         Self(1 << 62 | kind << 48 | payload)
     }
 
-    /// An array whose length stands at `offset`; an empty one lies nowhere.
+    /// An array whose length is at `offset`; an empty one has no position.
     pub fn array(kind: u64, offset: u64, length: u64) -> Self {
         Self(1 << 63 | Self::at(kind, if length == 0 { 0 } else { offset }).0)
     }
 
-    /// `def`, which is 0.
+    /// `def`, with the number 0.
     pub fn def() -> Self {
         Self::inlined(SPECIFIER, 0)
     }
 
-    /// `uniform`, which is 1.
+    /// `uniform`, with the number 1.
     pub fn uniform() -> Self {
         Self::inlined(VARIABILITY, 1)
     }
@@ -52,24 +52,24 @@ impl Value {
         Self::inlined(INT, value.into())
     }
 
-    /// A double that an f32 holds.
+    /// A double that f32 represents exactly.
     pub fn double(value: f32) -> Self {
         Self::inlined(DOUBLE, value.to_bits().into())
     }
 }
 
-/// The end of a file: values that are not arrays, and all tables.
+/// The end of a file: values other than arrays, and all tables.
 pub(super) struct Tail {
-    /// Where it starts.
+    /// Its position.
     at: u64,
     values: Vec<u8>,
     tokens: Vec<String>,
     fields: Vec<(u32, Value)>,
-    /// Numbers of fields, each set ended by -1.
+    /// Numbers of fields; each set ends with -1.
     field_sets: Vec<i32>,
-    /// For each path its element's token (negative for a property), and how the next one follows.
+    /// For each path, its element's token (negative for a property), and the jump to the next path.
     paths: Vec<(i32, i32)>,
-    /// For each path where its fields start, and what it is.
+    /// For each path, the start of its fields, and its spec type.
     specs: Vec<(i32, i32)>,
 }
 
@@ -78,7 +78,7 @@ impl Tail {
         Self {
             at,
             values: Vec::new(),
-            // The root's own element, and none is 0 where a sign has to show.
+            // The element of the root. No element has token 0, because the sign must be visible.
             tokens: vec![String::new()],
             fields: Vec::new(),
             field_sets: Vec::new(),
@@ -112,7 +112,7 @@ impl Tail {
         let times = self.end();
         self.put(&[1, 0f64.to_bits()]);
         let at = self.end();
-        // Each part is preceded by the way to the next: none lies between.
+        // Each part is preceded by its relative offset; the parts are adjacent.
         self.put(&[8, Value::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
         Value::at(TIME_SAMPLES, at)
     }
@@ -129,7 +129,7 @@ impl Tail {
         self.spec(0, -1, fields, PSEUDO_ROOT);
     }
 
-    /// The only prim, whose properties come next.
+    /// The only prim. Its properties follow.
     pub fn prim(&mut self, name: &str, fields: &[(&str, Value)]) {
         let element = self.token_index(name) as i32;
         self.spec(element, -1, fields, PRIM);
@@ -151,7 +151,7 @@ impl Tail {
         self.field_sets.push(-1);
     }
 
-    /// The bytes, and where the table of contents starts.
+    /// The bytes, and the position of the table of contents.
     pub fn finish(mut self) -> (Vec<u8>, u64) {
         // The last property has no sibling.
         if let Some((_, jump)) = self.paths.last_mut() {
@@ -205,7 +205,7 @@ impl Tail {
     }
 }
 
-/// Returns the header that a file starts with.
+/// The header of a file.
 pub(super) fn header(contents_at: u64) -> Vec<u8> {
     let mut header = b"PXR-USDC\0\x08\0\0\0\0\0\0".to_vec();
     header.extend(contents_at.to_le_bytes());
@@ -225,7 +225,7 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The differences of neighbours: two bits for each say whether it is 0 or an i32 that follows.
+/// Differences of consecutive numbers: two bits for each, for 0 or a following i32.
 fn integers(numbers: impl ExactSizeIterator<Item = i32>) -> Vec<u8> {
     let mut codes = vec![0; numbers.len().div_ceil(4)];
     let mut differences = Vec::new();

@@ -12,18 +12,19 @@ use crate::surface::mesh::source::MeshSource;
 use super::crate_file::{FLOAT, HEADER, INT, Tail, UINT, VEC3F, Value, header};
 use super::{PRIM, Property, properties};
 
-/// Triangles whose counts of corners are written at once.
+/// Triangles per write of corner counts.
 const COUNTS: u64 = 1 << 16;
 
-/// Writes `mesh` as a .usdc layer: points as f32, which is what the schema has; an attribute
-/// `velocity` of three components as `velocities`, others as `primvars` under their name with
-/// underscores for what it may not hold. The first colour is `primvars:displayColor`, and its alpha
+/// Writes `mesh` as a .usdc layer: points as f32, as in the schema; an attribute `velocity` of
+/// three components as `velocities`, others as `primvars` under their name, with underscores for
+/// invalid characters. The first colour is `primvars:displayColor`, and its alpha
 /// `primvars:displayOpacity`.
 ///
-/// `up` is stated, and nothing turned. No unit is known here but metres: 1 unit is 1 m.
+/// The layer states the up axis, and nothing is rotated. The unit is 1 m, because no other is
+/// known.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io::Result<()> {
     let properties = properties(mesh.has_normals(), &mesh.attributes());
     let arrays = arrays(mesh, properties.len());
@@ -61,11 +62,11 @@ enum Values {
     Corners,
     Extent,
     Normals,
-    /// By its number.
+    /// The attribute with this number.
     Attribute(usize),
-    /// Red, green and blue of the colour that is this attribute.
+    /// Red, green and blue of the attribute with this number.
     Colour(usize),
-    /// Alpha of the colour that is this attribute.
+    /// Alpha of the attribute with this number.
     Opacity(usize),
 }
 
@@ -147,7 +148,7 @@ fn tail(
 }
 
 impl Array {
-    /// Returns the bytes of the length, the values and the padding to a multiple of 8.
+    /// Bytes of the length, the values and the padding to a multiple of 8.
     fn bytes(&self) -> u64 {
         8 + self.length * self.width + self.padding()
     }
@@ -210,7 +211,7 @@ impl Array {
     }
 }
 
-/// Writes these shares of a colour, from 0 to 1.
+/// Writes these components of a colour, from 0 to 1.
 fn write_shares(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,

@@ -1,10 +1,9 @@
 //! Universal Scene Description: a mesh as a binary layer, and a stage that plays many as one
 //! animated mesh.
 //!
-//! A layer holds one frame on the prim `/fluid`: its values once, as defaults for programs that
-//! open it alone, and as samples at time 0, which is what value clips look for. A stage shifts each
-//! layer to its own time, so a layer depends on nothing but its mesh. Velocities are in units of
-//! length per second.
+//! A layer contains one frame on the prim `/fluid`: its values once, as defaults for programs that
+//! open it alone, and as samples at time 0, which value clips read. A stage maps each layer to its
+//! time, so a layer depends only on its mesh. Velocities are in units of length per second.
 
 mod crate_file;
 mod layer;
@@ -17,18 +16,18 @@ use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 /// Name of the prim that is the mesh.
 const PRIM: &str = "fluid";
 
-/// An attribute of the mesh that is given for every frame.
+/// An attribute of the mesh with values for every frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Property {
     name: String,
     kind: &'static str,
-    /// `vertex`, where it has to be said.
+    /// `vertex`, if it must be specified.
     interpolation: Option<&'static str>,
-    /// Numbers of a vertex, where the type does not say.
+    /// Numbers per vertex, unless the type implies it.
     element_size: Option<usize>,
 }
 
-/// All of a mesh with these normals and attributes, in the order that a layer has them.
+/// The properties of a mesh with these normals and attributes, in the order of a layer.
 fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> {
     let plain = |name: &str, kind| Property {
         name: name.into(),
@@ -78,7 +77,7 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> 
     all
 }
 
-/// A name as USD allows it: letters, digits and underscores, no digit first.
+/// A valid name in USD: letters, digits and underscores, not starting with a digit.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
     if plain.starts_with(|c: char| c.is_ascii_digit()) || plain.is_empty() {

@@ -1,4 +1,4 @@
-//! A stage that plays layers as value clips, and the clips' manifest: two small files of text.
+//! A stage that plays layers as value clips, and the manifest of the clips: two small text files.
 
 use std::fmt::Write;
 
@@ -7,8 +7,8 @@ use crate::particles::AttributeInfo;
 
 use super::{PRIM, properties};
 
-/// The stage's text: `clips` are layers, each with the time code that it starts at, in order; a
-/// layer is shown from its time to the next one's.
+/// The stage's text. `clips` are layers with their time codes, in order; a layer is shown from its
+/// time to the next one's.
 ///
 /// Paths are relative to the stage.
 pub fn stage(
@@ -22,7 +22,7 @@ pub fn stage(
     let active = list(
         clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect(),
     );
-    // Each layer's time 0 is its own time of the stage; a time that is named twice is a jump.
+    // Each layer's time 0 is at its own time of the stage; a time that occurs twice is a jump.
     let ends = clips.iter().skip(1).map(|(time, _)| Some(*time)).chain([None]);
     let times = clips.iter().zip(ends).flat_map(|((time, _), end)| {
         [Some(format!("({time}, 0)")), end.map(|end| format!("({end}, {})", end - time))]
@@ -46,14 +46,14 @@ pub fn stage(
     )
 }
 
-/// The manifest: what the clips hold, and the file that says so.
+/// The manifest, which declares the contents of the clips.
 #[derive(Debug, Clone)]
 pub struct Manifest {
-    /// Relative to the stage.
+    /// Path relative to the stage.
     pub path: String,
-    /// Whether any has normals.
+    /// Whether any clip has normals.
     pub normals: bool,
-    /// Attributes that any clip has.
+    /// Attributes of all clips.
     pub attributes: Vec<AttributeInfo>,
 }
 
@@ -66,8 +66,7 @@ impl Manifest {
         )
     }
 
-    /// The stage's prim needs them too: a clip gives values to what is declared, and declares
-    /// nothing.
+    /// The stage's prim needs them too: a clip provides values only for declared attributes.
     fn declarations(&self) -> String {
         let mut text = String::new();
         for property in properties(self.normals, &self.attributes) {

@@ -1,4 +1,4 @@
-//! Where the arrays of a legacy .vtk file lie: one walk over its sections, no number read.
+//! Finds the arrays of a legacy .vtk file, in one pass over its sections.
 
 use crate::io::bytes::View;
 use crate::io::columns::{Endian, Scalar};
@@ -8,42 +8,42 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
 
-/// An array without tuples is kept up to a tensor's components: no byte of the file vouches for
-/// more.
+/// Maximum number of components of an empty array, whose size the file does not bound: those of a
+/// tensor.
 const MOST_OF_NOTHING: usize = 9;
 
-/// Names of the field that is the file's time: for VTK's readers, and from its newer writers.
+/// Names of the field with the file's time: for VTK's readers, and from its newer writers.
 const TIMES: [&str; 2] = ["TIME", "TimeValue"];
 
-/// The sections that we use.
+/// The sections that are used.
 #[derive(Debug)]
 pub(super) struct Layout {
     pub ascii: bool,
     pub points: Array,
-    /// Arrays of `POINT_DATA`, one tuple a point.
+    /// Arrays of `POINT_DATA`, with one tuple per point.
     pub attributes: Vec<Array>,
-    /// The number of the attribute under `NORMALS`.
+    /// The number of the attribute in `NORMALS`.
     pub normals: Option<usize>,
-    /// Names of arrays of text, on points or not.
+    /// Names of arrays of text, on points or elsewhere.
     pub texts: Vec<String>,
-    /// The last `VERTICES`.
+    /// The last `VERTICES` section.
     pub vertices: Option<Corners>,
-    /// Whether there are `LINES`, or `VERTICES` before the last.
+    /// Whether there are `LINES`, or several `VERTICES`.
     pub has_others: bool,
     pub cells: Vec<Cells>,
     /// Types of the cells of an `UNSTRUCTURED_GRID`.
     pub cell_types: Option<Array>,
-    /// Arrays of `CELL_DATA` that say which cells are ghosts.
+    /// Arrays of `CELL_DATA` that flag ghosts.
     pub flags: Vec<Array>,
-    /// A single number.
+    /// The time, an array of one number.
     pub time: Option<Array>,
 }
 
-/// Numbers that follow each other.
+/// Consecutive numbers.
 #[derive(Debug, Clone)]
 pub(super) struct Array {
     pub name: String,
-    /// Where it starts and ends, in bytes from the start of the file.
+    /// Start and end, in bytes from the start of the file.
     pub at: usize,
     pub end: usize,
     pub tuples: usize,
@@ -51,7 +51,7 @@ pub(super) struct Array {
     pub scalar: Scalar,
 }
 
-/// Cells, as numbers of points.
+/// Cells as lists of point numbers.
 #[derive(Debug)]
 pub(super) struct Cells {
     pub kind: CellKind,
@@ -62,19 +62,19 @@ pub(super) struct Cells {
 pub(super) enum CellKind {
     Polygons,
     Strips,
-    /// Cells of the types that `cell_types` names.
+    /// Cells with the types in `cell_types`.
     Typed,
 }
 
 #[derive(Debug)]
 pub(super) enum Corners {
-    /// A stream of `cells`, each its number of corners and then the corners (before version 5).
+    /// `cells` records of the number of corners and the corners (before version 5).
     Counted { cells: usize, stream: Array },
     /// Cell i has the corners from offset i to offset i + 1.
     Offsets { offsets: Array, connectivity: Array },
 }
 
-/// The points or cells that the attributes of a section are on, with their count.
+/// The target of a section of attributes, with its count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Points(usize),
@@ -84,12 +84,12 @@ enum Owner {
 struct Walk<'a> {
     bytes: View<'a>,
     lines: Lines<'a>,
-    /// Where the line in hand starts.
+    /// Start of the current line.
     line_at: usize,
     ascii: bool,
     offsets: bool,
     owner: Option<Owner>,
-    /// Number of components of the latest array.
+    /// Number of components of the last array.
     components: usize,
     points: Option<Array>,
     attributes: Vec<Array>,
@@ -103,7 +103,7 @@ struct Walk<'a> {
     time: Option<Array>,
 }
 
-/// Whether the arrays are text, by the lines before all sections.
+/// Whether the arrays are text, from the header.
 pub fn is_text(bytes: View) -> bool {
     Walk::start(bytes).is_ok_and(|walk| walk.ascii)
 }
@@ -159,15 +159,14 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// The next line that has words.
+    /// The next line with words.
     fn next_line(&mut self) -> Result<Option<String>, ReadFault> {
         self.lines.skip_whitespace()?;
         self.line_at = self.lines.at();
         self.lines.line()
     }
 
-    /// Returns the next line that has words, past any `METADATA`; an error if the file ends before
-    /// `what`.
+    /// The next line with words, after any `METADATA`; an error if the file ends before `what`.
     fn line_of(&mut self, what: &str) -> Result<String, ReadFault> {
         loop {
             match self.next_line()? {
@@ -317,8 +316,8 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Passes an array that the attribute section in hand has one tuple of for each of its points
-    /// or cells. Returns its number, if it is one of the points' attributes.
+    /// Skips an array of the current attribute section, which has one tuple per point or cell.
+    /// Returns its number, if it is an attribute of points.
     fn attribute(
         &mut self,
         name: &str,
@@ -399,7 +398,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Passes an array that must be of numbers.
+    /// Skips an array that must contain numbers.
     fn numbers(
         &mut self,
         name: &str,
@@ -411,8 +410,8 @@ impl<'a> Walk<'a> {
         array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
     }
 
-    /// Passes the array that starts here, or nothing of it is there; returns it if it is of
-    /// numbers.
+    /// Skips an array that starts here; returns it if it contains numbers. An array without values
+    /// may be missing.
     fn array(
         &mut self,
         name: &str,
@@ -463,7 +462,8 @@ impl<'a> Walk<'a> {
         }))
     }
 
-    /// Passes strings: lines of text, or bytes behind a length whose first two bits tell its own.
+    /// Skips strings: lines of text, or bytes with a length prefix whose first two bits are its
+    /// size.
     fn strings(&mut self, count: usize, name: &str) -> Result<(), ReadFault> {
         for _ in 0..count {
             if self.ascii {
@@ -483,7 +483,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Passes the lines up to an empty one; the names of components, a line each, may be empty
+    /// Skips lines up to an empty one; the names of components, one per line, may be empty
     /// themselves.
     fn metadata(&mut self) -> Result<(), ReadFault> {
         loop {
@@ -503,7 +503,7 @@ impl<'a> Walk<'a> {
 }
 
 impl Array {
-    /// How many numbers there are. They were found to be in the file, so this cannot overflow.
+    /// Count of numbers. It was checked against the file, so this cannot overflow.
     pub fn values(&self) -> usize {
         self.tuples * self.components
     }
@@ -533,7 +533,7 @@ fn scalar_named(name: &str) -> Option<Scalar> {
         "unsigned_char" => Scalar::U8,
         "short" => Scalar::I16,
         "unsigned_short" => Scalar::U16,
-        // Ids are stored as int, whatever their width in memory.
+        // Ids are stored as int, with any width in memory.
         "int" | "vtkidtype" => Scalar::I32,
         "unsigned_int" => Scalar::U32,
         "long" | "vtktypeint64" => Scalar::I64,
@@ -544,10 +544,10 @@ fn scalar_named(name: &str) -> Option<Scalar> {
     })
 }
 
-/// Numbers that are read from a file at once.
+/// Numbers per read.
 pub(super) const AT_ONCE: usize = 1 << 14;
 
-/// Passes the numbers of an array on one by one, each with its place among them.
+/// Passes on the numbers of an array, each with its index.
 pub(super) fn each_integer(
     bytes: View,
     ascii: bool,
@@ -575,7 +575,7 @@ pub(super) fn each_integer(
 
 pub(super) type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;
 
-/// The numbers of an array of integers in a file that is in memory.
+/// The integers of an array in a file in memory.
 pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> Integers<'a> {
     let Array { at, scalar, .. } = *array;
     if ascii {
@@ -588,7 +588,7 @@ pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> In
     Box::new(stored(&bytes[at..at + array.values() * scalar.size()], array))
 }
 
-/// The integers that these bytes of a binary array hold.
+/// The integers in these bytes of a binary array.
 pub(super) fn stored<'b>(
     bytes: &'b [u8],
     array: &'b Array,

@@ -1,8 +1,8 @@
 //! Legacy .vtk, versions 2.0 to 5.1: particles or surfaces, in text or in big-endian binary.
 //!
-//! After three lines of greeting, sections follow in nearly any order, each a line of words and the
-//! array that it announces: `POINTS`, cells by several names, and under `POINT_DATA` or `CELL_DATA`
-//! the attributes. A file without cells that have an area holds particles.
+//! A header of three lines is followed by sections in almost any order. Each has a line of words
+//! and its array: `POINTS`, cells under several names, and in `POINT_DATA` or `CELL_DATA` the
+//! attributes. A file without cells that have an area contains particles.
 
 mod layout;
 mod read;

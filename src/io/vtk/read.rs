@@ -1,5 +1,4 @@
-//! Reading legacy .vtk files: the points and their attributes where they lie, the cells as
-//! triangles.
+//! Reads legacy .vtk files: the points and their attributes in place, the cells as triangles.
 
 use std::ops::Range;
 
@@ -16,10 +15,10 @@ use crate::surface::mesh::Mesh;
 use super::layout::{AT_ONCE, each_integer, integers, stored};
 use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
 
-/// Reads a file of particles, by [`read_points`].
+/// Reads a file of particles with [`read_points`].
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] where a cell has an area or a volume, and those of [`read_points`].
+/// [`ReadFault::Mesh`] if a cell has an area or a volume, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = Layout::parse(bytes.view())?;
@@ -32,26 +31,25 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     points(bytes, &layout, unpacking)
 }
 
-/// Reads the points as particles, whatever cells are made of them: binary arrays stay where they
-/// are, text becomes columns of f64.
+/// Reads the points as particles, regardless of cells. Binary arrays are read in place; text
+/// becomes columns of f64.
 ///
-/// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program
-/// knows. Strings, bits, colours, and what cells carry are passed over, but for flags of vertices
-/// that are copies, or hidden: points that have no other ones are left out. The file's own `TIME`
-/// or `TimeValue` is the time.
+/// Every array of numbers in `POINT_DATA` is an attribute, with its decoded name. Strings, bits,
+/// colours and cell data are skipped, except flags of vertices that are copies or hidden: points
+/// with only such vertices are left out. The file's own `TIME` or `TimeValue` is the time.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`]
-/// (in a text file [`ReadFault::Line`]) for what is no section, or sections that disagree, and
-/// [`ReadFault::Unsupported`] for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`;
-/// [`ReadFault::Scratch`] where text is decoded into a scratch file that fails.
+/// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (in a text
+/// file [`ReadFault::Line`]) for invalid or contradictory sections, and [`ReadFault::Unsupported`]
+/// for data sets other than `UNSTRUCTURED_GRID` and `POLYDATA`; [`ReadFault::Scratch`] if text is
+/// decoded and the scratch file fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
     let layout = Layout::parse(bytes.view())?;
     points(bytes, &layout, unpacking)
 }
 
-/// The bytes where they are, or as a whole where they are text.
+/// The bytes in place, or as a whole if they are text.
 pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view()) { bytes.read_whole(unpacking).map(Bytes::Kept) } else { Ok(bytes) }
 }
@@ -67,7 +65,7 @@ fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<Particl
     Ok(ParticleFile { time, texts, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
-/// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
+/// Whether a cell has an area or a volume, so that the file is a mesh.
 pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     for found in faces(bytes, &Layout::parse(bytes)?) {
         if found? > 0 {
@@ -77,7 +75,7 @@ pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     Ok(false)
 }
 
-/// The numbers of cells that have an area or a volume, of which the sum is theirs.
+/// Counts of cells with an area or a volume, to be summed.
 fn faces<'a>(
     bytes: View<'a>,
     layout: &'a Layout,
@@ -100,12 +98,12 @@ fn faces<'a>(
     untyped.chain(typed)
 }
 
-/// Reads points, and polygons, triangle strips, and cells of those types as triangles; polygons of
-/// more than three corners are fanned from their first. Vertices and lines are ignored.
+/// Reads points, and polygons, triangle strips, and cells of these types as triangles; polygons are
+/// divided from their first corner. Vertices and lines are ignored.
 ///
 /// # Errors
-/// As [`read_points`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not
-/// there, and [`ReadFault::Unsupported`] for cells with a volume.
+/// Those of [`read_points`], [`ReadFault::Malformed`] for a cell with a missing point, and
+/// [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let view = View::from(bytes);
     let layout = Layout::parse(view)?;
@@ -139,7 +137,7 @@ const POLYGON: i64 = 7;
 const PIXEL: i64 = 8;
 const QUAD: i64 = 9;
 
-/// Whether cells of this type have neither area nor volume: nothing, vertices and lines.
+/// Whether cells of this type have neither area nor volume: empty cells, vertices and lines.
 fn is_thin(kind: i64) -> bool {
     (0..TRIANGLE).contains(&kind)
 }
@@ -190,7 +188,7 @@ fn number(bytes: View, ascii: bool, array: &Array) -> Result<Option<f64>, ReadFa
     })
 }
 
-/// Visits every one of `cells`: its number, the place of the array that lists it, and its corners.
+/// Visits each of `cells`: its number, the position of its array, and its corners.
 fn visit(
     bytes: &[u8],
     ascii: bool,
@@ -237,7 +235,7 @@ fn visit(
     Ok(())
 }
 
-/// Ranges of the points that are not left out for their cells; `None` where all are to stay.
+/// Ranges of the points that are kept; `None` if all are.
 pub(super) fn not_ghosts(
     bytes: View,
     layout: &Layout,
@@ -253,7 +251,7 @@ pub(super) fn not_ghosts(
     };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
-        // Every other number is a count of points.
+        // Every second number is a count of points.
         Corners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {

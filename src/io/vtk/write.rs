@@ -4,18 +4,18 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_attribute, write_triangles, write_vertices};
-use crate::io::names::told_apart;
+use crate::io::names::unique_names;
 use crate::io::up::note;
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
 /// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS,
-/// and under POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as
-/// VECTORS, and all others as FIELD, as programs show but the first of several SCALARS: colours as
-/// unsigned_char.
+/// and in POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as
+/// VECTORS, and all others as FIELD, because programs show only the first of several SCALARS.
+/// Colours are unsigned_char.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -89,7 +89,7 @@ fn write_points(
     writeln!(out)
 }
 
-/// POLYGONS, but none where there are none: the toolkit's own reader complains of an empty section.
+/// Writes POLYGONS, unless there are none: VTK's reader rejects an empty section.
 fn write_polygons(out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
     let triangles = mesh.triangle_count();
     if triangles == 0 {
@@ -117,18 +117,18 @@ fn write_floats(
     writeln!(out)
 }
 
-/// Names of the attributes, beside that of normals.
+/// Names of the attributes, which differ from that of the normals.
 pub(in crate::io) fn attribute_names(
     attributes: &[AttributeInfo],
     has_normals: bool,
 ) -> Vec<String> {
     let taken: &[&str] = if has_normals { &["Normals"] } else { &[] };
-    // A name has to be a word.
+    // A name must be a word.
     let spelled = |name: &str| if name.is_empty() { "_".into() } else { name.to_owned() };
-    told_apart(attributes.iter().map(|info| &*info.name), taken, spelled)
+    unique_names(attributes.iter().map(|info| &*info.name), taken, spelled)
 }
 
-/// A name as the format spells it: one word, whatever it holds.
+/// A name as one word, with encoded characters.
 fn encoded(name: &str) -> String {
     let name = if name.is_empty() { "_" } else { name };
     let plain = |byte: &u8| byte.is_ascii_graphic() && !matches!(byte, b'%' | b'"');

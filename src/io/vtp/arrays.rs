@@ -1,5 +1,5 @@
-//! The arrays of a mesh as VTK's formats have them: points, their attributes, and triangles as
-//! corners and ends.
+//! The arrays of a mesh in VTK's formats: points, their attributes, and triangles as corners and
+//! ends.
 
 use std::io::{self, Write};
 
@@ -8,34 +8,34 @@ use crate::io::columns::Scalar;
 use crate::io::encode::{
     put_position, write_attribute, write_floats, write_pieces, write_triangles, write_vertices,
 };
-use crate::io::names::told_apart;
+use crate::io::names::unique_names;
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::MeshSource;
 
 use super::NORMALS;
 use super::write::GLOBAL_IDS;
 
-/// Triangles whose ends are written at once.
+/// Triangles per write of ends.
 const ENDS: u64 = 1 << 14;
 
-/// An array of the file.
+/// An array in the file.
 pub(in crate::io) struct Array<'a> {
     pub name: String,
     pub components: usize,
-    /// Number of values, of all components together.
+    /// Number of values, including all components.
     pub length: u64,
     numbers: Numbers<'a>,
 }
 
 enum Numbers<'a> {
     Normals,
-    /// By its number, with its type in the file.
+    /// The attribute with this number, with its type in the file.
     Attribute(usize, Scalar),
     Positions(CoordinateWidth),
     Corners(IndexWidth),
-    /// Where each triangle's corners end: 3, 6, 9, ...
+    /// The end of each triangle's corners: 3, 6, 9, ...
     Ends(IndexWidth),
-    /// The numbers that vertices share with those of other pieces.
+    /// The numbers of vertices that several pieces share.
     Identifiers(&'a [u64]),
 }
 
@@ -45,14 +45,14 @@ pub(in crate::io) enum IndexWidth {
     I64,
 }
 
-/// Names of the attributes' arrays, beside those of normals and identifiers.
+/// Names of the attributes' arrays, which differ from those of normals and identifiers.
 pub(in crate::io) fn attribute_names(
     infos: &[AttributeInfo],
     has_normals: bool,
     spelled: impl Fn(&str) -> String,
 ) -> Vec<String> {
     let taken: &[&str] = if has_normals { &[GLOBAL_IDS, NORMALS] } else { &[GLOBAL_IDS] };
-    told_apart(infos.iter().map(|info| &*info.name), taken, spelled)
+    unique_names(infos.iter().map(|info| &*info.name), taken, spelled)
 }
 
 /// The type of an attribute's numbers in the file.
@@ -65,7 +65,7 @@ fn scalar(info: &AttributeInfo) -> Scalar {
     }
 }
 
-/// Normals, if there are any, and all attributes, their names as `spelled` says.
+/// Normals, if there are any, and all attributes, with names by `spelled`.
 pub(in crate::io) fn point_data(
     mesh: &dyn MeshSource,
     spelled: impl Fn(&str) -> String,
@@ -90,7 +90,7 @@ pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Ar
     Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
 }
 
-/// The triangles' corners, and where those of each end.
+/// The triangles' corners, and the end of each triangle's corners.
 pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     let triangles = mesh.triangle_count();
     let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));
@@ -106,7 +106,7 @@ pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     ]
 }
 
-/// The numbers of the vertices in the mesh that a piece is of.
+/// The numbers of a piece's vertices in the whole mesh.
 pub(super) fn identifiers<'a>(name: &str, numbers: &'a [u64]) -> Array<'a> {
     let length = numbers.len() as u64;
     Array { name: name.to_owned(), components: 1, length, numbers: Numbers::Identifiers(numbers) }

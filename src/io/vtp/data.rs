@@ -1,11 +1,11 @@
-//! The arrays' data: text, or a header of lengths and numbers, which may be in base64, compressed,
-//! or both.
+//! The data of arrays: text, or a header of lengths and numbers, which may be in base64,
+//! compressed, or both.
 //!
-//! Plain data follow their length in bytes. Compressed data follow the number of their blocks, a
-//! block's size, the size of a last block that is smaller (0 if none is) and each block's
-//! compressed size.
+//! Uncompressed data follows its length in bytes. Compressed data follows the number of blocks, the
+//! block size, the size of a smaller last block (0 if there is none) and each block's compressed
+//! size.
 //!
-//! The arrays of one name in several pieces become one array.
+//! Arrays with the same name in several pieces are joined.
 
 use std::io::{self, Read};
 
@@ -24,32 +24,32 @@ use crate::io::{ReadFault, malformed};
 
 use super::layout::{Array, Compressor, Data, Layout, Piece};
 
-/// Bytes that are decoded at once.
+/// Bytes per decoding step.
 const CHUNK: usize = 1 << 16;
-/// Bytes that are passed before their memory is given back.
+/// Bytes after which memory is released.
 const PASSED: usize = 1 << 20;
-/// Bytes of a block of LZ4, at the most: it is unpacked as a whole.
+/// Maximum size in bytes of an LZ4 block, which is unpacked as a whole.
 const MOST_LZ4: u64 = 64 << 20;
-/// Bytes that a byte of LZ4 can stand for.
+/// Maximum compression ratio of LZ4.
 const LZ4_RATIO: u64 = 255;
 
-/// The array of one name in all pieces that have points.
+/// The arrays with one name in all pieces with points.
 pub(super) struct Joined<'a> {
     pub components: usize,
     pub parts: Vec<Part<'a>>,
 }
 
-/// The array of a piece.
+/// The array of one piece.
 #[derive(Clone, Copy)]
 pub(super) struct Part<'a> {
-    /// Points of the piece.
+    /// Number of points of the piece.
     pub points: usize,
-    /// Zeros where the piece has no such array.
+    /// `None` if the piece lacks the array: its values are zeros.
     pub array: Option<&'a Array>,
 }
 
 impl Joined<'_> {
-    /// An array that may be read where it is.
+    /// The array, if it can be read in place.
     fn raw(&self) -> Option<(usize, &Array)> {
         match *self.parts {
             [Part { points, array: Some(array) }] => {
@@ -60,13 +60,13 @@ impl Joined<'_> {
     }
 }
 
-/// Decodes the arrays of a file, one after the other.
+/// Decodes the arrays of a file sequentially.
 pub(super) struct Decoder<'a> {
     layout: &'a Layout<'a>,
-    /// The decoded data of arrays that cannot be read where they lie.
+    /// The decoded data of arrays that cannot be read in place.
     unpacked: Unpacked<'a>,
-    /// Bytes that may yet be decoded: arrays can name the same data, and a small file ask for much
-    /// memory.
+    /// Bytes that may still be decoded: several arrays can refer to the same data, so a small file
+    /// could require much memory.
     allowance: u64,
 }
 
@@ -76,13 +76,13 @@ impl<'a> Decoder<'a> {
         Self { layout, unpacked: Unpacked::new(unpacking), allowance }
     }
 
-    /// Whether no array of points is encoded or compressed.
+    /// Whether all arrays of points can be read in place.
     pub fn all_raw(layout: &Layout) -> bool {
         let is_raw = |array: &Array| matches!(array.data, Data::Raw(_));
         layout.compressor.is_none() && layout.pieces.iter().flat_map(Piece::of_points).all(is_raw)
     }
 
-    /// Columns over the points, in the file or in what [`finish`](Self::finish) returns.
+    /// Columns of the points, in the file or in the result of [`finish`](Self::finish).
     pub fn columns(&mut self, arrays: &[Joined]) -> Result<Vec<Vec<Column>>, ReadFault> {
         let raw: Option<Vec<_>> = arrays.iter().map(Joined::raw).collect();
         match raw.filter(|_| self.layout.compressor.is_none()) {
@@ -116,7 +116,7 @@ impl<'a> Decoder<'a> {
         let offset = self.unpacked.len();
         let mut kinds = joined.parts.iter().filter_map(|part| part.array).map(|a| self.kind(a));
         let first = kinds.next().unwrap_or(DOUBLE);
-        // Numbers of different types become doubles.
+        // Numbers of different types become f64.
         let kind = if kinds.all(|kind| kind == first) { first } else { DOUBLE };
         for part in &joined.parts {
             self.unpack_part(*part, joined.components, kind)?;
@@ -171,7 +171,7 @@ impl<'a> Decoder<'a> {
         })
     }
 
-    /// Returns the data decoded for columns; None where they are all in the file.
+    /// The decoded data; `None` if all columns are in the file.
     pub fn finish(self) -> Result<Option<Kept>, ReadFault> {
         if self.unpacked.is_empty() {
             return Ok(None);
@@ -192,7 +192,7 @@ impl<'a> Decoder<'a> {
         numbers.ok_or_else(|| no_integers(array))
     }
 
-    /// Passes the numbers of an array of integers on one by one, each with its place among them.
+    /// Passes on the numbers of an array of integers, each with its index.
     pub fn each_integer(
         &mut self,
         array: &Array,
@@ -241,10 +241,10 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// How numbers are kept that were text, or of different types.
+/// The type of decoded text, and of numbers of different types.
 const DOUBLE: (Scalar, Endian) = (Scalar::F64, Endian::Little);
 
-/// The nearest double to a number.
+/// The nearest f64 of a number.
 fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     let bits = |scalar| integer(scalar, endian, number).unwrap_or_default();
     match scalar {
@@ -254,7 +254,7 @@ fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
     }
 }
 
-/// Returns the bytes of an array with a value for each of `points`.
+/// Size of an array with a value for each of `points`.
 fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
     let values = points.checked_mul(array.components).filter(|values| *values > 0);
     let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
@@ -287,7 +287,7 @@ struct Stored<'a> {
 }
 
 impl Stored<'_> {
-    /// Passes the bytes of each number on, as [`read`](Self::read) does.
+    /// Passes on the bytes of each number, like [`read`](Self::read).
     fn each_number(
         &self,
         points: Option<usize>,
@@ -295,7 +295,7 @@ impl Stored<'_> {
         take: &mut Take<'_>,
     ) -> Result<(), ReadFault> {
         let size = self.array.scalar.size();
-        // Pieces need not end where numbers do.
+        // A batch may end within a number.
         let mut begun = Vec::new();
         self.read(points, allowance, &mut |chunk| {
             begun.extend_from_slice(chunk);
@@ -306,8 +306,8 @@ impl Stored<'_> {
         })
     }
 
-    /// Passes the numbers' bytes on in pieces, if the `allowance` bears them: a value for each of
-    /// `points`, or all that there are.
+    /// Passes on the numbers' bytes in batches, if the `allowance` suffices: a value for each of
+    /// `points`, or all that exist.
     fn read(
         &self,
         points: Option<usize>,
@@ -345,7 +345,7 @@ impl Stored<'_> {
         };
         match self.layout.compressor {
             None => {
-                // Where nothing is encoded, what is missing can be told in bytes.
+                // Without encoding, the number of missing bytes is known.
                 if let Data::Raw(_) = self.array.data {
                     self.raw_span()?;
                 }
@@ -362,7 +362,7 @@ impl Stored<'_> {
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
-                // As many as the file has lengths for.
+                // As many blocks as the file has lengths for.
                 let mut packed = Vec::new();
                 for _ in 0..count {
                     packed.push(self.number(&mut stream)?);
@@ -388,7 +388,7 @@ impl Stored<'_> {
         ReadFault::Compression(format!("array {}: {what}", self.array.name))
     }
 
-    /// One block of LZ4, which must hold `length` bytes.
+    /// Unpacks one LZ4 block, which must have `length` bytes.
     fn unpack_lz4(
         &self,
         packed: &mut io::Take<impl Read>,
@@ -402,7 +402,7 @@ impl Stored<'_> {
                 self.array.name
             )));
         }
-        // What does not compress takes little more than its length.
+        // Incompressible data is only slightly longer than its content.
         if packed.limit() > length + length / LZ4_RATIO + 16 {
             return Err(self.damaged(format_args!("a block of more than {length} bytes")));
         }
@@ -414,7 +414,7 @@ impl Stored<'_> {
         self.unpack(&plain[..count], length, take)
     }
 
-    /// One block, which must hold `length` bytes.
+    /// Unpacks one block, which must have `length` bytes.
     fn unpack(
         &self,
         mut plain: impl Read,
@@ -482,7 +482,7 @@ impl Stored<'_> {
         malformed(self.array.place(), what)
     }
 
-    /// Where the numbers of an array lie that is neither encoded nor compressed.
+    /// The position of the numbers of an array that is neither encoded nor compressed.
     fn raw_span(&self) -> Result<std::ops::Range<usize>, ReadFault> {
         let Layout { bytes, header, endian, .. } = self.layout;
         let have = bytes.len() as u64;
@@ -502,7 +502,7 @@ impl Stored<'_> {
     }
 }
 
-/// The bytes that lie ahead in a text; the memory of passed ones is given back.
+/// The remaining bytes of a text; the memory of bytes that were read is released.
 struct Ahead<'a> {
     bytes: Slice<'a>,
     at: usize,
@@ -524,8 +524,8 @@ impl<'a> Ahead<'a> {
     }
 }
 
-/// Decodes base64 with white space anywhere. Padding may end any group of four: a header that was
-/// encoded on its own has one before the data.
+/// Decodes base64 with white space anywhere. Padding may end any group of four, because a header
+/// may be encoded separately and padded before the data.
 struct Base64<'a> {
     text: Ahead<'a>,
     plain: Vec<u8>,

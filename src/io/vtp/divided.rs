@@ -1,8 +1,8 @@
-//! Writing a mesh as a .pvtp: a list of pieces, each a .vtp with a fixed number of triangles and
+//! Writes a mesh as a .pvtp: a list of pieces, each a .vtp with a fixed number of triangles and
 //! their vertices.
 //!
-//! Vertices that several pieces name are in each of them. Their numbers in the whole mesh, an array
-//! of global identifiers, say which are the same.
+//! Vertices that several pieces share are in each of them. An array of global identifiers, their
+//! numbers in the whole mesh, shows which are the same.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -17,21 +17,21 @@ use crate::surface::mesh::{Mesh, VertexAttribute};
 use super::arrays::{Array, identifiers, point_data, points};
 use super::write::{COMMENT, GLOBAL_IDS, declared, escaped, roles, write_piece};
 
-/// Triangles of a piece, at the most.
+/// Maximum number of triangles per piece.
 pub(in crate::io) const MOST_TRIANGLES: u64 = 1 << 20;
 
-/// A mesh divided into pieces of equally many triangles, whatever pieces its source has.
+/// A mesh divided into pieces with equal numbers of triangles, independent of its source's pieces.
 pub(in crate::io) struct Divided<'a> {
     mesh: &'a dyn MeshSource,
     width: CoordinateWidth,
-    /// Numbers of the first vertex of each of the source's pieces, and that behind the last.
+    /// Number of the first vertex of each of the source's pieces, and the total.
     vertices: Vec<u64>,
     triangles: Vec<u64>,
     pieces: u64,
 }
 
 impl<'a> Divided<'a> {
-    /// Divides `mesh` into pieces of no more than `most` triangles.
+    /// Divides `mesh` into pieces of at most `most` triangles.
     pub fn new(mesh: &'a dyn MeshSource, width: CoordinateWidth, most: u64) -> io::Result<Self> {
         let counts = |piece: usize| -> io::Result<[u64; 2]> {
             let (vertices, triangles) =
@@ -63,7 +63,7 @@ impl<'a> Divided<'a> {
         self.pieces
     }
 
-    /// Writes the list of pieces, which are files of these `names`.
+    /// Writes the list of pieces, whose files have these `names`.
     pub fn write_list(&self, out: &mut dyn Write, names: &[String]) -> io::Result<()> {
         let numbered = self.pieces > 1;
         let mut arrays = point_data(self.mesh, str::to_owned);
@@ -116,7 +116,7 @@ impl<'a> Divided<'a> {
         Ok(triangles)
     }
 
-    /// The vertices of these numbers, which are in order.
+    /// The vertices with these numbers, which are in order.
     fn vertices(&self, mut numbers: &[u64]) -> io::Result<Mesh> {
         let infos = self.mesh.attributes();
         let attribute = |info: &crate::particles::AttributeInfo| VertexAttribute {

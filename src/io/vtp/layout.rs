@@ -1,4 +1,4 @@
-//! The contents of the XML: which arrays there are, of what, and where their data lie.
+//! Parses the XML: the arrays with their types and the positions of their data.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use crate::io::bytes::{Kept, Slice, View};
 use crate::io::columns::{Endian, Scalar};
 use crate::io::{ReadFault, malformed};
 
-/// Name of the array that holds the file's time.
+/// Name of the array with the file's time.
 pub(super) const TIME: &str = "TimeValue";
 
 /// The part of the file that an array belongs to.
@@ -26,7 +26,7 @@ pub(super) enum Section {
     Cells,
 }
 
-/// An array, as the XML has it.
+/// An array in the XML.
 pub(super) struct Array {
     pub section: Section,
     pub name: String,
@@ -35,25 +35,25 @@ pub(super) struct Array {
     pub data: Data,
 }
 
-/// Where an array's data are, from the start of the file.
+/// The location of an array's data in the file.
 pub(super) enum Data {
-    /// Numbers in decimal.
+    /// Decimal numbers in this text.
     Text(Range<usize>),
-    /// A header of lengths and the numbers, within this text.
+    /// A header of lengths and the numbers, in base64 in this text.
     Base64(Range<usize>),
-    /// A header of lengths and the numbers, as raw bytes from this byte on.
+    /// A header of lengths and the numbers, as raw bytes from this position on.
     Raw(u64),
-    /// At this offset of data that have not been found yet.
+    /// At this offset of appended data, whose position is not known yet.
     Appended(u64),
 }
 
 impl Array {
-    /// Whether its data have not been found yet.
+    /// Whether the position of its data is unknown.
     fn is_to_come(&self) -> bool {
         matches!(self.data, Data::Appended(_))
     }
 
-    /// A byte to name in messages.
+    /// A position for messages.
     pub fn place(&self) -> usize {
         match &self.data {
             Data::Text(text) | Data::Base64(text) => text.start,
@@ -61,7 +61,7 @@ impl Array {
         }
     }
 
-    /// Returns the fault of an array without a value for each of `points`.
+    /// The error of an array without a value for each of `points`.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
         let what =
@@ -70,46 +70,45 @@ impl Array {
     }
 }
 
-/// Bytes in which it shows whether arrays may stay where they are: then all XML before them is
-/// there.
+/// Bytes that show whether arrays can be read in place: then they contain all XML before the data.
 pub(super) const HEAD: usize = 1 << 20;
-/// Bytes behind these that the tag which they end in may go on for, and blanks behind it.
+/// Additional bytes for the end of a tag that is cut off, and following blanks.
 const TAG: usize = 4 << 10;
-/// Bytes at the end of a file that are looked at at once.
+/// Bytes at the end of a file that are searched at once.
 const TAIL: usize = 1 << 10;
 
 /// The contents of the XML.
 pub(super) struct Layout<'a> {
     pub bytes: View<'a>,
-    /// The XML of a file that was not read as a whole.
+    /// The XML of a file that is not read as a whole.
     head: Kept,
     pub data_set: DataSet,
     pub endian: Endian,
     /// Type of the lengths before an array's data.
     pub header: Scalar,
-    /// How data that are not text are compressed, in blocks.
+    /// Compression of blocks of data other than text.
     pub compressor: Option<Compressor>,
-    /// The array of the file's time.
+    /// The array with the file's time.
     pub time: Option<Array>,
     pub pieces: Vec<Piece>,
 }
 
-/// Points, their attributes and cells: one piece of the data set, or all of it.
+/// A piece of the data set: points, their attributes and cells.
 #[derive(Default)]
 pub(super) struct Piece {
     pub points: usize,
-    /// Cells that are vertices, and lines, of a PolyData.
+    /// Numbers of vertex cells, and lines, of a PolyData.
     pub vertices: usize,
     pub lines: usize,
-    /// Cells of an UnstructuredGrid.
+    /// Number of cells of an UnstructuredGrid.
     pub cells: usize,
     pub polygons: usize,
     pub strips: usize,
     pub normals: Option<String>,
-    /// Name of the array of identifiers that points share with those of other pieces.
+    /// Name of the array of global identifiers, by which pieces share points.
     pub global_ids: Option<String>,
     pub arrays: Vec<Array>,
-    /// Names of arrays of points that are no numbers.
+    /// Names of arrays of points that are not numbers.
     pub texts: Vec<String>,
 }
 
@@ -119,7 +118,7 @@ pub(super) enum DataSet {
     UnstructuredGrid,
 }
 
-/// The compression of a block of data.
+/// The compression of blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Compressor {
     Zlib,
@@ -130,19 +129,19 @@ pub(super) enum Compressor {
 }
 
 impl Piece {
-    /// Polygons and strips together.
+    /// Number of polygons and strips.
     pub fn faces(&self) -> usize {
         self.polygons.saturating_add(self.strips)
     }
 
-    /// Arrays that have a value for each point.
+    /// Arrays with a value for each point.
     pub fn of_points(&self) -> impl Iterator<Item = &Array> {
         let of_points =
             |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
         self.arrays.iter().filter(of_points)
     }
 
-    /// The array of a name.
+    /// The array with this name.
     pub fn array(&self, section: Section, name: &str) -> Option<&Array> {
         self.arrays.iter().find(|array| array.section == section && array.name == name)
     }
@@ -161,7 +160,7 @@ impl<'a> Layout<'a> {
         Ok(Self { head, ..layout })
     }
 
-    /// The XML as far as it is within reach, where data that are appended have to begin.
+    /// Parses the XML in `text`, which must contain the start of appended data.
     fn of_xml(bytes: View<'a>, text: Slice) -> Result<Self, ReadFault> {
         let mut xml = Reader::from_reader(&*text);
         let mut layout = Layout {
@@ -294,8 +293,8 @@ impl<'a> Layout<'a> {
                 let what = format!("the points have type {kind:?}, which is not numeric");
                 return Err(malformed(tag.at, what));
             }
-            // Strings and bits are no values of a vertex; whatever else needs this array will miss
-            // it.
+            // Strings and bits are not attributes. If another part needs this array, it is reported
+            // as missing.
             if let (Section::PointData, Some(piece)) = (section, self.pieces.last_mut()) {
                 piece.texts.push(name);
             }
@@ -320,7 +319,7 @@ impl<'a> Layout<'a> {
                         .ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
                 )
             }
-            // VTK's own reader takes this for granted.
+            // VTK's own reader assumes this.
             None | Some("ascii") => Data::Text(text(xml, behind)),
             Some("binary") => Data::Base64(text(xml, behind)),
             Some(other) => {
@@ -338,7 +337,7 @@ impl<'a> Layout<'a> {
         Ok(())
     }
 
-    /// Adds where the data start to the offsets so far. The XML ends here for us.
+    /// Adds the start of the data to the offsets so far. The rest of the XML is not read.
     fn appended(&mut self, tag: &Tag, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
         let mark =
             behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
@@ -366,7 +365,7 @@ impl<'a> Layout<'a> {
         Ok(())
     }
 
-    /// The bytes that texts are in, all of them or those before what is appended.
+    /// The bytes of the texts: all, or those before appended data.
     pub fn text(&self) -> Slice<'_> {
         match self.bytes {
             View::File(_) => self.head.slice(),
@@ -391,7 +390,7 @@ impl Piece {
     }
 }
 
-/// Whether the last that stands in a file is the end of VTK's element.
+/// Whether a file ends with the end tag of VTK's element.
 fn ends_as_vtk(bytes: View) -> Result<bool, ReadFault> {
     const END: &[u8] = b"</VTKFile>";
     let mut end = bytes.len();
@@ -411,16 +410,16 @@ fn ends_as_vtk(bytes: View) -> Result<bool, ReadFault> {
     Ok(*bytes.read(end.saturating_sub(END.len())..end)? == *END)
 }
 
-/// From byte `at` to the next element.
+/// The range from byte `at` to the next element.
 fn text(xml: &[u8], at: usize) -> Range<usize> {
     let rest = &xml[at..];
     at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
 }
 
-/// Calls `take` with each element of a list of files, which has to be whole.
+/// Calls `take` with each element of a list of files, which must be complete.
 ///
 /// # Errors
-/// [`ReadFault::Malformed`] for what is no XML or ends too early, and those of `take`.
+/// [`ReadFault::Malformed`] for invalid or incomplete XML, and those of `take`.
 pub(in crate::io) fn each_tag(
     bytes: &[u8],
     mut take: impl FnMut(&Tag<'_>) -> Result<(), ReadFault>,
@@ -442,7 +441,7 @@ pub(in crate::io) fn each_tag(
     }
 }
 
-/// An element and where it starts.
+/// An element with its position.
 pub(in crate::io) struct Tag<'a> {
     pub tag: &'a BytesStart<'a>,
     pub at: usize,

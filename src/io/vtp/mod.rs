@@ -1,9 +1,9 @@
-//! VTK's XML: .vtp (PolyData: particles or a mesh) and .vtu (UnstructuredGrid: particles), the
-//! numbers in the XML or behind it.
+//! VTK's XML: .vtp (PolyData: particles or a mesh) and .vtu (UnstructuredGrid: particles), with the
+//! numbers in the XML or after it.
 //!
-//! Each array is named in the XML with its type and where it lies: as text, in base64, or after
-//! `<AppendedData>` and an underscore, raw or in base64; all but text may be compressed by zlib,
-//! block by block. A mesh is written raw.
+//! The XML gives each array's name, type and location: as text, in base64, or after
+//! `<AppendedData>` and an underscore, raw or in base64. Data other than text may be compressed,
+//! block by block. Meshes are written raw.
 
 pub(super) mod arrays;
 mod data;

@@ -1,5 +1,5 @@
-//! VTK's lists of files: a .pvtp or .pvtu names its pieces, .vtp or .vtu files in other places
-//! relative to it, whose points are one set; the blocks of a .vtm may hold other things too.
+//! Reads VTK's lists of files: a .pvtp or .pvtu names its pieces, .vtp or .vtu files with relative
+//! paths, whose points form one set. The blocks of a .vtm may also contain other things.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -19,14 +19,14 @@ use crate::surface::mesh::Mesh;
 use super::layout::{Tag, each_tag};
 use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particles, unless_text};
 
-/// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
+/// Reads the points of all wanted pieces as particles, in the order of the pieces.
 ///
-/// Attributes that some pieces with particles lack are left out, and so are blocks of a .vtm that
-/// hold something else than particles.
+/// Attributes that some pieces with particles lack are left out, and so are blocks of a .vtm
+/// without particles.
 ///
 /// # Errors
-/// As [`read_particles`](super::read_particles), each with the piece that it concerns; a missing
-/// piece is [`ReadFault::Io`]. [`ReadFault::Unsupported`] where no block holds particles.
+/// Those of [`read_particles`](super::read_particles) with the piece; a missing piece is
+/// [`ReadFault::Io`]. [`ReadFault::Unsupported`] if no block contains particles.
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
@@ -45,12 +45,12 @@ pub fn open_particles(
             Ok(Ok(ParticleFile::new(Pieces::default(), format)))
         }
     };
-    // All are waited for, so that the error is the first piece's.
+    // Waits for all pieces, so that the error is always that of the first piece.
     let read: Vec<_> = sources.par_iter().enumerate().map(open).collect();
     let (mut files, mut left_out) = (Vec::new(), Vec::new());
     for read in read {
         match read? {
-            // Flags need not be in each piece.
+            // Some pieces may lack flags.
             Ok(file) => files.push(file.without_ghosts()),
             Err(other) => {
                 left_out.push(other);
@@ -72,13 +72,13 @@ pub fn open_particles(
     Ok(ParticleFile { format, left_out, ..file })
 }
 
-/// Blocks that a message names, at the most.
+/// Maximum number of blocks in a message.
 const SHOWN: usize = 4;
 
-/// Whether there are polygons in any piece, or nothing at all in all of them.
+/// Whether there are polygons in any piece, or no data in all of them.
 ///
 /// # Errors
-/// [`ReadError`] where the pieces cannot be read.
+/// [`ReadError`] if the pieces cannot be read.
 pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     let mut points = 0;
     for piece in pieces(path)? {
@@ -93,21 +93,20 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     Ok(points == 0)
 }
 
-/// The pieces that a .pvtp or .pvtu names, or the blocks of a .vtm.
+/// The pieces in a .pvtp or .pvtu, or the blocks in a .vtm.
 ///
 /// # Errors
-/// [`ReadError`] where it cannot be read.
+/// [`ReadError`] if it cannot be read.
 pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     let sources = Sources::parse(path, &open_whole(path)?)?.sources;
     Ok(sources.into_iter().map(|source| source.path).collect())
 }
 
-/// Reads the triangles of all pieces as one mesh. Vertices of different pieces are one where the
-/// pieces give them the same number in an array of global identifiers; without that they stay
-/// apart.
+/// Reads the triangles of all pieces as one mesh. Vertices of different pieces are merged if they
+/// have the same global identifier; without identifiers they stay separate.
 ///
 /// # Errors
-/// As [`read_mesh`](super::read_mesh), each with the piece that it concerns.
+/// Those of [`read_mesh`](super::read_mesh) with the piece.
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let mut all = Joined::default();
     for piece in pieces(path)? {
@@ -118,11 +117,11 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     Ok(all.mesh)
 }
 
-/// The mesh of the pieces so far.
+/// The joined mesh of the pieces so far.
 #[derive(Default)]
 struct Joined {
     mesh: Mesh,
-    /// The vertex that has a global identifier.
+    /// The vertex of each global identifier.
     known: HashMap<i64, u32>,
     begun: bool,
 }
@@ -177,15 +176,15 @@ impl Joined {
     }
 }
 
-/// A file that a list names.
+/// A file in a list.
 struct Source {
     path: PathBuf,
-    /// The name of a block, which may hold anything.
+    /// The name of a block, which may contain anything.
     block: Option<String>,
 }
 
 impl Source {
-    /// Reads the particles, or says what a block holds instead.
+    /// Reads the particles, or returns what a block contains instead.
     fn open(&self, unpacking: Unpacking) -> Result<Result<ParticleFile, LeftOut>, ReadError> {
         let fail = |fault| ReadError::new(&self.path, fault);
         let open = || open_bytes_within(&self.path, unpacking);
@@ -200,13 +199,13 @@ impl Source {
     }
 }
 
-/// The files that a list names, and those of lists among them.
+/// The files of a list, including those of nested lists.
 struct Sources {
     sources: Vec<Source>,
     format: &'static str,
 }
 
-/// Lists within lists, at the most.
+/// Maximum depth of nested lists.
 const MOST_NESTED: usize = 8;
 
 impl Sources {
@@ -217,7 +216,7 @@ impl Sources {
         Ok(all)
     }
 
-    /// Adds the files that a list names. Returns its format.
+    /// Adds the files of a list. Returns its format.
     fn add(
         &mut self,
         path: &Path,
@@ -247,13 +246,13 @@ impl Sources {
     }
 }
 
-/// A list as it is written.
+/// The content of a list.
 struct List {
     files: Vec<File>,
     format: &'static str,
 }
 
-/// A file by the name that a list gives it.
+/// A file by its name in the list.
 struct File {
     name: String,
     block: Option<String>,
@@ -293,7 +292,7 @@ impl List {
 #[derive(Clone, Copy)]
 struct Format {
     name: &'static str,
-    /// Whether its files are blocks, which may hold anything.
+    /// Whether its files are blocks, which may contain anything.
     blocks: bool,
 }
 

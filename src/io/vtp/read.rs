@@ -1,4 +1,4 @@
-//! Reading .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
+//! Reads .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -18,35 +18,35 @@ use super::NORMALS;
 use super::data::{Decoder, Joined, Part};
 use super::layout::{Array, DataSet, HEAD, Layout, Piece, Section};
 
-/// Reads the points of all pieces as particles, whatever lines and cells of a .vtu are made of
-/// them: arrays of one piece that are appended raw stay where they are; if any is text, base64 or
-/// compressed, or there are several pieces, all are decoded.
+/// Reads the points of all pieces as particles, regardless of lines, and of cells in a .vtu. Raw
+/// appended arrays of a single piece are read in place; if any array is text, base64 or compressed,
+/// or there are several pieces, all are decoded.
 ///
-/// Every array of numbers under `PointData` that all pieces have is an attribute; `TimeValue` under
-/// `FieldData` is the time. Points that are copies, or hidden, because their vertices are flagged
-/// so under `CellData` are left out.
+/// Every array of numbers in `PointData` that all pieces have is an attribute; `TimeValue` in
+/// `FieldData` is the time. Points are left out if `CellData` flags their vertices as copies or as
+/// hidden.
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and
-/// [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do not unpack, or
-/// unpack beyond all reason; [`ReadFault::Unsupported`] for other compressors than zlib, LZ4 and
-/// LZMA, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they
-/// are decoded into a scratch file that fails.
+/// [`ReadFault::Mesh`] if there are polygons; [`ReadFault::Truncated`] and [`ReadFault::Malformed`]
+/// for damage, [`ReadFault::Compression`] for data that cannot be unpacked, or whose compression
+/// ratio is too high; [`ReadFault::Unsupported`] for compressors other than zlib, LZ4 and LZMA, and
+/// data sets other than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] if the scratch file
+/// fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     points(unless_encoded(bytes, unpacking)?, unpacking)
 }
 
-/// The bytes where they are, or read as a whole where arrays are text, encoded or compressed.
+/// The bytes in place, or read as a whole if arrays are text, encoded or compressed.
 fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
     let stays = !is_text(view)? && Decoder::all_raw(&Layout::parse(view)?);
     Ok(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
 }
 
-/// Reads a block that may hold something else than particles: then what it holds.
+/// Reads a block, or returns its contents if these are not particles.
 ///
 /// # Errors
-/// As [`read_particles`], but for meshes.
+/// Those of [`read_particles`], except for meshes.
 pub(super) fn read_block(
     bytes: Bytes,
     unpacking: Unpacking,
@@ -58,7 +58,7 @@ pub(super) fn read_block(
     }
 }
 
-/// Contents of a data set whose cells are not all points.
+/// Description of a data set whose cells are not all points.
 fn other_contents(layout: &Layout) -> Result<Option<String>, ReadFault> {
     if layout.faces() > 0 {
         return Ok(Some(format!("a mesh of {} faces", layout.faces())));
@@ -74,18 +74,17 @@ fn other_contents(layout: &Layout) -> Result<Option<String>, ReadFault> {
     Ok((others > 0).then(|| format!("{others} cells that are not points")))
 }
 
-/// Whether all has to be read to find what is where: there are texts in the XML, or what is behind
-/// it is encoded or compressed.
+/// Whether the file must be read as a whole: arrays are text, encoded or compressed.
 ///
 /// # Errors
-/// [`ReadFault::Changed`] and [`ReadFault::Io`] where the file cannot be read.
+/// [`ReadFault::Changed`] and [`ReadFault::Io`] if the file cannot be read.
 pub fn is_text(bytes: View) -> Result<bool, ReadFault> {
     let head = bytes.read(0..bytes.len().min(HEAD))?;
     let has = |text: &[u8]| memmem::find(&head, text).is_some();
     Ok(!has(b"encoding=\"raw\"") || has(b"compressor="))
 }
 
-/// The bytes where they are, or in memory as a whole where all has to be read.
+/// The bytes in place, or in memory if the file must be read as a whole.
 pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view())? {
         bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept)
@@ -115,14 +114,14 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     Ok(ParticleFile { time, left_out: names.left_out, texts, ..file }.with_points(left))
 }
 
-/// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing
-/// at all is one.
+/// Whether there are polygons, so that the file is a mesh. A file without any data also counts as
+/// one.
 pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     let Counts { points, faces } = counts(bytes)?;
     Ok(points == 0 || faces > 0)
 }
 
-/// Numbers of points, and of polygons and strips together.
+/// Number of points, and of polygons and strips.
 pub(super) struct Counts {
     pub points: usize,
     pub faces: usize,
@@ -133,18 +132,18 @@ pub(super) fn counts(bytes: View) -> Result<Counts, ReadFault> {
     Ok(Counts { points: layout.points(), faces: layout.faces() })
 }
 
-/// Reads points, their attributes, and polygons, fanned from their first corner.
+/// Reads points, their attributes, and polygons, divided into triangles from their first corner.
 ///
-/// Vertices, lines and the data of cells are passed over.
+/// Vertices, lines and cell data are ignored.
 ///
 /// # Errors
-/// As [`read_particles`]; besides [`ReadFault::Unsupported`] for triangle strips and an
+/// Those of [`read_particles`], and [`ReadFault::Unsupported`] for triangle strips and an
 /// UnstructuredGrid.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(read_numbered(bytes)?.mesh)
 }
 
-/// A mesh, and the identifiers that its vertices share with those of other pieces.
+/// A mesh with the global identifiers of its vertices.
 pub(super) struct NumberedMesh {
     pub mesh: Mesh,
     pub numbers: Option<Vec<i64>>,
@@ -208,13 +207,13 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
 
 /// Attributes of the points.
 struct Attributes<'a> {
-    /// Arrays that all pieces have, as one of them has them.
+    /// Arrays that all pieces have, from one of them.
     shared: Vec<&'a Array>,
     left_out: Vec<LeftOut>,
 }
 
-/// Attributes that all pieces with points have, in the order of the first of these. Flags of copies
-/// need not be in each.
+/// Attributes that all pieces with points have, in the order of the first of these pieces. Some
+/// pieces may lack flags of copies.
 fn attributes(pieces: &[Piece]) -> Attributes<'_> {
     let filled: Vec<&Piece> = pieces.iter().filter(|piece| piece.points > 0).collect();
     let mut all = Attributes { shared: Vec::new(), left_out: Vec::new() };
@@ -238,14 +237,14 @@ fn attributes(pieces: &[Piece]) -> Attributes<'_> {
     all
 }
 
-/// The array of a piece that is the same as that of another.
+/// The array of a piece that corresponds to an array of another.
 fn same<'a>(piece: &'a Piece, array: &Array) -> Option<&'a Array> {
     piece.arrays.iter().find(|own| {
         (own.section, &own.name, own.components) == (array.section, &array.name, array.components)
     })
 }
 
-/// The points of all pieces and their attributes of some names.
+/// The points of all pieces, with the named attributes.
 fn vertices(
     layout: &Layout,
     mut decoder: Decoder,
@@ -270,12 +269,12 @@ fn vertices(
             array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
         parts.push(Part { points: piece.points, array: Some(array) });
     }
-    // First, as they vouch for the number of points.
+    // The positions first, because their size confirms the number of points.
     let mut arrays = vec![Joined { components: 3, parts }];
     arrays.extend(attributes.iter().map(|&array| {
         let mut parts = Vec::new();
         for piece in &filled {
-            // Of several arrays with one name in the only piece each is read.
+            // In a single piece, several arrays with the same name are all read.
             let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
             parts.push(Part { points: piece.points, array: own });
         }
@@ -295,12 +294,12 @@ fn vertices(
     })
 }
 
-/// Ranges of the points that are not left out for their cells; `None` where all are to stay.
+/// Ranges of the points that are kept; `None` if all are.
 fn not_ghosts(
     layout: &Layout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    // Reading the points rejects more of them than the file can contain.
+    // The reader of the points rejects a number that exceeds the file.
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }
@@ -321,14 +320,14 @@ fn not_ghosts(
     Ok((!all_left).then_some(left))
 }
 
-/// Ranges of points that are not ghosts, as [`not_ghosts`] finds them, in one piece.
+/// Ranges of points in one piece that are kept.
 fn points_left(
     data_set: DataSet,
     piece: &Piece,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let (section, cells) = match data_set {
-        // Other cells than vertices come after these.
+        // Cells other than vertices come after these.
         DataSet::PolyData => (Section::Verts, piece.vertices),
         DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
     };

@@ -11,19 +11,19 @@ use crate::surface::mesh::source::MeshSource;
 use super::NORMALS;
 use super::arrays::{Array, identifiers, point_data, points, polygons};
 
-/// Name of the array of vertices' numbers in the mesh that a piece is of.
+/// Name of the array with the numbers of a piece's vertices in the whole mesh.
 pub(super) const GLOBAL_IDS: &str = "GlobalPointIds";
 
-/// The beginning and the end of a comment.
+/// The start and the end of a comment.
 pub(super) const COMMENT: [&str; 2] = ["<!-- ", " -->\n"];
 
 /// Writes `mesh` with all of its attributes, little-endian: points as Float32 or Float64 by
-/// `width`, indices as Int32 as long as they fit.
+/// `width`, indices as Int32 if they fit.
 ///
-/// A control character in a name, for which XML has no room, is written as U+FFFD.
+/// A control character in a name, which XML cannot represent, becomes U+FFFD.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+/// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -32,7 +32,7 @@ pub fn write_mesh(
     write_piece(out, mesh, width, None)
 }
 
-/// Writes a mesh, or a piece of one whose vertices have `numbers` in that.
+/// Writes a mesh, or a piece of one with the `numbers` of its vertices.
 pub(super) fn write_piece(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
@@ -77,8 +77,7 @@ pub(super) fn write_piece(
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
 }
 
-/// Names the arrays of points that are normals, vectors and global identifiers, in attributes of
-/// XML.
+/// XML attributes that name the arrays of normals, vectors and global identifiers.
 pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
     let has_velocity = mesh.attributes().iter().any(AttributeInfo::is_velocity);
     let roles = [
@@ -93,7 +92,7 @@ pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
         .collect()
 }
 
-/// The element that declares an array, with more attributes of XML behind its own.
+/// The element that declares an array, with additional XML attributes.
 pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
     let kind = match array.scalar() {
         Scalar::F64 => "Float64",
@@ -109,7 +108,7 @@ pub(super) fn declared(element: &str, array: &Array, more: &str) -> String {
     )
 }
 
-/// Escapes a name so that it can stand between quotes in XML.
+/// Escapes a name for a quoted XML attribute.
 pub(in crate::io) fn escaped(name: &str) -> String {
     let mut escaped = String::new();
     for character in name.chars() {

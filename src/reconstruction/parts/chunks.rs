@@ -1,9 +1,8 @@
-//! Chunks of the input, each with a box around its particles, by which a part knows what it need
-//! not read.
+//! Chunks of the input with their bounding boxes, from which a part knows what it need not read.
 //!
-//! Chunks are as long as the input's own order is good for: where particles that follow one another
-//! are near each other, a part reads little but its own. Where they are in random order each chunk
-//! is everywhere, and every part reads all.
+//! The input's order decides how well this works. If consecutive particles are near each other, a
+//! part reads little more than its own particles. If the order is random, every chunk is
+//! everywhere, and every part reads all.
 
 use std::fmt;
 use std::ops::Range;
@@ -17,36 +16,36 @@ use crate::grid::{CellBox, Domain, Grid, Periodic};
 use crate::io::{PieceChunk, Pieces};
 use crate::particles::Particles;
 
-/// Particles of a chunk, unless that would make the list too long.
+/// Particles in a chunk, unless the list would become too long.
 const FEWEST: usize = 1 << 12;
-/// Chunks that are listed, beside one for the end of every piece.
+/// Maximum number of chunks in the list, besides one for the end of every piece.
 const MOST: usize = 1 << 16;
 
-/// Particles of the input that follow one another in a piece.
+/// Consecutive particles of a piece of the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub(super) struct Chunk {
     pub(super) particles: PieceChunk,
-    /// The bins that they are in; `None` where all are nowhere.
+    /// The bins that contain them; `None` if no particle has a valid position.
     bins: Option<CellBox>,
 }
 
 /// Particles of the input that a part reads.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Reading {
-    /// Numbers of the pieces of which it reads anything, and of how many particles they are.
+    /// Numbers of the pieces that the part reads, and their numbers of particles.
     pub(super) pieces: Vec<usize>,
     counts: Vec<usize>,
-    /// Particles among those of these pieces.
+    /// Ranges of particles within these pieces.
     pub(super) ranges: Vec<Range<usize>>,
 }
 
-/// Cuts the particles of an input into chunks that can be listed.
+/// Cuts the particles of an input into a limited number of chunks.
 pub(super) fn cut(particles: &Pieces) -> Vec<PieceChunk> {
     particles.chunks(particles.len().div_ceil(MOST).next_power_of_two().max(FEWEST))
 }
 
-/// Chunks with the boxes around their particles, all of which were read.
+/// Adds bounding boxes to chunks, after all particles were read.
 pub(super) fn boxed(
     chunks: &[PieceChunk],
     read: &WithBoxes<Pieces>,
@@ -56,7 +55,7 @@ pub(super) fn boxed(
     chunks.iter().zip(boxes).map(|(&particles, bins)| Chunk { particles, bins }).collect()
 }
 
-/// Watches an input's particles while they are read.
+/// Records the bounding boxes of an input's chunks while its particles are read.
 pub(super) fn watched<'a>(
     particles: &'a Pieces,
     chunks: &[PieceChunk],
@@ -66,8 +65,8 @@ pub(super) fn watched<'a>(
 }
 
 impl Reading {
-    /// The chunks that may hold particles that are in bins that are wanted, or have images there in
-    /// a periodic box, of all of an input.
+    /// The chunks of an input that may contain particles in the wanted bins, or particles with
+    /// images there in a periodic box.
     pub(super) fn of(chunks: &[Chunk], wanted: WantedBins, periodic: Option<&Periodic>) -> Self {
         let touches = |bins: CellBox| match periodic {
             None => wanted.touch(bins),
@@ -95,7 +94,7 @@ impl Reading {
         reading
     }
 
-    /// Whether it is nothing.
+    /// Whether nothing is read.
     pub(super) fn is_empty(&self) -> bool {
         self.ranges.is_empty()
     }
@@ -105,16 +104,16 @@ impl Reading {
         self.ranges.iter().map(Range::len).sum()
     }
 
-    /// Whether the pieces that were opened are of as many particles as they were.
+    /// Whether the opened pieces have the planned numbers of particles.
     pub(super) fn is_of(&self, opened: &Pieces) -> bool {
-        // No chunk is longer than all: one a piece.
+        // One chunk per piece.
         let found = opened.chunks(usize::MAX);
         let expected = self.pieces.iter().zip(&self.counts);
         found.into_iter().eq(expected.map(|(&piece, &count)| PieceChunk { piece, count }))
     }
 }
 
-/// Piece, particles, and the lowest and the highest bin.
+/// Displays the piece, the particles, and the lowest and highest bin.
 impl fmt::Display for Chunk {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { particles: PieceChunk { piece, count }, bins } = self;
@@ -197,8 +196,7 @@ mod tests {
         let reading = Reading::of(&chunks, wanted, None);
         assert_eq!(reading.pieces, [0, 3]);
         assert_eq!(reading.counts, [25, 21]);
-        // Of the pieces that are opened, one after the other; those that follow one another are
-        // one.
+        // Consecutive ranges of the opened pieces are joined.
         assert_eq!(reading.ranges, [10..35, 45..46]);
         assert_eq!(reading.count(), 26);
         assert!(Reading::of(&chunks[3..5], wanted, None).is_empty());

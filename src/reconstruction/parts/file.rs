@@ -1,5 +1,5 @@
-//! The file of a part: the meshes of its blocks as a spool keeps them, a list of these, and what a
-//! report adds up.
+//! The file of a part: the meshes of its blocks as a spool stores them, their list, and counts for
+//! the report.
 //!
 //! ```text
 //! meshes of all blocks, in Morton order       as a spool keeps them
@@ -9,7 +9,8 @@
 //! end                                         64 bytes: how many of each there are, whose part it is, and a CRC-32 of all before
 //! ```
 //!
-//! Numbers are as the machine has them: one of another order does not find its magic number.
+//! Numbers have the machine's byte order: a machine with the other order finds a wrong magic
+//! number.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -25,13 +26,13 @@ use crate::grid::stretch::Stretch;
 use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, vertex_bytes};
 use crate::system::reopened::ReopenedFile;
 
-/// "meniscus part" and the version of the format, in the machine's order of bytes.
+/// "meniscus part" and the version of the format, in the machine's byte order.
 const MAGIC: u64 = 0x3150_5f73_7563_6e6d;
 
-/// Bytes that are read at once where all of a file are.
+/// Bytes per read when a whole file is checked.
 const PIECE: usize = 1 << 18;
 
-/// The part that a file holds, and its plan.
+/// Identifies a part and its plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Mark {
     /// The plan's fingerprint.
@@ -46,7 +47,7 @@ pub(super) struct Mark {
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct End {
-    /// Bytes of the file up to this.
+    /// Bytes of the file before this structure.
     bytes: u64,
     blocks: u64,
     bins: u64,
@@ -56,24 +57,23 @@ struct End {
     plan: u32,
     first: u64,
     magic: u64,
-    /// 0, so that all bytes mean something.
+    /// Always 0, so that a changed byte is detected.
     nothing: u32,
-    /// CRC-32 of all bytes before.
+    /// CRC-32 of all preceding bytes.
     crc: u32,
 }
 
 const END: u64 = size_of::<End>() as u64;
 
-/// Everything that a part has made.
+/// The results of a part.
 pub(super) struct Made<'a> {
     pub(super) spool: Option<&'a Spool>,
     pub(super) occupied: Vec<OccupiedBin>,
-    /// For each attribute the particles that have no value of it.
+    /// For each attribute, the number of particles without a value.
     pub(super) lacking: Vec<u64>,
 }
 
 impl Made<'_> {
-    /// Writes it.
     pub(super) fn write(&self, mark: Mark, out: &mut dyn Write) -> io::Result<()> {
         let mut out = Summed { out, bytes: 0, crc: Hasher::new() };
         let blocks: Vec<ListedBlock> =
@@ -102,7 +102,7 @@ impl Made<'_> {
     }
 }
 
-/// Sums up what is written.
+/// A writer that computes the checksum of its output.
 struct Summed<'a> {
     out: &'a mut dyn Write,
     bytes: u64,
@@ -122,7 +122,7 @@ impl Write for Summed<'_> {
     }
 }
 
-/// A part's file that is whole.
+/// A complete file of a part.
 #[derive(Debug)]
 pub(super) struct PartFile {
     pub(super) meshes: SpoolFile,
@@ -133,8 +133,8 @@ pub(super) struct PartFile {
 }
 
 impl PartFile {
-    /// Opens the file of a part whose attributes have these components, and reads it to check that
-    /// it is complete; `None` if it does not exist.
+    /// Opens and checks the file of a part whose attributes have these components; `None` if it
+    /// does not exist.
     pub(super) fn open(
         path: &Path,
         mark: Mark,
@@ -155,7 +155,7 @@ impl PartFile {
         if [end.plan, end.part, end.of] != [mark.plan, mark.part, mark.of]
             || end.first != mark.stretch.first.0
         {
-            return Err(PartsError::Foreign(path.to_owned()));
+            return Err(PartsError::OtherPlan(path.to_owned()));
         }
         let inconsistent = || damaged("its lists do not match its meshes");
         let lists = [
@@ -185,7 +185,7 @@ impl PartFile {
     }
 }
 
-/// Reads the next numbers of a list.
+/// Reads the next `count` numbers of a list.
 fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec<T>> {
     let mut list = vec![T::zeroed(); count as usize];
     file.read_exact_at(*at, bytemuck::cast_slice_mut(&mut list))?;
@@ -193,7 +193,7 @@ fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec
     Ok(list)
 }
 
-/// Reads all of a file, and returns its end, or says what is wrong with it.
+/// Reads a whole file, and returns its end, or what is wrong with it.
 fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     let len = file.metadata()?.len();
     let Some(before) = len.checked_sub(END) else { return Ok(Err("truncated")) };

@@ -1,4 +1,4 @@
-//! Making a part: the bins that decide its blocks are sampled, and those blocks meshed.
+//! Makes a part: samples the bins that decide its blocks, and meshes those blocks.
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
@@ -19,25 +19,25 @@ use crate::system::timings::Timings;
 use super::chunks::Reading;
 use super::file::{Made, Mark, PartFile};
 use super::plan_file::Plan;
-use super::{Begun, PartMade, Parts, part_in, plan_file};
+use super::{Begun, PartDone, Parts, part_in, plan_file};
 
-/// Blocks of a part, and what a report adds up of it.
+/// The blocks of a part, with counts for the report.
 struct Meshed {
     spool: Option<Spool>,
     made: Made<'static>,
-    /// Particles that were read.
+    /// Number of particles that were read.
     read: usize,
     warnings: Vec<Warning>,
 }
 
 impl Parts {
-    /// Makes a part, numbered from 0, unless it is there already, whole, and made by the same plan.
-    /// Whatever else has its name is replaced.
+    /// Makes a part, numbered from 0, or reuses the part's file if it is complete and from the same
+    /// plan. Any other file at its path is replaced.
     ///
     /// # Errors
-    /// [`Error::Parts`] where there is no plan, or one for something else, [`Error::Read`],
-    /// [`Error::Frame`], and [`Error::Write`].
-    pub fn part(&self, part: u32) -> Result<PartMade, Error> {
+    /// [`Error::Parts`] without a plan for this request, [`Error::Read`], [`Error::Frame`], and
+    /// [`Error::Write`].
+    pub fn part(&self, part: u32) -> Result<PartDone, Error> {
         let begun = self.begin()?;
         if part >= self.count {
             return Err(PartsError::NoPart { part, of: self.count }.into());
@@ -47,7 +47,7 @@ impl Parts {
         let path = part_in(&folder, part);
         let mark = mark(&plan, fingerprint, part, &checked);
         match PartFile::open(&path, mark, &components(&plan)) {
-            Ok(Some(there)) => return Ok(PartMade::of_file(path, &there)),
+            Ok(Some(there)) => return Ok(PartDone::of_file(path, &there)),
             Err(fault @ PartsError::Io { .. }) => return Err(fault.into()),
             Ok(None) | Err(_) => {}
         }
@@ -75,7 +75,7 @@ impl Parts {
         timings.done("write");
         let (blocks, triangles) =
             spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
-        Ok(PartMade { path, bytes, blocks, triangles, read, was_there: false, warnings, timings })
+        Ok(PartDone { path, bytes, blocks, triangles, read, reused: false, warnings, timings })
     }
 
     fn meshed(
@@ -94,7 +94,7 @@ impl Parts {
                 let sight = sampling.sight(indicator, &checked.surfacing);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
-            // What is seen depends on whether attributes are carried, and on no more of them.
+            // The reach depends on whether there are attributes, but not on which.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
             let reading = Reading::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {
@@ -140,14 +140,14 @@ impl Parts {
             let occupied = engine.occupied().within(mark.stretch).collect();
             let made =
                 Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
-            let warnings = engine.warnings().into_iter().map(Warning::MadeGood).collect();
+            let warnings = engine.warnings().into_iter().map(Warning::DeviceFallback).collect();
             Ok(Meshed { spool: Some(spool), made, read: reading.count(), warnings })
         })
     }
 }
 
 impl Meshed {
-    /// A part without blocks, for `read` particles.
+    /// A part without blocks, after reading `read` particles.
     fn nothing(plan: &Plan, read: usize) -> Self {
         let made =
             Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
@@ -161,12 +161,12 @@ pub(super) fn mark(plan: &Plan, fingerprint: u32, part: u32, checked: &Checked) 
     Mark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }
 }
 
-/// Components of the attributes that vertices carry.
+/// Components of the vertex attributes.
 pub(super) fn components(plan: &Plan) -> Vec<usize> {
     plan.attributes.iter().map(|info| info.components).collect()
 }
 
-impl PartMade {
+impl PartDone {
     fn of_file(path: std::path::PathBuf, file: &PartFile) -> Self {
         let blocks = &file.meshes.blocks;
         Self {
@@ -175,15 +175,15 @@ impl PartMade {
             blocks: blocks.len(),
             triangles: blocks.iter().map(|block| u64::from(block.triangles)).sum(),
             read: 0,
-            was_there: true,
+            reused: true,
             warnings: Vec::new(),
             timings: Timings::default(),
         }
     }
 }
 
-/// Whether attributes have the same names and components. The plan's kinds are settled by all
-/// particles, which a part does not read.
+/// Whether attributes have the same names and components. The kinds in the plan come from all
+/// particles, and a part does not read all.
 fn alike(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
     let same = |(a, b): (&AttributeInfo, &AttributeInfo)| {
         (&a.name, a.components, a.kind.is_whole()) == (&b.name, b.components, b.kind.is_whole())

@@ -1,5 +1,4 @@
-//! Merging: all parts' blocks are listed one after the other, and are from there on those of a
-//! single run.
+//! Merges parts: lists the blocks of all parts in order, and continues like a single run.
 
 use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
@@ -9,7 +8,7 @@ use crate::reconstruction::checked::{Checked, Started};
 use crate::reconstruction::draw::Drawn;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
-use crate::reconstruction::warning::{of_particles, with_doubts};
+use crate::reconstruction::warning::{of_particles, with_spacing_warnings};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
 use crate::surface::stitch::Stitched;
@@ -30,14 +29,13 @@ struct Joined {
 }
 
 impl Parts {
-    /// Merges the parts to the surface that a single run would give, with the same report but for
-    /// the times, and simplifies it if that was asked for. Its meshes stay in the parts' files,
-    /// which have to stay as well until it is written.
+    /// Merges the parts into the surface of a single run, with the same report except for the
+    /// times, and simplifies it if requested. The meshes stay in the parts' files, which must exist
+    /// until the surface is written.
     ///
     /// # Errors
-    /// [`Error::Parts`] where there is no plan, or one for something else, and for parts that are
-    /// missing, damaged or of another plan, and [`Error::Frame`] where there is no surface, or
-    /// scratch files fail.
+    /// [`Error::Parts`] without a plan for this request, and for parts that are missing, damaged or
+    /// of another plan; [`Error::Frame`] if there is no surface, or scratch files fail.
     pub fn merge(&self) -> Result<Surface, Error> {
         let begun = self.begin()?;
         let (plan, fingerprint) = self.planned(&begun)?;
@@ -64,7 +62,7 @@ impl Parts {
     }
 }
 
-/// Opens the files of all parts, and reads all of them to see that they are whole.
+/// Opens the files of all parts, and checks them completely.
 fn joined(
     plan: &Plan,
     fingerprint: u32,
@@ -99,7 +97,7 @@ fn joined(
     Ok(Joined { spool, occupied, lacking, bins })
 }
 
-/// Draws the surface as a single run would from where it has all meshes.
+/// Makes the surface from the meshes, with the same steps as a single run.
 fn drawn(
     plan: &Plan,
     checked: &Checked,
@@ -134,7 +132,7 @@ fn drawn(
     let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
     let warnings =
         of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
-    report.warnings = with_doubts(report.cells.as_ref(), warnings);
+    report.warnings = with_spacing_warnings(report.cells.as_ref(), warnings);
     report.lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();

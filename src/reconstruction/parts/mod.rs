@@ -22,7 +22,7 @@ mod plan_file;
 use std::path::{Path, PathBuf};
 
 use crate::brick::Census;
-use crate::error::{Conflict, Error, PartsError, Setting, Unfit};
+use crate::error::{Conflict, Error, PartsError, Setting, SettingConflict};
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::Method;
@@ -39,16 +39,16 @@ use super::warning::Warning;
 
 use plan_file::Plan;
 
-/// Parts of a mesh, at the most: of more, each would sample far more around its blocks than in
-/// them.
+/// Maximum number of parts. With more, each part would sample far more particles around its blocks
+/// than inside.
 const MOST_PARTS: u32 = 1000;
 
-/// A request for the mesh of one file of particles in parts, each to be made by a process of its
-/// own, on any machine.
+/// A request for the mesh of one particle file in parts. Each part can be made by its own process,
+/// on any machine.
 ///
-/// First [`plan`](Self::plan), once. Then every [`part`](Self::part), in any order, as often as one
-/// likes, beside one another: none needs another. At last [`merge`](Self::merge). All have to ask
-/// for the same.
+/// First call [`plan`](Self::plan) once, then [`part`](Self::part) for each part, in any order or
+/// in parallel; parts are independent and can be repeated. Finally call [`merge`](Self::merge). All
+/// calls need the same request.
 ///
 /// ```no_run
 /// use meniscus::Reconstruction;
@@ -68,101 +68,100 @@ pub struct Parts {
     input: PathBuf,
     output: PathBuf,
     count: u32,
-    again: Again,
+    existing: ExistingPlan,
 }
 
-/// Treatment of a plan that is there already.
+/// What to do with an existing plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Again {
-    /// Kept if it is what would be made again, and refused else.
+enum ExistingPlan {
+    /// Keep it if the request is the same, otherwise fail.
     Refuse,
-    /// Kept if it is what would be made again, and replaced else.
-    Differing,
-    /// Replaced.
-    Always,
+    /// Keep it if the request is the same, otherwise replace it.
+    ReplaceDiffering,
+    /// Replace it.
+    Replace,
 }
 
-/// A plan that was made, or was there.
+/// A plan that was made or already existed.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct Planned {
+pub struct PartsPlan {
     /// The plan's file.
     pub path: PathBuf,
-    /// The particles in the file.
+    /// Number of particles in the file.
     pub particles: usize,
-    /// The kind of file, in the words that people use for it.
+    /// Name of the file format.
     pub format: String,
-    /// The cells that were chosen.
+    /// The chosen cells.
     pub cells: Cells,
-    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to
-    /// suit.
+    /// The origin to which the grid was moved because all particles are on a lattice.
     pub moved_to: Option<[f64; 3]>,
-    /// The indicator that makes the field.
+    /// The indicator.
     pub indicator: IndicatorKind,
-    /// Counts of particles, by what becomes of them.
+    /// Counts of used and skipped particles.
     pub census: Census,
-    /// By what the surface will be drawn.
+    /// The calibration of the surface.
     pub calibration: Calibration,
     /// The parts, in order.
     pub parts: Vec<PartShare>,
-    /// Bytes of memory that may be used, and the folder for what exceeds them.
+    /// Memory limit in bytes.
     pub budget: u64,
     /// The folder of scratch files.
     pub scratch_folder: PathBuf,
-    /// How long each stage took: nothing where the plan was there.
+    /// Time of each stage; empty if the plan already existed.
     pub timings: Timings,
 }
 
-/// The share of a part.
+/// The share of one part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartShare {
-    /// Particles in its blocks, with their images in a periodic box: all parts' together are all of
-    /// the frame.
+    /// Particles in its blocks, with their images in a periodic box. The sum over all parts is the
+    /// whole frame.
     pub particles: u64,
-    /// Particles that it keeps: those, and what decides their blocks from around.
+    /// Particles that it keeps in memory: those in its blocks and those around that affect them.
     pub kept: u64,
-    /// Needs of a machine that is like this; `None` where the plan was there.
-    pub takes: Option<PartTakes>,
+    /// Estimated resources on a machine like this one; `None` if the plan already existed.
+    pub needs: Option<PartNeeds>,
 }
 
-/// Bytes that a part takes.
+/// Resources of a part in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct PartTakes {
-    /// Memory within the budget, at the peak.
+pub struct PartNeeds {
+    /// Peak memory within the limit.
     pub memory: u64,
-    /// Memory that it would take if there were enough.
+    /// Peak memory without scratch files.
     pub in_core: u64,
-    /// Scratch files, at the most.
+    /// Upper bound of the scratch files.
     pub scratch: u64,
 }
 
-/// A part that was made, or was there.
+/// A part that was made or already existed.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct PartMade {
+pub struct PartDone {
     /// The part's file.
     pub path: PathBuf,
     /// The file's size.
     pub bytes: u64,
-    /// Blocks that the surface passes through.
+    /// Number of blocks that contain the surface.
     pub blocks: usize,
-    /// Triangles of all blocks.
+    /// Number of triangles.
     pub triangles: u64,
-    /// Particles that were read of the input: none where it was there.
+    /// Number of particles that were read from the input; 0 if the part already existed.
     pub read: usize,
-    /// Whether it was there already, whole, and made by the same plan.
-    pub was_there: bool,
-    /// Failures of the backend that were made good.
+    /// Whether a complete file of the same plan already existed.
+    pub reused: bool,
+    /// Warnings that the CPU did the work of a failed backend.
     pub warnings: Vec<Warning>,
-    /// How long each stage took: nothing where it was there.
+    /// Time of each stage; empty if the part already existed.
     pub timings: Timings,
 }
 
 impl Reconstruction {
-    /// A request for the mesh of a particle file in `count` parts, which are in a folder beside the
-    /// output until they are merged.
+    /// A request for the mesh of a particle file in `count` parts. The parts are in a folder beside
+    /// the output until they are merged.
     pub fn parts(
         &self,
         input: impl Into<PathBuf>,
@@ -174,33 +173,33 @@ impl Reconstruction {
             input: input.into(),
             output: output.into(),
             count,
-            again: Again::Refuse,
+            existing: ExistingPlan::Refuse,
         }
     }
 }
 
-/// All that every step begins with.
+/// A checked request, the start of every step.
 struct Begun {
     checked: Checked,
     folder: PathBuf,
-    /// The indicator that makes the field: parts are not for kernels.
+    /// The indicator; kernel methods do not support parts.
     indicator: IndicatorKind,
 }
 
 impl Parts {
-    /// Replaces a plan that was made for something else.
+    /// Replaces the plan of a different request.
     pub fn resume(mut self) -> Self {
-        self.again = Again::Differing;
+        self.existing = ExistingPlan::ReplaceDiffering;
         self
     }
 
-    /// Plans anew, whatever is there.
+    /// Makes a new plan even if one exists.
     pub fn overwrite(mut self) -> Self {
-        self.again = Again::Always;
+        self.existing = ExistingPlan::Replace;
         self
     }
 
-    /// The folder of the plan and the parts: all of it can go when the mesh is there.
+    /// The folder of the plan and the parts. It can be deleted when the mesh is written.
     #[must_use]
     pub fn folder(&self) -> PathBuf {
         let mut name = self.output.as_os_str().to_owned();
@@ -208,12 +207,12 @@ impl Parts {
         name.into()
     }
 
-    /// Checks what can be checked without a plan.
+    /// Checks the request without a plan.
     fn begin(&self) -> Result<Begun, Error> {
         let mut checked = self.request.checked()?;
         if checked.settings.asks_for_sizes() {
             let with = Conflict::Setting(Setting::named("parts"));
-            return Err(Unfit { setting: Setting::named("size"), with }.into());
+            return Err(SettingConflict { setting: Setting::named("size"), with }.into());
         }
         checked.sampling.size = SizeChoice::Ignored;
         if !(1..=MOST_PARTS).contains(&self.count) {
@@ -221,13 +220,13 @@ impl Parts {
         }
         if is_packed(&self.input) {
             let with = Conflict::Packed(self.input.clone());
-            return Err(Unfit { setting: Setting::named("parts"), with }.into());
+            return Err(SettingConflict { setting: Setting::named("parts"), with }.into());
         }
         let indicator = match checked.sampling.method {
             Method::Indicator { kind, .. } => kind,
             Method::Kernels(kernels) => {
                 let with = Conflict::Method(kernels);
-                return Err(Unfit { setting: Setting::named("parts"), with }.into());
+                return Err(SettingConflict { setting: Setting::named("parts"), with }.into());
             }
         };
         checked.refuse_of_indicator()?;
@@ -241,7 +240,7 @@ impl Parts {
         Ok(Begun { checked, folder: self.folder(), indicator })
     }
 
-    /// The plan that was made for what is asked for, and its fingerprint.
+    /// The plan of this request, and its fingerprint.
     fn planned(&self, begun: &Begun) -> Result<(Plan, u32), Error> {
         let Begun { checked, folder, .. } = begun;
         let Some(found) = Plan::load(folder)? else {
@@ -252,7 +251,6 @@ impl Parts {
     }
 }
 
-/// The file of a part in a folder of parts.
 fn part_in(folder: &Path, part: u32) -> PathBuf {
     folder.join(format!("part_{part}"))
 }

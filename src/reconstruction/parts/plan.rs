@@ -1,4 +1,4 @@
-//! Planning: the frame is sampled once to measure it, and its blocks are shared out.
+//! Plans parts: samples the frame once to measure it, and divides its blocks.
 
 use rayon::prelude::*;
 
@@ -22,21 +22,20 @@ use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::plan_file::{Plan, Share, path_in};
-use super::{Again, Begun, PartShare, PartTakes, Parts, Planned, chunks};
+use super::{Begun, ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, chunks};
 
-/// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and
-/// to sample a particle.
+/// Number of cells near the surface whose field and mesh take as long as binning and sampling one
+/// particle.
 const CELLS_A_PARTICLE: u64 = 4;
 
 impl Parts {
-    /// Measures the frame and shares out its blocks, unless that was done for the same request
-    /// before.
+    /// Measures the frame and divides its blocks, or reuses the plan of the same request.
     ///
     /// # Errors
-    /// [`Error::Parts`] for a plan that was made for something else, [`Error::Unfit`] for kernels
-    /// and packed frames, which are not made in parts, [`Error::Read`], and [`Error::Frame`] for
-    /// particles that cannot be sampled.
-    pub fn plan(&self) -> Result<Planned, Error> {
+    /// [`Error::Parts`] for a plan of another request, [`Error::SettingConflict`] for kernel
+    /// methods and packed frames, which do not support parts, [`Error::Read`], and [`Error::Frame`]
+    /// for particles that cannot be sampled.
+    pub fn plan(&self) -> Result<PartsPlan, Error> {
         let begun = self.begin()?;
         let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
             Some((plan, _)) => plan
@@ -44,33 +43,33 @@ impl Parts {
                 .map(|()| Some(plan)),
             None => Ok(None),
         });
-        match (found, self.again) {
-            (Ok(Some(plan)), Again::Refuse | Again::Differing) => {
-                return self.told(plan, None, &begun, Timings::default());
+        match (found, self.existing) {
+            (Ok(Some(plan)), ExistingPlan::Refuse | ExistingPlan::ReplaceDiffering) => {
+                return self.describe(plan, None, &begun, Timings::default());
             }
-            (Err(fault), Again::Refuse) => return Err(fault),
+            (Err(fault), ExistingPlan::Refuse) => return Err(fault),
             _ => {}
         }
         let Begun { checked, folder, indicator } = begun;
         let ready = checked.clone().on_threads()?;
         let mut timings = Timings::default();
-        let (plan, takes) = self.measured(&ready, indicator, &mut timings)?;
+        let (plan, needs) = self.measured(&ready, indicator, &mut timings)?;
         let save = || {
             plan.save(&folder)?;
             sweep(&folder);
             Ok::<_, PartsError>(())
         };
         checked.resources.control.cancel.undisturbed(save)?;
-        self.told(plan, Some(takes), &Begun { checked, folder, indicator }, timings)
+        self.describe(plan, Some(needs), &Begun { checked, folder, indicator }, timings)
     }
 
-    fn told(
+    fn describe(
         &self,
         plan: Plan,
-        takes: Option<Vec<PartTakes>>,
+        needs: Option<Vec<PartNeeds>>,
         begun: &Begun,
         timings: Timings,
-    ) -> Result<Planned, Error> {
+    ) -> Result<PartsPlan, Error> {
         let path = path_in(&begun.folder);
         let no_calibration =
             || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
@@ -78,9 +77,9 @@ impl Parts {
         let share = |(part, share): (usize, &Share)| PartShare {
             particles: share.particles,
             kept: share.counted,
-            takes: takes.as_ref().map(|takes| takes[part]),
+            needs: needs.as_ref().map(|needs| needs[part]),
         };
-        Ok(Planned {
+        Ok(PartsPlan {
             parts: plan.parts.iter().enumerate().map(share).collect(),
             particles: plan.particles,
             moved_to: plan.moved.then_some(plan.origin),
@@ -96,13 +95,13 @@ impl Parts {
         })
     }
 
-    /// Measures the frame, and shares out its blocks; says what each part takes.
+    /// Measures the frame, divides its blocks, and estimates the resources of each part.
     fn measured(
         &self,
         ready: &Started,
         indicator: IndicatorKind,
         timings: &mut Timings,
-    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+    ) -> Result<(Plan, Vec<PartNeeds>), Error> {
         let (Started { checked, threads }, input) = (ready, &self.input);
         let stamp = || checked.settings.stamp(input);
         let before = stamp()?;
@@ -134,11 +133,11 @@ impl Parts {
         chosen: ChosenSampling,
         stamp: Stamp,
         timings: &mut Timings,
-    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+    ) -> Result<(Plan, Vec<PartNeeds>), Error> {
         let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
-        // Nothing here asks for attributes.
+        // Planning needs no attributes.
         let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
         let cut = chunks::cut(particles);
         let watched = chunks::watched(particles, &cut, &sampling.grid);
@@ -181,14 +180,14 @@ impl Parts {
             parts,
             chunks,
         };
-        let takes = (0..).zip(&shared).map(|(part, known)| {
+        let needs = (0..).zip(&shared).map(|(part, known)| {
             let bins = known.iter().map(|&bin| bins[bin as usize]);
             let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
-            PartTakes::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
+            PartNeeds::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
         });
-        let takes = takes.collect();
+        let needs = needs.collect();
         timings.done("share out");
-        Ok((plan, takes))
+        Ok((plan, needs))
     }
 }
 
@@ -224,7 +223,7 @@ fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
     for &(block, work) in work {
-        // A block goes to the part that its middle lies in.
+        // A block belongs to the part that contains the middle of its work.
         let middle = 2 * before + u128::from(work);
         while (cuts.len() as u128) < u128::from(parts)
             && middle * u128::from(parts) >= 2 * all * cuts.len() as u128
@@ -237,12 +236,11 @@ fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     cuts
 }
 
-/// The part of a block.
 fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
     cuts.partition_point(|&first| first <= block) - 1
 }
 
-/// The numbers of the bins that each part has to know.
+/// The numbers of the bins that each part samples.
 fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: Sight) -> Vec<Vec<u32>> {
     let seen_by = |&(bin, _): &(MortonKey, usize)| {
         let mut parts: Vec<usize> =
@@ -269,7 +267,7 @@ fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) 
         .collect()
 }
 
-impl PartTakes {
+impl PartNeeds {
     fn of(estimate: &Estimate, budget: MemoryBudget, input_scratch: u64) -> Self {
         let plan = estimate.plan(budget);
         Self {
@@ -294,13 +292,13 @@ mod tests {
         assert_eq!(first(2), [0, 12]);
         assert_eq!(first(3), [0, 9, 13]);
         assert_eq!(first(6), [0, 4, 9, 12, 13, 20]);
-        // Of more parts than blocks some are empty, and every block is in one.
+        // With more parts than blocks, some parts are empty, and every block is in one part.
         let many = cuts(&work, 20);
         assert_eq!(many.len(), 20);
         assert!(many.is_sorted() && many[0].0 == 0);
         let parts: Vec<usize> = work.iter().map(|&(block, _)| part_of(&many, block)).collect();
         assert!(parts.is_sorted_by(|a, b| a < b), "{parts:?}");
-        // One that takes longer than all others together is a part alone.
+        // A block with more work than all others is alone in its part.
         let heavy: Vec<_> =
             keys.into_iter().zip([1, 1, 100, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
         assert_eq!(cuts(&heavy, 3).iter().map(|key| key.0).collect::<Vec<_>>(), [0, 9, 12]);

@@ -1,5 +1,4 @@
-//! The plan of parts: what a single run would measure, and which blocks each part makes. It is kept
-//! as `plan.json`.
+//! The file `plan.json`: the measurements of a single run, and the blocks of each part.
 
 use std::fs;
 use std::io;
@@ -24,37 +23,37 @@ use crate::settings::{Kept as KeptSettings, differing};
 
 use super::chunks::Chunk;
 
-/// All that parts and their merging have to know.
+/// Data that parts and merging share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Plan {
     /// The version of this library.
     pub(super) meniscus: String,
     /// The request, by the names of the options.
     pub(super) settings: KeptSettings,
-    /// Whether a calibration was given, which only a caller of the library does.
+    /// Whether the caller of the library gave a calibration.
     pub(super) calibrated: bool,
-    /// The particles' file.
+    /// The stamp of the particles' file.
     pub(super) input: Stamp,
-    /// Number of particles, whatever becomes of them.
+    /// Number of particles in the input.
     pub(super) particles: usize,
-    /// The kind of file, for people.
+    /// Name of the file format.
     pub(super) format: String,
-    /// The cells that were chosen.
+    /// The chosen cells.
     pub(super) cells: Cells,
     pub(super) origin: [f64; 3],
     /// Whether the grid was moved to suit a lattice.
     pub(super) moved: bool,
     pub(super) census: Census,
-    /// mu0 by which counts become the field.
+    /// mu0, which converts counts to the field.
     pub(super) mean: Option<f64>,
-    /// By what the surface is drawn.
+    /// The calibration of the surface.
     #[serde(flatten, with = "as_numbers")]
     pub(super) calibration: Option<Calibration>,
     /// The measurements behind the calibration, unless it was given.
     pub(super) measured: Option<Measured>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
-    /// Particles in the same place as others.
+    /// Particles with the same position as others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) coincident: Option<Coincident>,
     /// Attributes that go to the vertices.
@@ -74,11 +73,11 @@ pub(super) struct Measured {
 /// The share of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Share {
-    /// The key of its first block; the next part's first is the first beyond.
+    /// The key of its first block. The part ends before the next part's first block.
     pub(super) first: u64,
     /// Particles in its blocks.
     pub(super) particles: u64,
-    /// Particles that it has to know, around its blocks as well.
+    /// Particles in its blocks and around them that it samples.
     pub(super) counted: u64,
 }
 
@@ -94,7 +93,7 @@ pub(super) fn path_in(folder: &Path) -> PathBuf {
 }
 
 impl Plan {
-    /// The plan in a folder, and its fingerprint; `None` where there is none.
+    /// Loads the plan of a folder, with its fingerprint; `None` if there is none.
     pub(super) fn load(folder: &Path) -> Result<Option<(Self, u32)>, PartsError> {
         let path = path_in(folder);
         let bytes = match fs::read(&path) {
@@ -113,7 +112,7 @@ impl Plan {
         Ok(Some((plan, fingerprint)))
     }
 
-    /// Keeps it in a folder in place of any other.
+    /// Writes the plan into a folder, in place of any other.
     pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
         make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
         let path = path_in(folder);
@@ -122,12 +121,12 @@ impl Plan {
         Ok(kept.fingerprint)
     }
 
-    /// A number that differs where anything does.
+    /// Changes with any value of the plan.
     fn fingerprint(&self) -> u32 {
         crc32fast::hash(&serde_json::to_vec(self).expect("string keys and finite depth"))
     }
 
-    /// Refuses what cannot have been planned.
+    /// Rejects values that cannot have been planned.
     fn validate(&self) -> Result<(), String> {
         self.grid().map_err(|fault| fault.to_string())?;
         let first = self.parts.first().ok_or("no parts")?;
@@ -147,7 +146,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Refuses to go on with what was planned for something else.
+    /// Rejects a plan of another request.
     pub(super) fn refuse_other(
         &self,
         folder: &Path,
@@ -196,7 +195,7 @@ impl Plan {
         Grid::new(self.origin.into(), self.cells.size)
     }
 
-    /// How parts are sampled: as all of it was, and by the mu0 that was measured.
+    /// The sampling of parts: that of the whole frame, with its measured mu0.
     pub(super) fn sampling(
         &self,
         checked: &Checked,
@@ -215,7 +214,7 @@ impl Plan {
         FrameFacts { grid, domain, periodic, census: self.census, spacing }
     }
 
-    /// The indicator of the whole frame, with the mu0 that was measured where it counts.
+    /// The indicator of the whole frame, with the measured mu0 for counting.
     pub(super) fn indicator(&self, kind: IndicatorKind) -> Result<Indicator, Error> {
         Ok(kind.with_mean(|| MeanCount::new(self.mean.unwrap_or_default()))?)
     }
@@ -227,10 +226,10 @@ impl Plan {
     }
 }
 
-/// A plan as it is kept.
+/// The content of the file.
 #[derive(Serialize, Deserialize)]
 struct Kept {
-    /// CRC-32 of the plan, so that no number in it can change unseen.
+    /// CRC-32 of the plan, which detects changed values.
     fingerprint: u32,
     #[serde(flatten)]
     plan: Plan,

@@ -1,16 +1,16 @@
 //! The marching-cubes table, derived from one rule.
 //!
 //! On a face whose two inside corners are diagonal, the surface cuts each of them off. Both cells
-//! that share the face see the same four signs, so both draw the same segments, and no face is ever
-//! open. The segments around a cell close to loops; each crossed edge lies on one loop. A loop is
-//! fanned from an apex none of whose diagonals lies in a face of the cell: a diagonal is then an
-//! edge of this cell's triangles alone, and the mesh is a 2-manifold.
+//! that share the face see the same four signs, so both have the same segments, and no face is ever
+//! open. The segments around a cell form closed loops, and each crossed edge is on one loop. A loop
+//! becomes a fan around an apex none of whose diagonals is in a face of the cell. Each diagonal is
+//! then an edge of this cell's triangles only, and the mesh is a 2-manifold.
 
 use std::sync::LazyLock;
 
 use glam::IVec3;
 
-/// The corners of a dual cell are numbered x + 2 y + 4 z; its edges run from `corner` along `axis`.
+/// An edge of a dual cell, from `corner` along `axis`. Corners are numbered x + 2 y + 4 z.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Edge {
     /// The lower end.
@@ -28,11 +28,11 @@ impl Edge {
     }
 }
 
-/// The triangles of one combination of signs: edges, counter-clockwise seen from outside of the
+/// The triangles of one combination of signs, as edges, counter-clockwise seen from outside of the
 /// fluid.
 pub type Triangles = Vec<[Edge; 3]>;
 
-/// For every combination of inside corners, bit by corner, what to draw.
+/// The triangles for every combination of inside corners, one bit per corner.
 pub static TABLE: LazyLock<[Triangles; 256]> =
     LazyLock::new(|| std::array::from_fn(|case| triangles(case as u8)));
 
@@ -40,7 +40,7 @@ fn triangles(case: u8) -> Triangles {
     loops(case).iter().flat_map(|polygon| fan(polygon)).collect()
 }
 
-/// The faces' corners in cyclic order, counter-clockwise seen from outside of the cell.
+/// The corners of each face in cyclic order, counter-clockwise seen from outside of the cell.
 fn faces() -> impl Iterator<Item = [u8; 4]> {
     (0..3).flat_map(|axis: u8| {
         let (u, v, n) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3), 1 << axis);
@@ -53,12 +53,12 @@ fn edge(a: u8, b: u8) -> Edge {
     Edge { corner: a & b, axis: (a ^ b).trailing_zeros() as u8 }
 }
 
-/// The surface's closed loops through the cell, each a list of crossed edges, counter-clockwise
-/// seen from outside of the fluid.
+/// The closed loops of the surface in a cell, as lists of crossed edges, counter-clockwise seen
+/// from outside of the fluid.
 fn loops(case: u8) -> Vec<Vec<Edge>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
-    // Walking around a face, seen from outside of the cell, cut each run of inside corners off on
-    // its own: from where the walk enters the run to where it leaves it.
+    // Go around each face, seen from outside of the cell, and cut off each run of inside corners:
+    // from the edge at which the run starts to the edge at which it ends.
     let mut segments = Vec::new();
     for face in faces() {
         for start in 0..4 {
@@ -86,7 +86,7 @@ fn loops(case: u8) -> Vec<Vec<Edge>> {
     loops
 }
 
-/// Whether two edges of the cell lie in a common face.
+/// Whether two edges of the cell are in a common face.
 fn share_face(a: Edge, b: Edge) -> bool {
     let corners = |e: Edge| [e.corner, e.corner | 1 << e.axis];
     faces().any(|face| corners(a).iter().chain(&corners(b)).all(|corner| face.contains(corner)))

@@ -10,10 +10,10 @@ use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 use super::cases::TABLE;
 use super::{Crossings, Level, Normals};
 
-/// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.
+/// The surface in the tiles of `region`, a part of one block, with its crossed dual edges.
 ///
-/// Cells outside of `walls` are ghost points, and must repeat the edge cells. Every tile with a
-/// dual cell of mixed signs is there, even when all its vertices are owned by its neighbours.
+/// Cells outside of `walls` are ghost points, and must repeat the edge cells. The result contains
+/// every tile with a dual cell of mixed signs, even if all its vertices belong to neighbours.
 ///
 /// # Panics
 /// If `field` does not cover the region's tiles and one cell beyond their upper faces.
@@ -46,8 +46,8 @@ pub fn contour<L: Level>(
         let first = field.index(tile.corner(block));
         for (axis, step) in strides.into_iter().enumerate() {
             ends.extend(bits(tile.crossed(axis)).map(|bit| {
-                // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its
-                // mirror image.
+                // Beyond a wall, the field repeats the edge cell, so the ghost point has the value
+                // of its mirror image.
                 let cell = cell_of_bit(bit).as_usizevec3();
                 let lower = first + cell.x + cell.y * strides[1] + cell.z * strides[2];
                 level.ends(samples[lower], samples[lower + step])
@@ -57,8 +57,8 @@ pub fn contour<L: Level>(
     BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
-/// The surface through a region of a field on the cells that it [needs](Normals::cells), as
-/// [`contour`] has it, with the normals that are asked for; `None` where there is none.
+/// The surface of a region, from a field on the cells that [`Normals::cells`] returns, as in
+/// [`contour`], with normals if requested; `None` if there is no surface.
 ///
 /// # Panics
 /// If `field` does not cover those cells.
@@ -79,8 +79,8 @@ where
     (!mesh.tiles.is_empty()).then_some(mesh)
 }
 
-/// Outward unit normals: the field's falling gradient by central differences at both ends of a
-/// vertex's edge, interpolated. On a wall it is the wall's.
+/// Outward unit normals: the negative gradient of the field by central differences at both ends of
+/// a vertex's edge, interpolated. On a wall, the normal of the wall.
 fn normals<T: Copy + Default + Into<f64>>(
     field: &Block<T>,
     mesh: &BlockMesh,
@@ -101,8 +101,8 @@ fn normals<T: Copy + Default + Into<f64>>(
     normals
 }
 
-/// The normal of one vertex, given its edge, how far along it lies, whether the field falls along
-/// it, and by how much the field falls along each axis around both ends.
+/// The normal of one vertex, from its edge, its position on the edge, whether the field falls along
+/// the edge, and the differences of the field along each axis at both ends.
 pub fn normal(
     (cell, axis): (IVec3, usize),
     fraction: f64,
@@ -120,18 +120,18 @@ pub fn normal(
         }
     }
     let normal = lower * (1.0 - fraction) + upper * fraction;
-    // Where the gradient vanishes, the edge itself tells outside from inside.
+    // Without a gradient, the edge gives the direction.
     let fallback = if falls_up { along } else { -along };
     normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
 
-/// Cells along each axis that a tile's dual cells join.
+/// Cells along each axis in the dual cells of a tile.
 const ROWS: usize = TILE as usize + 1;
 
 /// Tiles along a block's edge.
 const TILES: i32 = BLOCK / TILE;
 
-/// The signs of a region's cells and of those one beyond its upper faces: a word for each row along
+/// The signs of a region's cells and of one layer beyond its upper faces: a word for each row along
 /// x, y fastest.
 struct Signs {
     region: CellBox,
@@ -159,19 +159,18 @@ impl Signs {
         signs
     }
 
-    /// Where the word of a row is.
+    /// Index of the word of a row.
     fn index(&self, y: i32, z: i32) -> usize {
         let CellBox { lo, hi } = self.region;
         ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
     }
 
-    /// The words of the rows that the dual cells of the tiles at (y, z) join: of each z those of
-    /// all y.
+    /// The words of the rows in the dual cells of the tiles at (y, z): for each z, those of all y.
     fn rows(&self, y: i32, z: i32) -> [&[u64]; ROWS] {
         std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
     }
 
-    /// A bit for each tile of the block, in Morton order, that has dual cells of mixed signs.
+    /// A bit for each tile of the block, in Morton order: whether it has dual cells of mixed signs.
     fn mixed_tiles(&self) -> [u64; TILES.pow(3) as usize / 64] {
         let CellBox { lo, hi } = self.region;
         let block = lo.div_euclid(IVec3::splat(BLOCK));
@@ -194,12 +193,12 @@ impl Signs {
         mixed
     }
 
-    /// The signs of the cells of the tile at `corner`, and of their neighbours one cell up along
-    /// the axes in a corner's number.
+    /// The signs of the cells of the tile at `corner`, and of their upper neighbours; the axes are
+    /// the bits of a corner's number.
     fn corners(&self, corner: IVec3) -> [TileMask; 8] {
         let rows = self.rows(corner.y, corner.z);
         let x = corner.x - self.region.lo.x;
-        // The rows of a layer one after the other, four cells of each.
+        // The rows of a layer, four cells of each.
         let layer = |up_x: i32, z: usize| {
             (0..ROWS)
                 .fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))

@@ -1,4 +1,5 @@
-//! Where in a field the surface is, and how a vertex remembers its place on its edge in 32 bits.
+//! The level of the surface in a field, and the 32 bits in which a vertex stores its position on
+//! its edge.
 
 use crate::grid::units::Isovalue;
 
@@ -11,11 +12,11 @@ pub trait Level: Copy {
     fn is_inside(self, sample: Self::Sample) -> bool;
 
     /// Packs the samples at the lower and the upper end of an edge for its vertex; [`Crossings`]
-    /// reads them.
+    /// unpacks them.
     fn ends(self, lower: Self::Sample, upper: Self::Sample) -> [u16; 2];
 }
 
-/// Integer fields: a vertex keeps both samples.
+/// Integer fields: a vertex stores both samples.
 impl Level for Isovalue {
     type Sample = u16;
 
@@ -30,7 +31,7 @@ impl Level for Isovalue {
     }
 }
 
-/// The level 0 of a real field that is positive inside: a vertex keeps its fraction, in steps of
+/// The level 0 of a real field that is positive inside: a vertex stores its fraction, in steps of
 /// 2^-32.
 #[derive(Debug, Clone, Copy)]
 pub struct Zero;
@@ -47,13 +48,13 @@ impl Level for Zero {
     fn ends(self, lower: f64, upper: f64) -> [u16; 2] {
         // A ghost point has the value of the cell that it mirrors.
         let fraction = if lower == upper { 0.5 } else { lower / (lower - upper) };
-        // The conversion saturates at the upper end, and 0 would be the sample itself.
+        // The conversion saturates at the upper end. 0 would be the sample itself.
         let steps = ((fraction * 2_f64.powi(32)) as u32).max(1);
         [steps as u16, (steps >> 16) as u16]
     }
 }
 
-/// The encoding of the 32 bits that a vertex keeps of its edge.
+/// The encoding of the 32 bits that a vertex stores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Crossings {
     /// Both samples, of a field with this isovalue.
@@ -75,16 +76,16 @@ impl From<Zero> for Crossings {
 }
 
 impl Crossings {
-    /// How far along its edge a vertex lies (eq. 8), from what it keeps.
+    /// The position of a vertex on its edge (eq. 8), from its stored bits.
     ///
-    /// Equal samples are those of a cell and of the ghost point that mirrors it: half-way, for phi
-    /// changes its sign.
+    /// Equal samples belong to a cell and the ghost point that mirrors it: the vertex is half-way,
+    /// because phi changes its sign.
     #[inline]
     pub fn fraction(self, [lower, upper]: [u16; 2]) -> f64 {
         match self {
             Self::Samples(_) if lower == upper => 0.5,
             Self::Samples(iso) => {
-                // phi in halves: 2 c - 2 theta, and c is an integer and a half.
+                // phi in units of 1/2: 2 c - 2 theta, where c is an integer and a half.
                 let phi = |theta: u16| {
                     f64::from(2 * i32::from(iso.threshold()) + 1 - 2 * i32::from(theta))
                 };

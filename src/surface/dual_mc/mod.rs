@@ -8,8 +8,8 @@
 //! Where the cell is inside, the vertex is half-way between centre and ghost, which is exactly on
 //! the wall.
 //!
-//! Needs the field on the block and one cell beyond its upper faces; normals need one cell more all
-//! round.
+//! Needs the field on the block and one cell beyond its upper faces; normals need one more cell on
+//! all sides.
 
 pub mod cases;
 mod cpu;
@@ -21,8 +21,8 @@ pub use level::{Crossings, Level, Zero};
 
 use crate::grid::CellBox;
 
-/// Vertices of a block with much surface, where details are smoothed away or where they are kept:
-/// spray is all surface.
+/// Number of vertices of a block with much surface, with or without smoothed details: spray is all
+/// surface.
 pub fn block_vertices(keeps_details: bool) -> u64 {
     if keeps_details { 20_000 } else { 6_000 }
 }
@@ -46,7 +46,7 @@ impl Normals {
     }
 }
 
-/// The cells that stand around the dual cells of a region.
+/// The cells at the corners of the dual cells of a region.
 pub fn dual_cells(region: CellBox) -> CellBox {
     region.tiled().grown(0, 1)
 }

@@ -13,16 +13,16 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::cases::TABLE;
 
-/// Tiles of a block and one layer of its upper neighbours: those whose signs are needed.
+/// Tiles of a block and one layer of its upper neighbours, whose signs are needed.
 pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / TILE + 1)) as u32;
-/// Words of a tile.
+/// Words per tile.
 pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
 
-/// Counts of a block's tiles, vertices and triangles; after `bases`, where it begins in the batch.
+/// Counts of a block's tiles, vertices and triangles; after `bases`, their start in the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Tally {
-    /// Tiles that the surface passes through.
+    /// Tiles that contain the surface.
     pub tiles: u32,
     /// Crossed edges.
     pub vertices: u32,
@@ -32,7 +32,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Returns the counts between `begin` and this tally.
+    /// The difference between this tally and `begin`.
     pub fn since(&self, begin: &Self) -> Self {
         Self {
             tiles: self.tiles - begin.tiles,
@@ -43,7 +43,7 @@ impl Tally {
     }
 }
 
-/// A tile among those of its block.
+/// A tile in its block.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Slot {
@@ -61,9 +61,9 @@ pub struct Slot {
 pub struct Pipelines {
     /// Signs of all cells, tile by tile.
     pub signs: Arc<ComputePipeline>,
-    /// The tally of what each block will have, and where each of its tiles begins.
+    /// The tally of each block, and the start of each of its tiles.
     pub tiles: Arc<ComputePipeline>,
-    /// Where each block begins, and how many work groups write all of them.
+    /// The start of each block, and the number of work groups that write all blocks.
     pub bases: Arc<ComputePipeline>,
     /// Tiles and vertices.
     pub emit: Arc<ComputePipeline>,
@@ -72,31 +72,31 @@ pub struct Pipelines {
 /// The buffers that the stage writes.
 #[derive(Debug, Clone)]
 pub struct Outputs {
-    /// [`SIGN_TILES`] words of 64 bits a block.
+    /// [`SIGN_TILES`] 64-bit words per block.
     pub signs: View,
-    /// Triangles by case.
+    /// Number of triangles for each case.
     pub lengths: View,
-    /// [`BLOCK_TILES`](crate::grid::BLOCK_TILES) of [`Slot`] a block.
+    /// [`BLOCK_TILES`](crate::grid::BLOCK_TILES) values of [`Slot`] per block.
     pub slots: View,
     /// A [`Tally`] for each block, and one for the totals.
     pub tallies: View,
     /// Work groups that write tiles: 12 bytes.
     pub groups: View,
-    /// A [`Tile`] each, as many as there can be.
+    /// The tiles, up to the maximum number.
     pub tiles: View,
-    /// For every vertex the field at the lower and the upper end of its edge.
+    /// For every vertex, the field at the lower and the upper end of its edge.
     pub ends: View,
-    /// [`Falls`] for every vertex, if there are to be normals.
+    /// [`Falls`] for every vertex, if normals are requested.
     pub falls: View,
-    /// Vertices that there is room for; nothing is written of more than that.
+    /// Capacity in vertices; nothing is written beyond it.
     pub room: u32,
 }
 
-/// By how much the field falls from one cell below to one cell above along each axis, around the
-/// lower and the upper end of a vertex's edge.
+/// Decrease of the field from one cell below to one cell above along each axis, at the lower and
+/// the upper end of a vertex's edge.
 pub type Falls = [[i32; 3]; 2];
 
-/// Triangles by case, as the shaders take them.
+/// Number of triangles for each case, as the shaders need it.
 pub fn lengths() -> Vec<u32> {
     TABLE.iter().map(|triangles| triangles.len() as u32).collect()
 }
@@ -104,7 +104,7 @@ pub fn lengths() -> Vec<u32> {
 /// Counts, orders and writes the surface through all blocks.
 ///
 /// # Errors
-/// Those of the device.
+/// Errors of the device.
 #[allow(clippy::too_many_arguments, reason = "what the twin takes, and where it goes")]
 pub fn contour(
     batch: &mut Batch,

@@ -1,8 +1,8 @@
-//! The surface of one block, before stitching: signs and edge samples, no indices yet.
+//! The surface of one block before stitching: signs and samples of edges, without indices.
 //!
-//! Every dual edge belongs to the tile of 4^3 cells that holds its lower cell, every dual cell to
-//! the tile of its lowest corner. Within a tile vertices are ordered by axis, then by cell (x
-//! fastest); tiles are in Morton order. This order knows nothing of blocks, bricks or threads.
+//! Every dual edge belongs to the tile of 4^3 cells that contains its lower cell, and every dual
+//! cell to the tile of its lowest corner. Within a tile, vertices are ordered by axis, then by cell
+//! (x fastest); tiles are in Morton order. This order does not depend on blocks, bricks or threads.
 
 use glam::IVec3;
 
@@ -17,7 +17,7 @@ pub fn cell_of_bit(bit: u32) -> IVec3 {
     IVec3::new(bit as i32 & 3, bit as i32 >> 2 & 3, bit as i32 >> 4)
 }
 
-/// The bits that are set, lowest first.
+/// The set bits, lowest first.
 pub fn bits(mut mask: TileMask) -> impl Iterator<Item = u32> {
     std::iter::from_fn(move || {
         let bit = mask.trailing_zeros();
@@ -28,7 +28,7 @@ pub fn bits(mut mask: TileMask) -> impl Iterator<Item = u32> {
     })
 }
 
-/// A tile that the surface passes through.
+/// A tile that contains the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Tile {
@@ -36,8 +36,7 @@ pub struct Tile {
     pub index: u32,
     /// The number of its first vertex, counted in the block.
     pub first_vertex: u32,
-    /// For each corner (x + 2 y + 4 z) of the dual cells that the tile owns: is it inside the
-    /// fluid?
+    /// For each corner (x + 2 y + 4 z) of the tile's dual cells, whether it is inside the fluid.
     pub corners: [TileMask; 8],
 }
 
@@ -66,15 +65,15 @@ impl Tile {
         self.corners.iter().enumerate().map(|(k, c)| ((c >> bit & 1) as usize) << k).sum()
     }
 
-    /// The edges that carry vertices, in the order of the vertices: lower cell relative to the
-    /// tile, axis.
+    /// The edges with vertices, in the order of the vertices: lower cell relative to the tile, and
+    /// axis.
     pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + use<'_> {
         (0..3).flat_map(|axis| bits(self.crossed(axis)).map(move |bit| (cell_of_bit(bit), axis)))
     }
 }
 
 impl BlockMesh {
-    /// The edges that carry vertices, in the order of the vertices: lower cell in the world, axis.
+    /// The edges with vertices, in the order of the vertices: lower cell in the world, and axis.
     pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + '_ {
         self.tiles.iter().flat_map(|tile| {
             let corner = tile.corner(self.block);
@@ -86,16 +85,15 @@ impl BlockMesh {
 /// The surface of one block.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BlockMesh {
-    /// The block's coordinates, counted in blocks.
+    /// The block's coordinates in blocks.
     pub block: IVec3,
-    /// The tiles that vertices are in, in Morton order.
+    /// The tiles with vertices, in Morton order.
     pub tiles: Vec<Tile>,
-    /// For every vertex what it keeps of its edge: the field at the lower and the upper end, or a
-    /// fraction.
+    /// The stored bits of every vertex: the field at both ends of its edge, or a fraction.
     pub ends: Vec<[u16; 2]>,
-    /// For every vertex its outward normal; empty where none were asked for.
+    /// The outward normal of every vertex; empty if no normals were requested.
     pub normals: Vec<[f32; 3]>,
-    /// For every attribute, its values on the vertices.
+    /// For every attribute, its values at the vertices.
     pub attributes: Vec<Vec<f32>>,
     /// Triangles of the dual cells that the block owns.
     pub triangle_count: usize,

@@ -1,9 +1,9 @@
-//! Is a mesh closed, oriented and 2-manifold, and where is it not?
+//! Checks whether a mesh is closed, oriented and 2-manifold, and where it is not.
 //!
-//! Everything is decided at one vertex at a time, from its star: every edge is looked at from its
-//! lesser end, and the triangles around a vertex hang together by the edges that they share there,
-//! or they do not. So there is nothing to hash and nothing to sort but a handful of spokes, and the
-//! order of the findings is that of the vertices, whatever the number of threads.
+//! Every vertex is checked separately, with its star: each edge is checked at its lower-numbered
+//! end, and the triangles around a vertex are connected by shared edges or not. This needs no
+//! hashing, and sorts only the few spokes of a vertex. Findings are in the order of the vertices,
+//! with any number of threads.
 
 use std::fmt;
 
@@ -12,15 +12,15 @@ use serde::Serialize;
 
 use super::Mesh;
 
-/// Vertices a task: enough to make the task's overhead vanish.
+/// Vertices per task: enough to make the task's overhead negligible.
 const CHUNK: usize = 1 << 14;
 
-/// How often a defect occurs, and where first.
+/// The number of occurrences of a defect, and the first one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Found<T> {
-    /// The number of times that the defect occurs.
+    /// Number of occurrences.
     pub count: usize,
-    /// The place of the first, in the order of the vertices or triangles.
+    /// The first occurrence, in the order of the vertices or triangles.
     pub first: Option<T>,
 }
 
@@ -31,7 +31,7 @@ impl<T> Default for Found<T> {
 }
 
 impl<T> Found<T> {
-    /// Whether there is none.
+    /// Whether there is no occurrence.
     #[must_use]
     pub fn is_none(&self) -> bool {
         self.count == 0
@@ -42,7 +42,7 @@ impl<T> Found<T> {
         self.first.get_or_insert(what);
     }
 
-    /// Adds what was found further on.
+    /// Adds later findings.
     fn append(&mut self, later: Self) {
         self.count += later.count;
         self.first = self.first.take().or(later.first);
@@ -57,32 +57,32 @@ impl<T> FromIterator<T> for Found<T> {
     }
 }
 
-/// How the triangles of a mesh hang together, positions aside.
+/// The connectivity of a mesh's triangles, without positions.
 ///
-/// Triangles that name a missing vertex, or one vertex twice, are counted and then left out, so
-/// that they do not show up as other defects as well. An edge falls into at most one class.
+/// Triangles with a missing vertex or a repeated vertex are counted and then ignored, so that they
+/// do not cause other defects. An edge is in at most one class.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Topology {
-    /// Pairs of vertices that a triangle joins.
+    /// Number of pairs of vertices that a triangle connects.
     pub edges: usize,
-    /// Triangles with three different vertices that exist.
+    /// Number of triangles with three different existing vertices.
     pub sound_triangles: usize,
-    /// Triangles that name a vertex which does not exist; the first by its number.
+    /// Triangles with a missing vertex, by their number.
     pub out_of_range: Found<usize>,
-    /// Triangles that name one vertex twice; the first by its number.
+    /// Triangles with a repeated vertex, by their number.
     pub degenerate_triangles: Found<usize>,
-    /// Edges with one triangle only, by their ends.
+    /// Edges with only one triangle, by their ends.
     pub boundary_edges: Found<[u32; 2]>,
-    /// Edges whose two triangles run along them the same way, by their ends.
+    /// Edges whose two triangles have the same direction there, by their ends.
     pub misoriented_edges: Found<[u32; 2]>,
     /// Edges with more than two triangles, by their ends.
     pub crowded_edges: Found<[u32; 2]>,
     /// Vertices whose triangles form more than one fan.
     pub pinched_vertices: Found<u32>,
-    /// Triangles on the three vertices of an earlier one, whichever way round.
+    /// Triangles with the same three vertices as an earlier one, in any orientation.
     ///
     /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin
-    /// shows up as a crowded or misoriented edge, too.
+    /// is also a crowded or misoriented edge.
     pub twin_triangles: Found<[u32; 3]>,
     /// Vertices without a sound triangle. Not a defect.
     pub unreferenced_vertices: Found<u32>,
@@ -95,14 +95,15 @@ impl Topology {
         self.boundary_edges.is_none()
     }
 
-    /// Whether no edge is run along twice the same way. (Of three triangles at an edge two must.)
+    /// Whether no two triangles have the same direction at an edge. (Of three triangles at an edge,
+    /// two must.)
     #[must_use]
     pub fn is_oriented(&self) -> bool {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()
     }
 
-    /// Whether all triangles are sound, no edge has more than two, and those at a vertex form one
-    /// fan.
+    /// Whether all triangles are sound, no edge has more than two, and the triangles at each vertex
+    /// form one fan.
     #[must_use]
     pub fn is_manifold(&self) -> bool {
         self.out_of_range.is_none()
@@ -137,25 +138,25 @@ pub struct Report {
     pub vertices: usize,
     /// The number of triangles, sound or not.
     pub triangles: usize,
-    /// How the triangles hang together.
+    /// The connectivity of the triangles.
     #[serde(flatten)]
     pub topology: Topology,
-    /// Vertices with a coordinate that is infinite or not a number.
+    /// Vertices with a coordinate that is not finite.
     pub non_finite_positions: Found<usize>,
-    /// Vertices on the position of an earlier one, to the bit. Not a defect: meshes may touch
+    /// Vertices with exactly the position of an earlier one. Not a defect: meshes may touch
     /// themselves.
     pub duplicate_positions: Found<usize>,
 }
 
 impl Report {
-    /// Closed, oriented, 2-manifold, and every position a point of space.
+    /// Whether the mesh is closed, oriented and 2-manifold, and all positions are finite.
     #[must_use]
     pub fn is_closed_oriented_manifold(&self) -> bool {
         self.topology.is_closed_oriented_manifold() && self.non_finite_positions.is_none()
     }
 }
 
-/// Looks at every triangle, edge, vertex and position of `mesh`.
+/// Checks all triangles, edges, vertices and positions of `mesh`.
 #[must_use]
 pub fn check(mesh: &Mesh) -> Report {
     let non_finite =
@@ -169,7 +170,7 @@ pub fn check(mesh: &Mesh) -> Report {
     }
 }
 
-/// Looks at the triangles of `mesh` only.
+/// Checks only the triangles of `mesh`.
 pub fn topology(mesh: &Mesh) -> Topology {
     let vertices = mesh.positions.len();
     let mut triangles = Topology::default();
@@ -183,7 +184,7 @@ pub fn topology(mesh: &Mesh) -> Topology {
         }
     }
     let stars = Stars::new(mesh.positions.len(), &mesh.triangles);
-    // No triangle names a vertex beyond u32, so one there is unreferenced, and `as` shortens no
+    // No triangle has a vertex beyond u32, so such a vertex is unreferenced, and `as` truncates no
     // other number.
     let chunks: Vec<Topology> = (0..vertices.div_ceil(CHUNK))
         .into_par_iter()
@@ -198,18 +199,18 @@ pub fn topology(mesh: &Mesh) -> Topology {
     chunks.into_iter().fold(triangles, Topology::append)
 }
 
-/// One side of a triangle, seen from the vertex that is being looked at.
+/// A side of a triangle, seen from the current vertex.
 #[derive(Clone, Copy)]
 struct Spoke {
     /// The other end.
     to: u32,
-    /// Whether the triangle runs along it from here to there.
+    /// Whether the triangle's direction is from here to there.
     outward: bool,
-    /// Number of the triangle in the star.
+    /// Index of the triangle in the star.
     triangle: usize,
 }
 
-/// Findings so far, and room to work in.
+/// Findings so far, and reusable buffers.
 #[derive(Default)]
 struct Survey {
     topology: Topology,
@@ -237,7 +238,7 @@ impl Survey {
         self.note_twins(vertex, star);
     }
 
-    /// Every edge is noted at its lesser end.
+    /// Every edge is counted at its lower-numbered end.
     fn note_edges(&mut self, vertex: u32) {
         for edge in self.spokes.chunk_by(|a, b| a.to == b.to).filter(|edge| edge[0].to > vertex) {
             let ends = [vertex, edge[0].to];
@@ -253,7 +254,7 @@ impl Survey {
         }
     }
 
-    /// Into how many fans the triangles fall, when those that share a spoke are in one.
+    /// The number of fans; triangles that share a spoke are in the same fan.
     fn fans(&mut self, triangles: usize) -> usize {
         self.fan_of.clear();
         self.fan_of.extend(0..triangles);
@@ -268,7 +269,7 @@ impl Survey {
         fans
     }
 
-    /// Every triangle is noted at its least vertex.
+    /// Every triangle is counted at its lowest-numbered vertex.
     fn note_twins(&mut self, vertex: u32, star: &[[u32; 2]]) {
         self.opposite.clear();
         let least = star.iter().filter(|[a, b]| vertex < *a.min(b));
@@ -281,7 +282,7 @@ impl Survey {
     }
 }
 
-/// The least member of the set that holds `member`.
+/// The lowest member of the set that contains `member`.
 fn root(set_of: &mut [usize], mut member: usize) -> usize {
     while set_of[member] != member {
         set_of[member] = set_of[set_of[member]];
@@ -290,7 +291,7 @@ fn root(set_of: &mut [usize], mut member: usize) -> usize {
     member
 }
 
-/// Vertices that lie where one of a lesser number does.
+/// Vertices with the position of a lower-numbered one.
 fn duplicate_positions(positions: &[[f64; 3]]) -> Found<usize> {
     let mut sorted: Vec<([u64; 3], usize)> = positions
         .par_iter()
@@ -303,7 +304,7 @@ fn duplicate_positions(positions: &[[f64; 3]]) -> Found<usize> {
 }
 
 impl fmt::Display for Report {
-    /// One line a promise, kept or not, and one a defect.
+    /// One line per property, and one per defect.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let topology = &self.topology;
         writeln!(
@@ -338,15 +339,15 @@ fn line<T: fmt::Debug>(f: &mut fmt::Formatter<'_>, what: &str, found: &Found<T>)
     }
 }
 
-/// Whether a triangle names three different vertices that exist.
+/// Whether a triangle has three different existing vertices.
 pub fn is_sound([a, b, c]: [u32; 3], vertices: usize) -> bool {
     [a, b, c].iter().all(|&v| (v as usize) < vertices) && a != b && b != c && c != a
 }
 
-/// For every vertex the edges across from it, in the order of the triangles: `[b, c]` for triangle
-/// a, b, c seen from a. Unsound triangles are left out.
+/// The edges opposite to each vertex, in the order of the triangles: `[b, c]` for triangle a, b, c
+/// seen from a. Unsound triangles are left out.
 ///
-/// 24 bytes a triangle and 8 a vertex; two passes over the triangles, one over the vertices.
+/// 24 bytes per triangle and 8 per vertex; two passes over the triangles, one over the vertices.
 #[derive(Debug)]
 pub struct Stars {
     ends: Vec<usize>,
@@ -354,14 +355,14 @@ pub struct Stars {
 }
 
 impl Stars {
-    /// Gathers the stars of `vertices`.
+    /// Collects the stars of `vertices`.
     pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let sound = || triangles.iter().filter(|&&t| is_sound(t, vertices));
         let mut ends = vec![0; vertices];
         for &vertex in sound().flatten() {
             ends[vertex as usize] += 1;
         }
-        // Counts become starts, and starts become ends as the stars fill up.
+        // Counts become starts, and starts become ends while the stars are filled.
         let mut total = 0;
         for end in &mut ends {
             total += std::mem::replace(end, total);
@@ -377,13 +378,13 @@ impl Stars {
         Self { ends, across }
     }
 
-    /// The edges across from `vertex`.
+    /// The edges opposite to `vertex`.
     pub fn of(&self, vertex: usize) -> &[[u32; 2]] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.across[start..self.ends[vertex]]
     }
 
-    /// Number of vertices, those without triangles included.
+    /// Number of vertices, including those without triangles.
     pub fn vertices(&self) -> usize {
         self.ends.len()
     }

@@ -1,4 +1,5 @@
-//! Coarse copies of meshes, for small pictures: all vertices in a cell of a lattice become one.
+//! Coarse copies of meshes, for small pictures: all vertices in a cell of a lattice are merged into
+//! one.
 //!
 //! Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
 
@@ -8,15 +9,15 @@ use std::io;
 use super::Mesh;
 use super::source::{Bounds, MeshSource};
 
-/// Bytes of memory that [`clustered`] takes for each vertex of the mesh.
+/// Bytes of memory that [`clustered`] needs for each vertex of the mesh.
 pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
 
 /// A copy of `mesh`, which lies in `bounds`, with one vertex for each cell of a lattice of `cells`
-/// along the longest edge of that box: the mean of the mesh's vertices there. Triangles of which two
-/// corners become one are left out, and so are normals and attributes.
+/// along the longest edge of that box: the mean of the mesh's vertices there. Triangles with two
+/// equal corners are left out, and so are normals and attributes.
 ///
 /// # Errors
-/// Where the mesh cannot be read from where it is kept.
+/// If the mesh cannot be read from its scratch file.
 pub fn clustered(mesh: &dyn MeshSource, [lo, hi]: Bounds, cells: u32) -> io::Result<Mesh> {
     let extent = (0..3).map(|axis| hi[axis] - lo[axis]).fold(0.0, f64::max);
     let step = if extent > 0.0 { extent / f64::from(cells) } else { 1.0 };
@@ -56,7 +57,7 @@ mod tests {
     use super::super::source::bounds_of;
     use super::*;
 
-    /// A square of 64 x 64 vertices a unit apart.
+    /// A square of 64 x 64 vertices at unit distance.
     fn square() -> Mesh {
         let n = 64_u32;
         let corner = |x: u32, y: u32| y * n + x;
@@ -80,7 +81,7 @@ mod tests {
         assert!((98..=300).contains(&coarse.triangles.len()), "{}", coarse.triangles.len());
         let named = coarse.triangles.as_flattened().iter().max().unwrap();
         assert!((*named as usize) < coarse.positions.len());
-        // A lattice finer than the mesh leaves it as it is.
+        // A lattice finer than the mesh leaves the mesh unchanged.
         let same = clustered(&mesh, bounds, 1000).unwrap();
         assert_eq!((same.positions, same.triangles), (mesh.positions, mesh.triangles));
     }

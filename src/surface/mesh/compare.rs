@@ -1,12 +1,13 @@
 //! Distances between two surfaces.
 //!
-//! Each surface is sampled and every sample's distance to the other surface taken, exactly, to the
-//! nearest point on any of its triangles. Vertices count for the greatest distance only; means are
-//! over samples that are spread evenly by area. Samples and sums have a fixed order, so that the
-//! figures are the same on any number of threads.
+//! Each surface is sampled, and the exact distance of every sample to the nearest point on any
+//! triangle of the other surface is measured. Vertices count only for the maximum; means are over
+//! samples that are evenly distributed by area. Samples and sums have a fixed order, so the results
+//! do not depend on the number of threads.
 //!
-//! A distance's sign comes from the angle-weighted pseudo-normal at the nearest point, which tells
-//! inside from outside also where that point is an edge or a vertex (Baerentzen and Aanaes 2005).
+//! The sign of a distance comes from the angle-weighted pseudo-normal at the nearest point, which
+//! distinguishes inside from outside even if that point is on an edge or a vertex (Baerentzen and
+//! Aanaes 2005).
 
 use std::ops::Range;
 
@@ -22,10 +23,11 @@ use thiserror::Error;
 use super::Mesh;
 use super::check::{Stars, is_sound};
 
-/// Samples spread over a surface: ten a triangle, within these bounds.
+/// Number of samples of a surface: ten per triangle, within these bounds.
 const SAMPLES: [usize; 2] = [100_000, 2_000_000];
 
-/// Samples a task. Within a task, each sample's search starts from the last one's nearest triangle.
+/// Samples per task. Within a task, each search starts from the nearest triangle of the previous
+/// sample.
 const CHUNK: usize = 1 << 12;
 
 /// Products of four lengths must not overflow.
@@ -34,10 +36,9 @@ const GREATEST_COORDINATE: f64 = 1e70;
 /// The result of [`compare`]. Lengths are in the meshes' unit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The greatest distance from any sample of either surface to the other.
+    /// The maximum distance from any sample of either surface to the other.
     pub hausdorff: f64,
-    /// Mean signed distance of the mesh from the reference, positive where the mesh lies outside of
-    /// it.
+    /// Mean signed distance of the mesh from the reference, positive if the mesh is outside.
     pub bias: f64,
     /// From samples of the mesh to the reference.
     pub from_mesh: Distances,
@@ -48,36 +49,36 @@ pub struct Comparison {
 /// Distances from samples of one surface to the other surface.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Distances {
-    /// The greatest distance, vertices included.
+    /// The maximum distance, including vertices.
     pub max: f64,
-    /// The sample that has the greatest distance.
+    /// The sample with the maximum distance.
     pub farthest: [f64; 3],
     /// Mean distance by area.
     pub mean: f64,
     /// Root mean square of the distances by area.
     pub rms: f64,
-    /// The number of samples spread by area.
+    /// Number of samples that are distributed by area.
     pub samples: usize,
-    /// The number of vertices, which are samples for the greatest distance only.
+    /// Number of vertices, which are samples only for the maximum.
     pub vertices: usize,
 }
 
 /// One of the two compared meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// The mesh that is compared to.
+    /// The reference.
     Reference,
-    /// The mesh that is compared.
+    /// The mesh that is compared with the reference.
     Mesh,
 }
 
-/// Meshes that cannot be compared.
+/// An error of comparing meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum CompareError {
     /// No triangle has an area.
     #[error("the {} has no triangle with an area", .0.name())]
     NoSurface(Side),
-    /// A coordinate is not a number, or so large that its powers overflow.
+    /// A coordinate is not finite, or so large that its powers overflow.
     #[error("vertex {vertex} of the {} is not a point within 1e70 of the origin", side.name())]
     NotFinite {
         /// The mesh that the vertex belongs to.
@@ -88,7 +89,7 @@ pub enum CompareError {
 }
 
 impl CompareError {
-    /// Returns the mesh that is at fault.
+    /// The mesh with the error.
     pub fn side(&self) -> Side {
         match *self {
             Self::NoSurface(side) | Self::NotFinite { side, .. } => side,
@@ -107,13 +108,13 @@ impl Side {
 
 /// Measures the distances between `mesh` and `reference`, in both directions.
 ///
-/// Triangles that name a missing vertex, or one twice, are left out. The reference need not be
-/// closed; the bias then speaks of the side that its triangles face.
+/// Triangles with a missing or repeated vertex are left out. The reference need not be closed; the
+/// bias then refers to the side that its triangles face.
 ///
 /// # Errors
-/// Where either has no surface, or a vertex that is no point: see [`CompareError`].
+/// If either mesh has no surface, or an invalid vertex: see [`CompareError`].
 pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError> {
-    // Near the first vertex, positions have as many digits as they can.
+    // Positions relative to the first vertex have the most significant digits.
     let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
     let (reference, mesh) = (
         Surface::new(reference, origin, Side::Reference)?,
@@ -129,34 +130,34 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
     })
 }
 
-/// A mesh, ready to be sampled and searched.
+/// A mesh with indices for sampling and searching.
 #[derive(Debug)]
 pub struct Surface {
-    /// Positions are counted from here.
+    /// The origin of the positions.
     origin: DVec3,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
     stars: Stars,
-    /// The [pseudo-normal](Self::pseudo_normal) of each vertex: one of thousands of triangles may
-    /// be the nearest to many samples.
+    /// The [pseudo-normal](Self::pseudo_normal) of each vertex: a vertex with thousands of
+    /// triangles may be nearest to many samples.
     at_vertices: Vec<DVec3>,
     tree: Bvh,
-    /// Area of the triangles up to and including each.
+    /// Cumulative areas of the triangles.
     area_up_to: Vec<f64>,
 }
 
 impl Surface {
-    /// A mesh that distances are measured from.
+    /// Prepares a reference mesh.
     ///
     /// # Errors
-    /// Those of [`compare`], of the reference.
+    /// Those of [`compare`] for the reference.
     pub fn reference(mesh: &Mesh) -> Result<Self, CompareError> {
         let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
         Self::new(mesh, origin, Side::Reference)
     }
 
-    /// Distances of places from this surface, negative inside of it; NaN for what is no place
-    /// within 1e70 of the origin.
+    /// Signed distances of places from this surface, negative inside; NaN for a place that is not
+    /// finite or beyond 1e70.
     #[must_use]
     pub fn signed_distances(&self, places: &[[f64; 3]]) -> Vec<f64> {
         let mut near = None;
@@ -172,8 +173,8 @@ impl Surface {
         places.iter().map(&mut distance).collect()
     }
 
-    /// The distance of a place from the nearest point of the surface, if that is at most `most`.
-    /// It does not depend on `most`.
+    /// The distance of a place from the surface, if it is at most `most`. The result does not
+    /// depend on `most`.
     #[must_use]
     pub fn distance_within(&self, place: DVec3, most: f64) -> Option<f64> {
         let bound = most * (1.0 + 1e-9) + f64::MIN_POSITIVE;
@@ -182,19 +183,19 @@ impl Surface {
             .filter(|&distance| distance <= most)
     }
 
-    /// Whether the box around any triangle meets the box from `lo` to `hi`.
+    /// Whether the bounding box of any triangle meets the box from `lo` to `hi`.
     #[must_use]
     pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         let around = Aabb::new(lo - self.origin, hi - self.origin);
         self.tree.intersect_aabb(&around).next().is_some()
     }
 
-    /// Where a line along x, at some y and z, passes through triangles, from x = `from` on: each
-    /// with 1 where the triangle faces along x and -1 where it faces back, in no order.
+    /// The crossings of a line along x, at given y and z, with triangles beyond x = `from`, in no
+    /// particular order: the position, and 1 or -1 if the triangle faces along x or against it.
     ///
-    /// Which triangles a line passes is decided edge by edge, and for an edge the same way for all
-    /// of its triangles: of a closed surface the signs beyond a place sum to how often the surface
-    /// winds around it, wherever the line goes.
+    /// Whether the line crosses a triangle is decided edge by edge, and equally for both triangles
+    /// of an edge. For a closed surface, the signs beyond a place therefore sum to the winding
+    /// number of the surface around it, wherever the line is.
     #[must_use]
     pub fn crossings(&self, [y, z]: [f64; 2], from: f64) -> Vec<(f64, i32)> {
         let at = DVec3::new(from, y, z) - self.origin;
@@ -282,7 +283,7 @@ impl Surface {
         })
     }
 
-    /// Sums up the distances from `points` to this surface.
+    /// Summarizes the distances from `points` to this surface.
     fn summary(&self, points: impl Iterator<Item = DVec3>) -> Summary {
         let mut summary = Summary::default();
         let mut near = None;
@@ -294,14 +295,14 @@ impl Surface {
         summary
     }
 
-    /// The distance of a point from the nearest point, negative inside.
+    /// The signed distance of a point from its nearest point, negative inside.
     fn signed(&self, point: DVec3, nearest: &Nearest) -> f64 {
         let distance = nearest.squared.sqrt();
         let side = (point - nearest.at).dot(self.pseudo_normal(nearest));
         if side < 0.0 { -distance } else { distance }
     }
 
-    /// The nearest point of the surface; sooner found when a triangle `near` it is known.
+    /// The nearest point of the surface. The search is faster with a triangle `near` it.
     fn nearest(&self, point: DVec3, near: Option<usize>) -> Nearest {
         let known = near.map(|triangle| self.nearest_on(triangle, point));
         let bound = known.as_ref().map_or(f64::INFINITY, |known| known.squared);
@@ -332,8 +333,8 @@ impl Surface {
         Nearest { triangle, squared: point.distance_squared(at), at, location }
     }
 
-    /// A vector that points outwards at the nearest point: the triangle's normal, on an edge the
-    /// sum of both unit normals, on a vertex that of all, weighted by the triangles' angles.
+    /// A vector that points outwards at the nearest point: the triangle's normal; on an edge, the
+    /// sum of both unit normals; on a vertex, the sum of all, weighted by the triangles' angles.
     fn pseudo_normal(&self, nearest: &Nearest) -> DVec3 {
         let [a, b, c] = self.triangles[nearest.triangle];
         match nearest.location {
@@ -361,7 +362,7 @@ impl Surface {
     }
 }
 
-/// The corners of the triangles at `vertex`, itself the first of each.
+/// The corners of the triangles at `vertex`, starting with `vertex`.
 fn around<'a>(
     stars: &'a Stars,
     positions: &'a [DVec3],
@@ -371,17 +372,17 @@ fn around<'a>(
     star.map(move |&[p, q]| [vertex, p, q].map(|vertex| positions[vertex as usize]))
 }
 
-/// Where a line along x, at some y and z, passes through a triangle, and whether the triangle faces
-/// along it.
+/// The crossing of a line along x, at given y and z, with a triangle, and whether the triangle
+/// faces along it.
 fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
     let [a, b, c] = corners;
-    // Of three edges none or two go from below z to it or above.
+    // Of three edges, none or two cross from below z to z or above.
     let mut across = [(a, b), (b, c), (c, a)].into_iter().filter_map(|(from, to)| {
         let rises = from.z <= z;
         if rises == (to.z <= z) {
             return None;
         }
-        // An edge has the same place for both of its triangles.
+        // The position on an edge is equal for both of its triangles.
         let (low, high) = if rises { (from, to) } else { (to, from) };
         let share = (z - low.z) / (high.z - low.z);
         let at = low + (high - low) * share;
@@ -396,7 +397,7 @@ fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
     Some((left.1 + (right.1 - left.1) * share, right.2))
 }
 
-/// Twice the triangle's area long.
+/// The normal, as long as twice the triangle's area.
 fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
@@ -405,10 +406,10 @@ fn unit_normal(corners: [DVec3; 3]) -> DVec3 {
     scaled_normal(corners).normalize_or_zero()
 }
 
-/// Where in its triangle a sample lies: the first two barycentric coordinates, from the sequence R2
-/// (Roberts 2018), whose points are spread evenly over a square, folded onto the triangle.
+/// The position of a sample in its triangle: the first two barycentric coordinates, from the
+/// sequence R2 (Roberts 2018), which covers a square evenly, folded onto the triangle.
 fn spot(number: usize) -> [f64; 2] {
-    // The plastic number's inverse and its square.
+    // The inverse of the plastic number, and its square.
     let [u, v] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3]
         .map(|step| (0.5 + number as f64 * step).fract());
     if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] }
@@ -422,7 +423,7 @@ struct Nearest {
     location: TrianglePointLocation,
 }
 
-/// Distances, added up.
+/// Sums of distances.
 #[derive(Default)]
 struct Summary {
     count: usize,

@@ -1,9 +1,10 @@
-//! Area, volume, pieces, genus and the shapes of the triangles.
+//! Area, volume, components, genus and the shapes of the triangles.
 //!
-//! Volume is the sum of the tetrahedra between the triangles and a vertex of their own piece (the
-//! divergence theorem), with the rounding errors added up as well (Neumaier 1974): neither the
-//! distance from the origin nor that between pieces costs digits. Genus follows from Euler's
-//! `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in order.
+//! The volume is the sum of the tetrahedra between the triangles and a vertex of their own
+//! component (the divergence theorem), with compensated rounding (Neumaier 1974): neither the
+//! distance from the origin nor that between components costs digits. The genus follows from
+//! Euler's `V - E + F = 2 (components - genus)`. Sums are over chunks of fixed length, added in
+//! order.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -16,54 +17,54 @@ use super::Mesh;
 use super::check::is_sound;
 use super::check::topology;
 
-/// Volume over area to the power of 3/2, with factors, below which a piece has none.
+/// Volume over area to the power of 3/2, with factors, below which a component counts as flat.
 const FLAT: f64 = 1e-9;
 
-/// Triangles a partial sum.
+/// Triangles per partial sum.
 const CHUNK: usize = 1 << 14;
 
-/// Classes of the histogram of least angles, 5 degrees each: no triangle's least angle exceeds 60.
+/// Number of classes in the histogram of smallest angles, 5 degrees each: the smallest angle of a
+/// triangle is at most 60.
 pub const ANGLE_CLASSES: usize = 12;
 
-/// The result of [`measure`]. Triangles that name a missing vertex, or one twice, are left out of
-/// everything.
+/// The result of [`measure`]. Triangles with a missing or repeated vertex are ignored.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Measures {
-    /// Least and greatest corner, of the vertices that triangles use; none for an empty mesh.
+    /// Minimum and maximum corner of the vertices that triangles use; `None` for an empty mesh.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The area of all triangles, in the square of the unit of length.
     pub area: f64,
-    /// The enclosed volume, in the cube of the unit of length, negative where triangles face
-    /// inwards. None unless closed and oriented.
+    /// The enclosed volume, in the cube of the unit of length, negative if triangles face inwards.
+    /// `None` unless closed and oriented.
     pub volume: Option<f64>,
-    /// Pieces that share no vertex.
+    /// Number of components, which share no vertex.
     pub components: usize,
-    /// Components that enclose next to nothing, as two triangles back to back.
+    /// Number of components that enclose almost nothing, such as two triangles back to back.
     pub flat_components: usize,
-    /// The Euler characteristic: vertices - edges + triangles, of those vertices that triangles
-    /// use.
+    /// The Euler characteristic: vertices - edges + triangles, where vertices are those that
+    /// triangles use.
     pub euler_characteristic: i64,
-    /// Handles, of all components together. None unless closed, oriented and 2-manifold.
+    /// Number of handles of all components. `None` unless closed, oriented and 2-manifold.
     pub genus: Option<i64>,
     /// The shapes of the triangles.
     pub quality: Quality,
 }
 
-/// How near to equilateral triangles are.
+/// How close to equilateral the triangles are.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quality {
-    /// Triangles by their least angle: from 0 to 5 degrees, from 5 to 10, and so on.
+    /// Number of triangles by their smallest angle: from 0 to 5 degrees, from 5 to 10, and so on.
     pub least_angles: [usize; ANGLE_CLASSES],
-    /// The least angle of all, in degrees; none for an empty mesh.
+    /// The smallest angle of all triangles in degrees; `None` for an empty mesh.
     pub worst_angle: Option<f64>,
-    /// The number of the triangle that has the least angle.
+    /// The number of the triangle with the smallest angle.
     pub worst_triangle: Option<usize>,
-    /// Mean of the least angles, in degrees; none for an empty mesh.
+    /// Mean of the smallest angles in degrees; `None` for an empty mesh.
     pub mean_angle: Option<f64>,
-    /// The worst aspect ratio, longest edge over shortest height, 1 for an equilateral triangle;
-    /// the greatest of the triangles with an area, none if there are no such.
+    /// The worst aspect ratio, longest edge over shortest height, which is 1 for an equilateral
+    /// triangle. Triangles without area are ignored; `None` if no other is left.
     pub worst_aspect: Option<f64>,
-    /// Triangles without area.
+    /// Number of triangles without area.
     pub flat: usize,
 }
 
@@ -94,13 +95,13 @@ fn sound(mesh: &Mesh) -> impl Iterator<Item = [u32; 3]> {
     mesh.triangles.iter().copied().filter(|&triangle| is_sound(triangle, mesh.positions.len()))
 }
 
-/// Least and greatest corner of the vertices that sound triangles use.
+/// Minimum and maximum corner of the vertices that sound triangles use.
 fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
     let used = sound(mesh).flatten().map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
     used.map(|p| [p, p]).reduce(|[low, high], [p, _]| [low.min(p), high.max(p)])
 }
 
-/// A sum that keeps what rounding takes off it.
+/// A sum with compensated rounding.
 #[derive(Debug, Clone, Copy, Default)]
 struct Total {
     sum: f64,
@@ -117,7 +118,7 @@ impl Total {
     }
 
     fn value(self) -> f64 {
-        // What is infinite has lost nothing that could be told.
+        // An infinite sum has no compensation.
         if self.lost.is_finite() { self.sum + self.lost } else { self.sum }
     }
 }
@@ -130,7 +131,7 @@ impl FromIterator<f64> for Total {
     }
 }
 
-/// A piece that shares no vertex with others.
+/// A component, which shares no vertex with others.
 #[derive(Default)]
 struct Piece {
     doubled_area: Total,
@@ -138,16 +139,16 @@ struct Piece {
 }
 
 impl Piece {
-    /// Whether it encloses less than rounding leaves of nothing.
+    /// Whether the enclosed volume is within rounding errors of zero.
     fn is_flat(&self) -> bool {
         self.sextuple_volume.value().abs() <= FLAT * self.doubled_area.value().powf(1.5)
     }
 }
 
-/// Finds the pieces by joining the vertices of every triangle.
+/// Finds the components by joining the vertices of every triangle.
 fn pieces(mesh: &Mesh) -> Vec<Piece> {
-    // Each vertex points at a lesser one of its piece, the least at itself. No triangle names one
-    // beyond u32.
+    // Each vertex points at a lower-numbered one of its component; the lowest points at itself. No
+    // triangle has a vertex beyond u32.
     let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
     for [a, b, c] in sound(mesh) {
         let [a, b, c] = [a, b, c].map(|vertex| root(&mut lesser, vertex));
@@ -160,7 +161,7 @@ fn pieces(mesh: &Mesh) -> Vec<Piece> {
     for triangle in sound(mesh) {
         let least = root(&mut lesser, triangle[0]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
-        // As seen from a vertex of the piece: far from others a small one keeps its digits.
+        // Relative to a vertex of the component: a small one far from others keeps its digits.
         let from = DVec3::from(mesh.positions[least as usize]);
         let piece = pieces.entry(least).or_default();
         piece.doubled_area.add((b - a).cross(c - a).length());
@@ -177,7 +178,7 @@ fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {
     vertex
 }
 
-/// Partial results that are summed over triangles.
+/// Partial sums over triangles.
 #[derive(Default)]
 struct Sums {
     doubled_area: Total,
@@ -257,17 +258,16 @@ impl Sums {
     }
 }
 
-/// The one of the lesser angle, the earlier of equals.
+/// The one with the smaller angle, or the earlier one if they are equal.
 fn worse(earlier: Option<(f64, usize)>, later: Option<(f64, usize)>) -> Option<(f64, usize)> {
     earlier.into_iter().chain(later).reduce(|one, other| if other.0 < one.0 { other } else { one })
 }
 
-/// In degrees, from the corners and twice the area. The least angle lies across from the shortest
+/// The smallest angle in degrees, from the corners and twice the area. It is opposite the shortest
 /// edge.
 fn least_angle([a, b, c]: [DVec3; 3], doubled: f64) -> f64 {
     let across = [(b, c, a), (c, a, b), (a, b, c)];
     let cosine_scaled = across.map(|(from, to, apex)| (from - apex).dot(to - apex));
-    // atan2 is greatest where its second argument is least, so the least angle has the greatest
-    // one.
+    // atan2 decreases in its second argument, so the smallest angle has the greatest one.
     doubled.atan2(cosine_scaled.into_iter().fold(f64::NEG_INFINITY, f64::max)).to_degrees()
 }

@@ -1,4 +1,4 @@
-//! Triangle meshes and what can be said of them.
+//! Triangle meshes, their checks and measures.
 
 mod block;
 pub mod check;
@@ -17,37 +17,38 @@ use std::ops::Range;
 
 use crate::particles::{AttributeInfo, AttributeKind};
 
-/// A value on every vertex.
+/// A value of every vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VertexAttribute {
-    /// The name as the particles' file spelled it; velocity is always called `velocity`.
+    /// The name in the particles' file; the velocity is always called `velocity`.
     pub name: String,
     /// Numbers per vertex.
     pub components: usize,
-    /// All components of one vertex after the other.
+    /// The components of each vertex together.
     pub values: Vec<f32>,
     /// The meaning of the numbers.
     pub kind: AttributeKind,
-    /// Whole numbers once more, as f32 does not hold them all; none of other kinds.
+    /// The exact integers, because f32 cannot represent all of them; empty for other kinds.
     pub whole: Vec<i64>,
 }
 
 impl VertexAttribute {
-    /// An attribute of floating-point numbers: a colour if it is called so, else plain numbers.
+    /// An attribute of floating-point numbers: a colour if it has the name of a colour, else plain
+    /// numbers.
     #[must_use]
     pub fn new(name: impl Into<String>, components: usize, values: Vec<f32>) -> Self {
         let without = Self::without_values(AttributeInfo::new(name, components));
         Self { values, ..without }
     }
 
-    /// An attribute whose values are not there yet.
+    /// An attribute without values yet.
     #[must_use]
     pub fn without_values(info: AttributeInfo) -> Self {
         let AttributeInfo { name, components, kind } = info;
         Self { name, components, values: Vec::new(), kind, whole: Vec::new() }
     }
 
-    /// Adds values as pieces of a mesh have them.
+    /// Adds values from a piece of a mesh.
     pub(crate) fn extend(&mut self, words: &[f32]) {
         if self.kind.is_whole() {
             self.whole.extend(words.iter().map(|&word| self.kind.whole(word)));
@@ -57,7 +58,7 @@ impl VertexAttribute {
         }
     }
 
-    /// Values as pieces of a mesh have them.
+    /// Values as in a piece of a mesh.
     pub(crate) fn words(&self, range: Range<usize>) -> Cow<'_, [f32]> {
         if self.kind.is_whole() {
             self.whole[range].iter().map(|&whole| AttributeKind::word(whole)).collect()
@@ -73,7 +74,7 @@ impl VertexAttribute {
     }
 }
 
-/// An indexed triangle mesh. Counter-clockwise seen from outside of the fluid.
+/// An indexed triangle mesh. Triangles are counter-clockwise seen from outside of the fluid.
 ///
 /// Positions are f64, so a surface far from the origin keeps its shape; writers choose the width.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -82,14 +83,14 @@ pub struct Mesh {
     pub positions: Vec<[f64; 3]>,
     /// Indices into `positions`.
     pub triangles: Vec<[u32; 3]>,
-    /// Unit normals, outward, one a vertex; or none at all.
+    /// Outward unit normals of all vertices, if requested.
     pub normals: Option<Vec<[f32; 3]>>,
-    /// Further values on the vertices.
+    /// Attributes of the vertices.
     pub attributes: Vec<VertexAttribute>,
 }
 
 impl Mesh {
-    /// Bytes of memory that its vertices and triangles take.
+    /// Bytes of memory of its vertices and triangles.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let values: usize =

@@ -1,5 +1,5 @@
-//! A mesh in an order that renderers and codecs like: triangles so that vertices are used again
-//! while they are in the cache, vertices in the order in which they are used.
+//! Orders a mesh for renderers and codecs: triangles so that vertices are reused while they are in
+//! the cache, and vertices by their first use.
 
 use std::borrow::Cow;
 use std::io;
@@ -11,19 +11,19 @@ use rayon::prelude::*;
 use super::source::{Bounds, bounds_of, joined};
 use super::source::{MeshSource, Outline, Vertices};
 
-/// A mesh whose vertices and triangles are put in a better order, piece by piece. Takes 4 bytes a
+/// A mesh with its vertices and triangles in a better order within each piece. Needs 4 bytes per
 /// vertex.
 pub struct Ordered<'a> {
     mesh: &'a dyn MeshSource,
-    /// For each vertex its new number in its piece.
+    /// For each vertex, its new number in its piece.
     ranks: Vec<u32>,
-    /// The number of the first vertex of each piece, and that of all.
+    /// The number of the first vertex of each piece, and the total.
     firsts: Vec<u64>,
     bounds: Option<Bounds>,
 }
 
 impl<'a> Ordered<'a> {
-    /// Finds the order, by a pass over the vertices and one over the triangles.
+    /// Finds the order, with one pass over the vertices and one over the triangles.
     pub fn new(mesh: &'a dyn MeshSource) -> io::Result<Self> {
         let counted: Vec<_> = (0..mesh.pieces())
             .into_par_iter()
@@ -46,12 +46,12 @@ impl<'a> Ordered<'a> {
         Ok(ordered)
     }
 
-    /// Least and greatest corner of all vertices.
+    /// Minimum and maximum corner of all vertices.
     pub fn bounds(&self) -> Option<Bounds> {
         self.bounds
     }
 
-    /// The triangles of a piece in order, with the vertices' old numbers.
+    /// The triangles of a piece in the new order, with old vertex numbers.
     fn cached(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
         let triangles = self.mesh.triangles(piece)?;
         let mut local = HashMap::with_capacity(triangles.len());
@@ -73,8 +73,8 @@ impl<'a> Ordered<'a> {
             .collect())
     }
 
-    /// The piece's vertices in the order in which its triangles use them; those that only other
-    /// pieces use last.
+    /// The piece's vertices in the order in which its triangles use them, followed by those that
+    /// only other pieces use.
     fn ranks_in(&self, piece: usize) -> io::Result<Vec<u32>> {
         const UNUSED: u32 = u32::MAX;
         let own = self.firsts[piece]..self.firsts[piece + 1];
@@ -124,7 +124,7 @@ impl MeshSource for Ordered<'_> {
     }
 }
 
-/// Each group of `group` values at its new place.
+/// Moves each group of `group` values to its new place.
 fn permuted<T: Copy + Default>(values: &[T], ranks: &[u32], group: usize) -> Vec<T> {
     let mut permuted = vec![T::default(); values.len()];
     for (values, &rank) in values.chunks_exact(group.max(1)).zip(ranks) {

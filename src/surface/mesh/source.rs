@@ -1,4 +1,4 @@
-//! A mesh handed out piece by piece, so that writing it needs no more memory than a few pieces.
+//! A mesh in pieces, so that writing it needs memory for only a few pieces.
 
 use std::borrow::Cow;
 use std::io;
@@ -10,7 +10,7 @@ use crate::system::control::{Control, Meter, Stage};
 use super::up::UpAxis;
 use super::{Mesh, VertexAttribute};
 
-/// Vertices or triangles of a piece of a mesh in memory.
+/// Vertices or triangles in a piece of a mesh in memory.
 const PIECE: usize = 1 << 14;
 
 /// The vertices of a piece.
@@ -18,25 +18,25 @@ const PIECE: usize = 1 << 14;
 pub struct Vertices<'a> {
     /// The vertices' positions, in the particles' unit of length.
     pub positions: Cow<'a, [[f64; 3]]>,
-    /// One a vertex, or none at all.
+    /// One normal per vertex, or empty.
     pub normals: Cow<'a, [[f32; 3]]>,
-    /// For each attribute its values, all components of one vertex after the other; whole numbers as
-    /// their 32 bits.
+    /// The values of each attribute, with the components of each vertex together; integers as their
+    /// 32 bits.
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
-/// A summary of a mesh, known before any of its pieces is asked for.
+/// A summary of a mesh, known before any piece is read.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Outline {
-    /// Vertices of all pieces.
+    /// Total number of vertices.
     pub vertices: u64,
-    /// Triangles of all pieces.
+    /// Total number of triangles.
     pub triangles: u64,
     /// Whether vertices have normals.
     pub normals: bool,
-    /// Further values on the vertices.
+    /// Attributes of the vertices.
     pub attributes: Vec<AttributeInfo>,
-    /// How many pieces there are.
+    /// Number of pieces.
     pub pieces: usize,
 }
 
@@ -44,22 +44,22 @@ pub struct Outline {
 pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
 /// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the
-/// triangles; a piece can be asked for as often as one likes, by several threads.
+/// triangles. Pieces can be read repeatedly, by several threads.
 pub trait MeshSource: Sync {
-    /// Returns a summary of the mesh.
+    /// A summary of the mesh.
     fn outline(&self) -> Outline;
 
-    /// The vertices of piece number `piece`, perhaps none.
+    /// The vertices of piece number `piece`, which may be empty.
     ///
     /// # Errors
-    /// Where pieces are kept in a file that cannot be read.
+    /// If the pieces are in a file that cannot be read.
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>>;
 
-    /// The triangles of piece number `piece`, perhaps none, as indices into all vertices of the
-    /// mesh.
+    /// The triangles of piece number `piece`, which may be empty, as indices into all vertices of
+    /// the mesh.
     ///
     /// # Errors
-    /// Where pieces are kept in a file that cannot be read.
+    /// If the pieces are in a file that cannot be read.
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
 
     /// The axis that points up: y, unless it is known to be z.
@@ -67,35 +67,34 @@ pub trait MeshSource: Sync {
         UpAxis::Y
     }
 
-    /// The positions of all vertices, where they are in memory side by side.
+    /// The positions of all vertices, if they are contiguous in memory.
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
         None
     }
 
-    /// Makes the positions of all vertices, and all triangles, where that is less work at once than
-    /// piece by piece.
+    /// All positions and triangles, if that is faster than piece by piece.
     ///
     /// # Errors
-    /// Where pieces are kept in a file that cannot be read.
+    /// If the pieces are in a file that cannot be read.
     fn at_once(&self) -> io::Result<Option<Indexed>> {
         Ok(None)
     }
 
-    /// A mesh that looks like it from afar, of about a quarter of its triangles, where that costs
-    /// little. It may have fewer triangles than its outline says.
+    /// A mesh with about a quarter of the triangles that looks the same from a distance, if it is
+    /// cheap to make. It may have fewer triangles than its outline says.
     ///
     /// # Errors
-    /// Where pieces are kept in a file that cannot be read.
+    /// If the pieces are in a file that cannot be read.
     fn coarser(&self) -> io::Result<Option<Box<dyn MeshSource + '_>>> {
         Ok(None)
     }
 
-    /// Vertices of all pieces.
+    /// Total number of vertices.
     fn vertex_count(&self) -> u64 {
         self.outline().vertices
     }
 
-    /// Triangles of all pieces.
+    /// Total number of triangles.
     fn triangle_count(&self) -> u64 {
         self.outline().triangles
     }
@@ -105,12 +104,12 @@ pub trait MeshSource: Sync {
         self.outline().normals
     }
 
-    /// Further values on the vertices.
+    /// Attributes of the vertices.
     fn attributes(&self) -> Vec<AttributeInfo> {
         self.outline().attributes
     }
 
-    /// How many pieces there are.
+    /// Number of pieces.
     fn pieces(&self) -> usize {
         self.outline().pieces
     }
@@ -155,7 +154,7 @@ fn range(piece: usize, len: usize) -> std::ops::Range<usize> {
     (piece * PIECE).min(len)..((piece + 1) * PIECE).min(len)
 }
 
-/// A mesh whose arrays differ in length is our bug.
+/// Arrays of different lengths are a bug in this library.
 fn assert_complete(mesh: &Mesh) {
     let vertices = mesh.positions.len();
     let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
@@ -171,15 +170,15 @@ fn assert_complete(mesh: &Mesh) {
     }
 }
 
-/// A mesh that reports to a caller how many of its pieces have been read.
+/// A mesh that reports to its caller how many pieces have been read.
 pub struct Metered<'a> {
     mesh: &'a dyn MeshSource,
     meter: Meter<'a>,
 }
 
 impl<'a> Metered<'a> {
-    /// Counts the pieces of a mesh whose reader reads the vertices or triangles of each several
-    /// times.
+    /// Counts the reads of a mesh whose reader reads the vertices or triangles of each piece
+    /// several times.
     pub fn new(
         mesh: &'a dyn MeshSource,
         readings: usize,
@@ -221,15 +220,15 @@ impl MeshSource for Metered<'_> {
     }
 }
 
-/// Least and greatest corner.
+/// Minimum and maximum corner.
 pub type Bounds = [[f64; 3]; 2];
 
-/// The box around some positions; `None` around nothing.
+/// The bounding box of positions; `None` if there are none.
 pub fn bounds_of(positions: &[[f64; 3]]) -> Option<Bounds> {
     positions.iter().map(|&p| [p, p]).reduce(joined)
 }
 
-/// The box around two boxes.
+/// The bounding box of two boxes.
 pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
     [
         std::array::from_fn(|axis| lo[axis].min(p[axis])),
@@ -237,19 +236,19 @@ pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
     ]
 }
 
-/// Hands a mesh on, and keeps the box of the vertices that were asked for.
+/// Passes a mesh on, and records the bounding box of the vertices that were read.
 pub struct Bounded<'a> {
     mesh: &'a dyn MeshSource,
     bounds: Mutex<Option<Bounds>>,
 }
 
 impl<'a> Bounded<'a> {
-    /// Nothing is handed on yet.
+    /// Starts without a box.
     pub fn new(mesh: &'a dyn MeshSource) -> Self {
         Self { mesh, bounds: Mutex::new(None) }
     }
 
-    /// The box: that of the whole mesh, once it is written.
+    /// The bounding box of the vertices that were read: the whole mesh after writing it.
     pub fn bounds(&self) -> Option<Bounds> {
         *self.bounds.lock().unwrap_or_else(PoisonError::into_inner)
     }

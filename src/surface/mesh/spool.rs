@@ -1,5 +1,4 @@
-//! The surfaces of all blocks, in Morton order: in memory while they are few, in a scratch file
-//! when not.
+//! The surfaces of all blocks, in Morton order: in memory, or in a scratch file if they are large.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -13,7 +12,7 @@ use crate::system::scratch::Scratch;
 
 use super::{BlockMesh, Tile};
 
-/// Where a block's surface is, and where it stands in the whole mesh.
+/// The place of a block's surface in memory or file, and in the whole mesh.
 #[derive(Debug, Clone, Copy)]
 struct Entry {
     block: IVec3,
@@ -22,16 +21,16 @@ struct Entry {
     tiles: u32,
     vertices: u32,
     triangles: u32,
-    /// The offset of its first byte in the scratch file, if it is there.
+    /// The offset of its first byte in the scratch file, if there is one.
     at: u64,
 }
 
-/// Block surfaces in the order in which they were pushed, which must be Morton order.
+/// Block surfaces in the order of insertion, which must be Morton order.
 #[derive(Debug)]
 pub struct Spool {
     index: Vec<Entry>,
     store: Store,
-    /// Components of each attribute on the vertices.
+    /// Components of each vertex attribute.
     components: Vec<usize>,
     normals: bool,
     /// Bytes of all surfaces.
@@ -42,15 +41,15 @@ pub struct Spool {
 enum Store {
     Memory(Vec<BlockMesh>),
     File(Scratch),
-    /// Each with the number of the first block that is in it.
+    /// Each file with the number of its first block.
     Files(Vec<(usize, ReopenedFile)>),
 }
 
-/// A block's surface as it is listed in a file that holds several.
+/// A block's surface in the list of a file that contains several.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct ListedBlock {
-    /// The block's coordinates, counted in blocks.
+    /// The block's coordinates in blocks.
     pub block: [i32; 3],
     /// Number of tiles.
     pub tiles: u32,
@@ -60,26 +59,25 @@ pub struct ListedBlock {
     pub triangles: u32,
 }
 
-/// The surfaces of blocks that follow one another in a file.
+/// The surfaces of consecutive blocks in a file.
 #[derive(Debug)]
 pub struct SpoolFile {
     /// The file.
     pub file: ReopenedFile,
-    /// Where the first of them begins.
+    /// The offset of the first surface.
     pub at: u64,
     /// Meshes of all blocks, in Morton order.
     pub blocks: Vec<ListedBlock>,
 }
 
 impl ListedBlock {
-    /// Bytes of its surface; `vertex_bytes` are those of a vertex without its tile.
+    /// Bytes of its surface; `vertex_bytes` is the size of a vertex without its tile.
     pub fn bytes(&self, vertex_bytes: u64) -> u64 {
         u64::from(self.tiles) * size_of::<Tile>() as u64 + u64::from(self.vertices) * vertex_bytes
     }
 }
 
-/// Bytes of a vertex without its tile: the samples of its edge, its normal, and the components of
-/// its attributes.
+/// Bytes of a vertex without its tile: the samples of its edge, its normal, and its attributes.
 pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
     let attributes = components.iter().sum::<usize>() * size_of::<f32>();
@@ -89,7 +87,7 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
 /// Bytes of a vertex's share of a tile.
 pub const TILE_SHARE: u64 = 4;
 
-/// Bytes of the surface in `blocks`, which together have `vertices` of `vertex_bytes` each, without
+/// Bytes of the surface of `blocks` with a total of `vertices` of `vertex_bytes` each, without
 /// tiles.
 pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
     vertices * vertex_bytes + blocks * u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
@@ -101,10 +99,10 @@ impl Spool {
         Self { index: Vec::new(), store: Store::Memory(Vec::new()), components, normals, bytes: 0 }
     }
 
-    /// Bytes that a block takes in tables.
+    /// Bytes of a block in tables.
     pub const BLOCK_BYTES: u64 = size_of::<Entry>() as u64;
 
-    /// For surfaces that are in files, whose blocks are in Morton order from one file to the next.
+    /// A spool for surfaces in files, with blocks in Morton order across the files.
     pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
         let mut spool = Self::in_memory(normals, components);
         let vertex_bytes = spool.vertex_bytes();
@@ -120,7 +118,7 @@ impl Spool {
         spool
     }
 
-    /// Lists a block's surface that is kept from `at` on, if it is in a file.
+    /// Adds a block's surface at offset `at`, if it is in a file.
     fn list(&mut self, listed: ListedBlock, at: u64) {
         let ListedBlock { block, tiles, vertices, triangles } = listed;
         let (first_vertex, first_triangle) = (self.vertices(), self.triangles());
@@ -136,7 +134,7 @@ impl Spool {
         });
     }
 
-    /// All blocks as a file lists them.
+    /// All blocks as entries of a file's list.
     pub fn listed(&self) -> impl ExactSizeIterator<Item = ListedBlock> + '_ {
         self.index.iter().map(|&Entry { block, tiles, vertices, triangles, .. }| ListedBlock {
             block: block.to_array(),
@@ -146,10 +144,10 @@ impl Spool {
         })
     }
 
-    /// Writes the surfaces of all blocks one after the other.
+    /// Writes the surfaces of all blocks.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read, and those of `out`.
+    /// If the scratch file cannot be read, and those of `out`.
     pub fn write_all(&self, out: &mut dyn Write) -> io::Result<()> {
         (0..self.len()).try_for_each(|i| out.write_all(&self.get(i)?.to_bytes()))
     }
@@ -167,15 +165,15 @@ impl Spool {
         }
     }
 
-    /// Bytes of a vertex, without its tile.
+    /// Bytes of a vertex without its tile.
     pub fn vertex_bytes(&self) -> u64 {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// From now on keeps surfaces in a scratch file in `folder`.
+    /// Moves all current and future surfaces to a scratch file in `folder`.
     ///
     /// # Errors
-    /// Where that file cannot be created or written.
+    /// If that file cannot be created or written.
     pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
         let Store::Memory(blocks) = &mut self.store else { return Ok(()) };
         let blocks = std::mem::take(blocks);
@@ -190,7 +188,7 @@ impl Spool {
     /// Adds the next block's surface.
     ///
     /// # Errors
-    /// Where the scratch file cannot be written.
+    /// If the scratch file cannot be written.
     pub fn push(&mut self, block: BlockMesh) -> io::Result<()> {
         let listed = ListedBlock {
             block: block.block.to_array(),
@@ -235,7 +233,7 @@ impl Spool {
         self.normals
     }
 
-    /// The coordinates of every block, counted in blocks.
+    /// The coordinates of every block in blocks.
     pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
         self.index.iter().map(|entry| entry.block)
     }
@@ -250,17 +248,17 @@ impl Spool {
         self.index[i].first_vertex
     }
 
-    /// The number of the block that has a vertex of the whole mesh.
+    /// The number of the block that contains a vertex of the whole mesh.
     pub fn piece_of(&self, vertex: u64) -> usize {
         self.index.partition_point(|entry| entry.first_vertex <= vertex) - 1
     }
 
-    /// How many vertices and triangles block number `i` has.
+    /// The numbers of vertices and triangles of block number `i`.
     pub fn counts(&self, i: usize) -> [usize; 2] {
         [self.index[i].vertices as usize, self.index[i].triangles as usize]
     }
 
-    /// The number of the block at `coord`, if the surface passes through it.
+    /// The number of the block at `coord`, if it contains the surface.
     pub fn find(&self, coord: IVec3) -> Option<usize> {
         let key = MortonKey::of(coord);
         self.index.binary_search_by_key(&key, |entry| MortonKey::of(entry.block)).ok()
@@ -269,7 +267,7 @@ impl Spool {
     /// The tiles of block number `i`.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn tiles(&self, i: usize) -> io::Result<Cow<'_, [Tile]>> {
         match &self.store {
             Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i].tiles)),
@@ -286,7 +284,7 @@ impl Spool {
     /// The surface of block number `i`.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn get(&self, i: usize) -> io::Result<Cow<'_, BlockMesh>> {
         match &self.store {
             Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i])),
@@ -313,12 +311,12 @@ impl Spool {
     }
 }
 
-/// The file that holds block number `i`.
+/// The file that contains block number `i`.
 fn file_of(files: &[(usize, ReopenedFile)], i: usize) -> &ReopenedFile {
     &files[files.partition_point(|&(first, _)| first <= i) - 1].1
 }
 
-/// Bytes that are read by position.
+/// Bytes that can be read by position.
 trait Positioned {
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()>;
 }
@@ -347,7 +345,7 @@ fn read_array<T: bytemuck::Pod>(
 }
 
 impl BlockMesh {
-    /// All arrays one after the other, as [`Spool::get`] reads them.
+    /// All arrays, in the order in which [`Spool::get`] reads them.
     fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(self.bytes() as usize);
         bytes.extend_from_slice(bytemuck::cast_slice(&self.tiles));
@@ -359,7 +357,7 @@ impl BlockMesh {
         bytes
     }
 
-    /// Returns the bytes of all arrays together.
+    /// The number of bytes of all arrays.
     fn bytes(&self) -> u64 {
         let attributes: usize = self.attributes.iter().map(|values| size_of_val(&values[..])).sum();
         let own = size_of_val(&self.tiles[..])

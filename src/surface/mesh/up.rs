@@ -1,4 +1,4 @@
-//! The axis that points up: programs disagree on whether it is y or z, and few formats can say it.
+//! The axis that points up. Programs disagree on whether it is y or z, and few formats record it.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -31,15 +31,14 @@ impl fmt::Display for UpAxis {
 }
 
 impl UpAxis {
-    /// A place or a direction after the quarter turn about x that makes what pointed along this
-    /// axis point along `to`.
+    /// Rotates a place or a direction by a quarter turn about x, so that this axis becomes `to`.
     #[must_use]
     pub fn turned<T: Copy + Default + Sub<Output = T>>(
         self,
         to: Self,
         [x, y, z]: [T; 3],
     ) -> [T; 3] {
-        // From zero, so that no zero turns negative.
+        // Subtraction from zero never gives a negative zero.
         let negative = |value: T| T::default() - value;
         match (self, to) {
             (Self::Y, Self::Z) => [x, negative(z), y],
@@ -49,20 +48,21 @@ impl UpAxis {
     }
 }
 
-/// A mesh turned, if need be, so that another axis points up: positions, normals, and attributes of
-/// three components but for colours. Other attributes, tensors among them, stay as they are.
+/// A mesh that is rotated, if necessary, so that another axis points up: its positions, normals,
+/// and attributes of three components except colours. Other attributes, including tensors, stay
+/// unchanged.
 pub struct Turned<'a> {
     mesh: &'a dyn MeshSource,
     from: UpAxis,
     to: UpAxis,
-    /// For each attribute whether it is a direction.
+    /// For each attribute, whether it is a direction.
     directions: Vec<bool>,
 }
 
 impl<'a> Turned<'a> {
-    /// `mesh`, in which `from` points up, with `to` pointing up.
+    /// Rotates `mesh` from up axis `from` to up axis `to`.
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
-        // Of all that have three components colours alone have no direction.
+        // Attributes of three components are directions, except colours.
         let is_direction = |info: &AttributeInfo| {
             info.components == 3
                 && !info.kind.is_colour()

@@ -1,59 +1,58 @@
-//! Where a picture is taken from: a direction from which all is seen, or an eye and what it looks
-//! at.
+//! The camera of a picture: a direction from which everything is visible, or an eye and a target.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::surface::mesh::source::Bounds;
 
-/// The angle between the picture's upper and lower edge, in degrees, as a lens of some 70 mm sees.
+/// The vertical field of view in degrees, similar to a lens of 70 mm.
 const FIELD_OF_VIEW: f64 = 28.0;
-/// The part of a picture that the box may fill.
+/// The fraction of a picture that the box may fill.
 const FILLED: f64 = 0.94;
-/// From the nearest plane that is drawn to the eye, as a share of the distance to what it looks at.
+/// The distance of the near plane from the eye, as a fraction of the distance to the target.
 const NEAREST: f64 = 1e-3;
 
-/// The greatest coordinate that is drawn: squares of those beyond it are not finite soon, and they
-/// do not count for the box.
+/// Maximum coordinate that is drawn. Beyond it, squares would overflow; such vertices do not count
+/// for the box either.
 pub(super) const FARTHEST: f64 = 1e100;
 
-/// A way to look at a mesh.
+/// A view of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum View {
-    /// From a direction, as near as all of the box is seen.
+    /// From a direction, as close as possible with the whole box visible.
     From {
-        /// Degrees around the axis that points up: 0 looks along the horizontal axis that comes
-        /// last, 90 along the other.
+        /// Degrees around the up axis: 0 looks along the last horizontal axis, 90 along the other
+        /// one.
         azimuth: f64,
         /// Degrees above the horizon.
         elevation: f64,
-        /// How much larger than whole the box is seen.
+        /// Magnification relative to the view of the whole box.
         zoom: f64,
     },
     /// From a point towards another.
     At {
-        /// The place of the eye.
+        /// The position of the eye.
         eye: [f64; 3],
         /// The point in the middle of the picture.
         target: [f64; 3],
     },
 }
 
-/// An eye, the axes of its picture, and how long a unit at a distance of 1 is seen, in heights of
-/// the picture.
+/// An eye, the axes of its picture, and the size of a unit length at distance 1, in heights of the
+/// picture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Camera {
     pub(super) eye: DVec3,
-    /// To the right, up, and back to the viewer.
+    /// To the right, up, and towards the viewer.
     pub(super) axes: DMat3,
     focal: f64,
-    /// From the eye to what it looks at.
+    /// The distance from the eye to the target.
     distance: f64,
 }
 
 impl Camera {
-    /// The eye that looks at a box, the frame of whose world has the axes right, up and towards;
-    /// `width` in heights.
+    /// The eye for a view of a box. The axes of `world` are right, up and towards the viewer;
+    /// `width` is in heights.
     pub(super) fn new(view: Option<View>, bounds: Bounds, world: DMat3, width: f64) -> Self {
         let [lo, hi] = bounds.map(DVec3::from);
         let (middle, half) = ((lo + hi) / 2.0, (hi - lo) / 2.0);
@@ -65,7 +64,7 @@ impl Camera {
                 return Self { eye, axes, focal, distance: eye.distance(target) };
             }
             Some(View::From { azimuth, elevation, zoom }) => (azimuth, elevation, zoom),
-            // Its long side is seen across.
+            // The long side of the box is horizontal.
             None => {
                 let size = world.transpose() * half;
                 let along = if size.z.abs() > 1.2 * size.x.abs() { 62.0 } else { 28.0 };
@@ -75,8 +74,8 @@ impl Camera {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let level = world.z_axis * azimuth.cos() + world.x_axis * azimuth.sin();
         let axes = looking(level * elevation.cos() + world.y_axis * elevation.sin(), world);
-        // The nearest place on the line of sight from which each corner is within the picture; the
-        // middle of what is seen is not that of the box, so the line is moved until it is.
+        // The nearest place on the line of sight from which every corner is visible. The middle of
+        // the visible part is not the middle of the box, so the line is moved until it fits.
         let corners: Vec<DVec3> = (0..8)
             .map(|i| {
                 middle
@@ -104,7 +103,7 @@ impl Camera {
                 .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), at| {
                     (lo.min(at), hi.max(at))
                 });
-            // As far as moves the nearest corner there, and no other too far.
+            // Moves until the nearest corner is at its limit, and no other is beyond.
             let nearest = corners
                 .iter()
                 .map(|&corner| axes.z_axis.dot(corner - target))
@@ -127,38 +126,38 @@ impl Camera {
         }
     }
 
-    /// A place as the eye sees it: to the right and up in heights of the picture from its middle,
-    /// times the distance; and the distance.
+    /// A place in the coordinates of the eye: to the right and up from the middle of the picture in
+    /// heights, times the distance; and the distance.
     #[inline]
     pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {
         let seen = self.axes.transpose() * (place - self.eye);
         [seen.x * self.focal, seen.y * self.focal, -seen.z]
     }
 
-    /// The nearest distance that is drawn.
+    /// The distance of the near plane.
     pub(super) fn nearest(&self) -> f64 {
         NEAREST * self.distance
     }
 
-    /// Distance of the eye from what it looks at.
+    /// Distance from the eye to the target.
     pub(super) fn distance(&self) -> f64 {
         self.distance
     }
 
-    /// The direction in which a place of the picture is seen, in heights from its middle, y up; not
-    /// of unit length: it goes a distance of 1 forward.
+    /// The direction of a place on the picture, in heights from its middle, y up. Its length is 1
+    /// along the line of sight.
     pub(super) fn towards(&self, x: f64, y: f64) -> DVec3 {
         self.axes * DVec3::new(x / self.focal, y / self.focal, -1.0)
     }
 }
 
-/// The middle and the radius of the ball around a box.
+/// The centre and the radius of the circumscribed ball of a box.
 pub(super) fn ball(bounds: Bounds) -> (DVec3, f64) {
     let [lo, hi] = bounds.map(DVec3::from);
     ((lo + hi) / 2.0, ((hi - lo).length() / 2.0).max(f64::MIN_POSITIVE.sqrt()))
 }
 
-/// The axes of a picture that is taken from a direction.
+/// The axes of a picture from a direction.
 fn looking(back: DVec3, world: DMat3) -> DMat3 {
     let right = world.y_axis.cross(back).normalize_or(world.x_axis);
     DMat3::from_cols(right, back.cross(right), back)

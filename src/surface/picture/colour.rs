@@ -1,4 +1,4 @@
-//! The colours of a surface: water, one colour, or those of a value.
+//! The colours of a surface: water, a solid colour, or a colour map of values.
 
 use std::str::FromStr;
 use std::sync::Arc;
@@ -20,31 +20,30 @@ use super::request::PictureError;
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Colour {
-    /// Water: mirrors the sky, lets through what is behind, and is the bluer the deeper it is.
+    /// Water: reflects the sky, is transparent, and becomes bluer with depth.
     #[default]
     Water,
-    /// One colour: red, green and blue as screens show them.
+    /// A solid colour: red, green and blue in sRGB.
     Solid([u8; 3]),
     /// A value of the vertices, or the length of a vector, with a legend.
     Attribute {
         /// The attribute's name.
         name: String,
-        /// Colours from its least to its greatest value.
+        /// Colours from the minimum to the maximum value.
         map: ColourMap,
     },
-    /// The distance from another surface, negative inside of it, with a legend in the meshes' unit
-    /// of length. The hundredth of the vertices that are farthest from it has the colours of the
-    /// ends.
+    /// The distance from another surface, negative inside, with a legend in the meshes' unit of
+    /// length. The most distant 1 % of the vertices have the colours of the ends.
     Distance {
         /// The other surface.
         from: Reference,
-        /// Colours from the farthest inside of it to as far outside.
+        /// Colours from the most negative to the most positive distance.
         map: ColourMap,
     },
 }
 
 impl Colour {
-    /// Names the subject of the legend, if there is one, and its colours.
+    /// The title and the colours of the legend, if there is one.
     pub(super) fn legend(&self) -> Option<(&str, ColourMap)> {
         match self {
             Self::Water | Self::Solid(_) => None,
@@ -54,15 +53,15 @@ impl Colour {
     }
 }
 
-/// A surface that distances are measured from.
+/// A reference surface for distances.
 #[derive(Debug, Clone)]
 pub struct Reference(Arc<Surface>);
 
 impl Reference {
-    /// Makes the triangles of a mesh ready to be searched.
+    /// Builds the search structure of a mesh.
     ///
     /// # Errors
-    /// [`PictureError::Reference`] where it has no surface, or a vertex that is no point.
+    /// [`PictureError::Reference`] if it has no surface, or an invalid vertex.
     pub fn new(mesh: &Mesh) -> Result<Self, PictureError> {
         Ok(Self(Arc::new(Surface::reference(mesh).map_err(PictureError::Reference)?)))
     }
@@ -73,7 +72,7 @@ impl Reference {
 }
 
 impl PartialEq for Reference {
-    /// Whether both are one.
+    /// Whether both are the same surface.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
@@ -83,7 +82,7 @@ impl PartialEq for Reference {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ColourMap(usize);
 
-/// Maps by their names, first those that are fair to all eyes (Liu and Heer 2018).
+/// Colour maps by name, starting with perceptually uniform ones (Liu and Heer 2018).
 const MAPS: [(&str, Gradient); 9] = [
     ("viridis", colorous::VIRIDIS),
     ("cividis", colorous::CIVIDIS),
@@ -96,7 +95,7 @@ const MAPS: [(&str, Gradient); 9] = [
     ("red-blue", colorous::RED_BLUE),
 ];
 
-/// The number of the map whose middle is pale.
+/// The index of the diverging map.
 const DIVERGING: usize = MAPS.len() - 1;
 
 impl ColourMap {
@@ -117,7 +116,7 @@ impl ColourMap {
         Self(DIVERGING)
     }
 
-    /// The colour of a value from 0 to 1; what is no number is grey.
+    /// The colour of a value from 0 to 1; NaN is grey.
     pub(super) fn of(self, value: f32) -> [u8; 3] {
         if value.is_nan() {
             return [128; 3];
@@ -138,7 +137,7 @@ impl FromStr for ColourMap {
     }
 }
 
-/// Values that vertices are coloured by.
+/// The values that determine the vertices' colours.
 pub(super) enum Values<'a> {
     None,
     /// An attribute with its number of components.
@@ -152,7 +151,7 @@ pub(super) enum Values<'a> {
 }
 
 impl<'a> Values<'a> {
-    /// The values by which a mesh gets its colours.
+    /// The values that determine the colours of a mesh.
     pub(super) fn new(colour: &'a Colour, mesh: &dyn MeshSource) -> Result<Self, PictureError> {
         let name = match colour {
             Colour::Water | Colour::Solid(_) => return Ok(Self::None),
@@ -169,7 +168,7 @@ impl<'a> Values<'a> {
         Ok(Self::Attribute { index, components, kind })
     }
 
-    /// Whether there are any.
+    /// Whether there are values.
     pub(super) fn any(&self) -> bool {
         !matches!(self, Self::None)
     }
@@ -190,7 +189,7 @@ impl<'a> Values<'a> {
     }
 }
 
-/// Colours of values in steps, so that a sample is looked up and not worked out.
+/// A lookup table of colours.
 pub(super) struct Palette {
     colours: Vec<Vec3>,
     range: [f32; 2],
@@ -212,7 +211,8 @@ impl Palette {
     }
 }
 
-/// Shows the colours from `lo` to `hi`, and what they stand for: their ends for all `beyond`, too.
+/// Draws a legend for the values from `lo` to `hi`; `beyond` marks that other values have the
+/// colours of the ends.
 pub(super) fn legend(
     image: &mut Image,
     name: &str,
@@ -240,7 +240,7 @@ pub(super) fn legend(
     }
 }
 
-/// A number in four digits, whatever its size.
+/// A number with four digits.
 fn number(value: f32) -> String {
     let size = value.abs();
     if size == 0.0 || (1e-2..1e4).contains(&size) {
@@ -250,23 +250,23 @@ fn number(value: f32) -> String {
     }
 }
 
-/// The share of distances that colours tell apart: the few that are greater by magnitude would
-/// leave the others one colour.
+/// The fraction of distances within the colour range. Without this limit, a few outliers would
+/// leave the others with one colour.
 const USUAL: f64 = 0.99;
-/// Bits of a number that make no difference to where it is counted: 7 of its 23 digits are left.
+/// Low bits of an f32 that the histogram ignores: 7 of its 23 digits remain.
 const COUNTED_AS_ONE: u32 = 16;
 
-/// Facts about values by which their range is found.
+/// Statistics of values for their range.
 #[derive(Clone, Default)]
 pub(super) struct Spread {
     extremes: Option<[f32; 2]>,
-    /// How many distances are as large by magnitude, in steps of less than a hundredth; none of
-    /// other values.
+    /// A histogram of the magnitudes of distances, in steps of less than 1 %; empty for other
+    /// values.
     magnitudes: Vec<u32>,
 }
 
 impl Spread {
-    /// Looks at values, of which those that are not finite do not count.
+    /// Collects finite values.
     pub(super) fn of(values: &[f32], kind: &Values<'_>) -> Self {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         let mut magnitudes = Vec::new();
@@ -281,7 +281,7 @@ impl Spread {
         Self { extremes, magnitudes }
     }
 
-    /// Takes other values in.
+    /// Adds other statistics.
     pub(super) fn join(&mut self, other: &Self) {
         let both = [self.extremes, other.extremes].into_iter().flatten();
         self.extremes = both.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
@@ -289,8 +289,7 @@ impl Spread {
         self.magnitudes.iter_mut().zip(&other.magnitudes).for_each(|(sum, count)| *sum += count);
     }
 
-    /// The range of colours, and whether values go on beyond it: that of distances has zero in its
-    /// middle.
+    /// The colour range, and whether values exceed it. For distances, zero is in the middle.
     pub(super) fn range(&self) -> (Option<[f32; 2]>, bool) {
         let Some([lo, hi]) = self.extremes else { return (None, false) };
         if self.magnitudes.is_empty() {
@@ -304,7 +303,7 @@ impl Spread {
             within += u64::from(count);
             within >= usual
         });
-        // Where nearly all are nothing, the others are what there is to tell apart.
+        // If almost all distances are zero, the range comes from the others.
         let bound = match last {
             Some(last @ 1..) => f32::from_bits((last as u32 + 1) << COUNTED_AS_ONE).min(greatest),
             _ => greatest,

@@ -1,4 +1,4 @@
-//! A mesh to an image: its box, what is seen of it, and light on every pixel.
+//! Draws a mesh: bounding box, visible triangles, and the light of every pixel.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -23,14 +23,13 @@ use super::shape::{LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
 use super::sun::{Sun, Sunlight};
 use super::visible::Visible;
 
-/// Vertices for each pixel from which on a draft is drawn of a coarser mesh.
+/// Vertices per pixel above which a draft uses a coarser mesh.
 const COARSENED: u64 = 2;
 
 impl Picture {
     /// Draws a mesh.
     ///
-    /// A mesh that takes more memory than there may be used beside the picture is read in batches,
-    /// several times.
+    /// A mesh that exceeds the memory limit is read in batches, several times.
     ///
     /// # Errors
     /// Those of [`check`](Self::check), [`PictureError::NoAttribute`], [`PictureError::Memory`] and
@@ -47,7 +46,7 @@ impl Picture {
         draw(self, &Shape::read(mesh, &values, &memory)?, &values, &budget)
     }
 
-    /// The box of a mesh, and the range of the values that it would be coloured by.
+    /// The bounding box of a mesh, and the range of its coloured values.
     ///
     /// # Errors
     /// [`PictureError::NoAttribute`] and [`PictureError::Io`].
@@ -56,8 +55,7 @@ impl Picture {
         Ok(Shape::read(mesh, &values, &Memory::Batches(0))?.scope)
     }
 
-    /// How a mesh fits in the memory that may be used, and what of that is left for what is seen of
-    /// it.
+    /// How to hold a mesh in the memory limit, and the remaining memory for its visible part.
     fn memory_for(&self, mesh: &dyn MeshSource) -> Result<(Memory, Budget), PictureError> {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();
@@ -70,7 +68,7 @@ impl Picture {
             + Entered::bytes(vertices)
             + Entered::bytes(triangles);
         let whole = vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES;
-        // Of a mesh that is in memory all may be seen.
+        // All of a mesh in memory may be visible.
         let all_seen = vertices * Visible::VERTEX_BYTES + triangles * Visible::TRIANGLE_BYTES;
         if picture + whole + all_seen <= allowed {
             return Ok((Memory::Whole, Budget::new(picture + whole, allowed)));
@@ -128,7 +126,7 @@ fn draw(
     Ok(image)
 }
 
-/// The bytes of all pixels by their light.
+/// The bytes of all pixels.
 fn bytes([width, height]: [usize; 2], light: impl Fn(usize, usize) -> Vec3 + Sync) -> Vec<u8> {
     let mut rgb = vec![0; 3 * width * height];
     rgb.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {

@@ -1,9 +1,9 @@
-//! Triangles onto two rasters at once, on all threads: the eye's and the sun's.
+//! Draws triangles onto two rasters at once, on all threads: the views of the eye and the sun.
 //!
-//! Most triangles of a fine mesh lie between samples, and most of a coarse one in few rows. So all
-//! are looked at once, in tasks, for whether the box of their corners holds a sample at all; of
-//! those that do, the small ones are drawn at once. Of the others each thread then draws what is in
-//! strips of rows of its own, of the tasks that reach them.
+//! Most triangles of a fine mesh lie between samples, and most of a coarse one in few rows.
+//! Therefore tasks first test whether the bounding box of each triangle contains a sample, and draw
+//! small triangles immediately. Each thread then draws the large ones within its own strips of
+//! rows.
 
 use std::ops::Range;
 
@@ -15,27 +15,26 @@ use super::raster::{Canvas, Corners, VIEWS};
 use super::raster::{Corner, Raster};
 use super::shape::Batch;
 
-/// Triangles of a task.
+/// Triangles per task.
 const TASK: usize = 1 << 9;
 const WORD: usize = u64::BITS as usize;
-/// Strips of rows for each thread, and rows of the smallest.
+/// Strips per thread, and minimum number of rows of a strip.
 const STRIPS: usize = 6;
 const LEAST_ROWS: usize = 16;
 
-/// Tells which views of a triangle may show a sample, by the halves of its corners: between samples
-/// all of them are in the same one.
+/// Finds the views in which a triangle may cover a sample, from the half samples of its corners:
+/// between samples, all corners are in the same half.
 #[inline(always)]
 fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     const LOW: u64 = 0x7fff_7fff_7fff_7fff;
     let differ = (a ^ b) | (a ^ c);
-    // In the highest bit of each half whether any of its bits is set, or it is even.
+    // The highest bit of each half: whether any bit of it is set, or it is even.
     let shows = differ | ((differ & LOW) + LOW) | !(a << 15);
     let both = |bit: u32| shows >> bit & shows >> (bit - 16) & 1;
     [both(63), both(31)]
 }
 
-/// The triangles of a task that are to be drawn yet: a bit each, and the first of the rows that
-/// they are in and the one behind.
+/// The triangles of a task that are not drawn yet: one bit each, and the range of their rows.
 struct Held {
     first: i32,
     end: i32,
@@ -105,7 +104,7 @@ fn draw_small(
 ) -> [Held; VIEWS] {
     let mut large = [Held::NONE; VIEWS];
     for (word, triangles) in triangles.chunks(WORD).enumerate() {
-        // Without branches: whether a small triangle holds a sample is as good as random.
+        // Without branches: whether a small triangle contains a sample is almost random.
         let mut may_hold = [0; VIEWS];
         for (n, &[a, b, c]) in triangles.iter().enumerate() {
             let halves = |corner: u32| corners.halves[batch.index(corner)];
@@ -114,7 +113,7 @@ fn draw_small(
             may_hold[1] |= sun << n;
         }
         for (view, raster) in rasters.iter().enumerate() {
-            // Likewise whether the only sample in its box is inside of it.
+            // Likewise for whether the only sample in its box is inside the triangle.
             let mut drawn = 0;
             for n in ones(may_hold[view]) {
                 let corners = of(&triangles[n], batch, corners, view);
@@ -151,7 +150,7 @@ mod tests {
     use crate::surface::picture::request::Memory;
     use crate::surface::picture::shape::Shape;
 
-    /// The triangle, nearness and way through the fluid that are seen at each sample.
+    /// The visible triangle, its inverse distance and the path length in the fluid at each sample.
     fn seen(raster: &Raster) -> Vec<Option<[u32; 3]>> {
         let samples = (0..raster.width * raster.height).map(|n| raster.sample(n));
         samples
@@ -170,14 +169,14 @@ mod tests {
         };
         let mut mesh = Mesh::default();
         for n in 0..20_000 {
-            // Of all sizes about a sample's, on and off the picture, and some behind the eye.
+            // Triangles of various sizes, on and off the picture, and some behind the eye.
             let middle = [(); 3].map(|()| 3.0 * unit() - 1.5);
             let size = [0.01, 0.03, 0.1, 1.0, 4.0][n % 5];
             mesh.positions.extend([(); 3].map(|()| middle.map(|x| x + size * (unit() - 0.5))));
             let first = 3 * n as u32;
             mesh.triangles.push([first, first + 1, first + 2]);
         }
-        // One whose corners are all too far to the side, though it is seen.
+        // A visible triangle whose corners are all too far to the side.
         mesh.positions.extend([[-1e9, -1e9, 0.0], [1e9, -1e9, 0.0], [0.0, 1e9, 0.0]]);
         mesh.triangles.push([60_000, 60_001, 60_002]);
         let bounds = [[-1.0; 3], [1.0; 3]];

@@ -1,4 +1,4 @@
-//! Images of 8 bits a channel: text on them, sheets of several, and files.
+//! Images of 8 bits per channel: labels, contact sheets and files.
 
 use std::convert::Infallible;
 use std::io::{self, BufRead, Seek, Write};
@@ -12,16 +12,16 @@ use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
-/// Images higher than this are labelled in a larger type.
+/// Images higher than this have labels in a larger type.
 const HIGH: usize = 540;
 const INK: Rgb888 = Rgb888::new(28, 32, 36);
-/// Between images of a sheet, in pixels.
+/// Gap between images of a sheet, in pixels.
 const GAP: usize = 4;
 const PAPER: u8 = 255;
-/// The keyword of the text that says of what a picture is.
+/// The keyword of the text that names the source of a picture.
 const SOURCE: &str = "meniscus";
 
-/// Rows of pixels from the top: red, green and blue, 8 bits each, as screens show them (sRGB).
+/// Rows of pixels from the top: red, green and blue, 8 bits each, in sRGB.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Image {
     width: usize,
@@ -35,19 +35,19 @@ impl Image {
         Self { width, height, rgb }
     }
 
-    /// Returns the width in pixels.
+    /// The width in pixels.
     #[must_use]
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Returns the height in pixels.
+    /// The height in pixels.
     #[must_use]
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Returns the bytes: rows from the top, three a pixel.
+    /// The bytes: rows from the top, three per pixel.
     #[must_use]
     pub fn rgb(&self) -> &[u8] {
         &self.rgb
@@ -60,7 +60,7 @@ impl Image {
         self
     }
 
-    /// Writes text whose first, middle or last character's top is at a place.
+    /// Writes text; the place is the top of its first, middle or last character.
     pub(super) fn text(&mut self, text: &str, [x, y]: [i32; 2], alignment: Alignment) {
         let font = if self.height > HIGH { &FONT_10X20 } else { &FONT_6X10 };
         let layout = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
@@ -80,7 +80,7 @@ impl Image {
         }
     }
 
-    /// Images of the same size in rows of `columns`; `None` without images.
+    /// Joins images of the same size in rows of `columns`; `None` without images.
     ///
     /// # Panics
     /// If their sizes differ.
@@ -110,7 +110,7 @@ impl Image {
         self.write_png_of(out, None)
     }
 
-    /// Writes a `.png` file with a text that says of what it is, which [`source_of_png`] reads.
+    /// Writes a `.png` file with a text that names its source, which [`source_of_png`] reads.
     pub(crate) fn write_png_of(&self, out: &mut dyn Write, source: Option<&str>) -> io::Result<()> {
         let mut encoder = self.encoder(out);
         if let Some(source) = source {
@@ -129,7 +129,7 @@ impl Image {
     }
 }
 
-/// The text that says of what a `.png` file of this library is; `None` of any other file.
+/// The text that names the source of a `.png` file of this library; `None` for other files.
 pub(crate) fn source_of_png(file: &mut (impl BufRead + Seek)) -> Option<String> {
     let reader = png::Decoder::new(file).read_info().ok()?;
     let text = reader.info().utf8_text.iter().find(|text| text.keyword == SOURCE)?;
@@ -143,14 +143,14 @@ pub struct Animation<'a> {
 }
 
 impl<'a> Animation<'a> {
-    /// Begins a file of `images` images like the first, `fps` per second, which repeats forever.
+    /// Starts a file of `images` images like the first, `fps` per second, which repeats forever.
     ///
     /// # Errors
     /// Those of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
     pub fn begin(out: &'a mut dyn Write, first: &Image, images: u32, fps: f64) -> io::Result<Self> {
         let mut encoder = first.encoder(out);
         encoder.set_animated(images, 0)?;
-        // In a thousandth of a second, of which any rate has whole ones nearly.
+        // In milliseconds, which suffices for every valid rate.
         encoder.set_frame_delay((1000.0 / fps).round().clamp(1.0, 65_535.0) as u16, 1000)?;
         Ok(Self { writer: encoder.write_header()?, size: [first.width, first.height] })
     }
@@ -158,10 +158,10 @@ impl<'a> Animation<'a> {
     /// Adds an image.
     ///
     /// # Errors
-    /// Those of the file.
+    /// Errors of the file.
     ///
     /// # Panics
-    /// If its size is another.
+    /// If its size differs.
     pub fn push(&mut self, image: &Image) -> io::Result<()> {
         assert_eq!([image.width, image.height], self.size, "images of one size");
         Ok(self.writer.write_image_data(&image.rgb)?)
@@ -170,7 +170,7 @@ impl<'a> Animation<'a> {
     /// Ends the file.
     ///
     /// # Errors
-    /// Those of the file, and where images are missing.
+    /// Errors of the file, and missing images.
     pub fn end(self) -> io::Result<()> {
         Ok(self.writer.finish()?)
     }

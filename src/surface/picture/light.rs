@@ -1,53 +1,52 @@
-//! Light: a soft sky, a sun, the ground below, and what water, a solid colour or a colour map make
-//! of them. Colours are linear.
+//! Light: a soft sky, a sun, the ground, and their effect on water, a solid colour or a colour map.
+//! Colours are linear.
 
 use std::sync::LazyLock;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Where the sun stands, in the axes right, up and towards the viewer's side of the world.
+/// The direction of the sun, in the axes right, up and towards the viewer.
 pub(super) const SUN: Vec3 = Vec3::new(-0.42, 0.78, 0.46);
 const SUNLIGHT: Vec3 = Vec3::new(1.05, 1.0, 0.92);
-/// How much light there is from above, and from the ground.
+/// Light from above, and from the ground.
 const ABOVE: Vec3 = Vec3::new(0.62, 0.70, 0.80);
 const BELOW: Vec3 = Vec3::new(0.34, 0.33, 0.31);
-/// The sky that water mirrors: at the horizon, and overhead.
+/// The sky in reflections: at the horizon, and overhead.
 const HORIZON: Vec3 = Vec3::new(0.92, 0.95, 0.97);
 const ZENITH: Vec3 = Vec3::new(0.30, 0.50, 0.80);
-/// The ground, and the backdrop: overhead, at the horizon, and straight below.
+/// The ground, and the backdrop: overhead, at the horizon, and below.
 pub(super) const GROUND: Vec3 = Vec3::new(0.50, 0.50, 0.49);
 const BACKDROP: [Vec3; 3] =
     [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
-/// Wires on a surface.
+/// Colour of wires.
 const INK: Vec3 = Vec3::new(0.01, 0.012, 0.015);
-/// The share of light that a surface of water mirrors, seen straight on (Schlick 1994, index of
-/// refraction 1.33).
+/// The reflectance of water at normal incidence (Schlick 1994, index of refraction 1.33).
 const MIRRORED: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
-/// Light that water takes from a ray, and gives to it, over the radius of the scene.
+/// Absorption and emission of water over the radius of the scene.
 const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
 const CLOUDED: f32 = 6.0;
-/// How much of light that falls on water comes back as from milk, where it is a film and where it
-/// is deep: without any, no shape would be seen in it, and drops and thin sheets not at all.
+/// Diffuse reflection of water, for a film and for deep water. Without it, the shape of water, and
+/// drops and thin sheets, would be invisible.
 const MILK: [f32; 2] = [0.34, 0.42];
 const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
-/// A place on a surface, and the line on which it is seen.
+/// A place on a surface, with its line of sight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
-    /// From the eye; of unit length, and so are all directions here.
+    /// The direction from the eye. All directions here have unit length.
     pub(super) towards: Vec3,
-    /// Outward, to the eye's side.
+    /// The outward normal.
     pub(super) normal: Vec3,
-    /// The way through the fluid behind it, in radii of the scene.
+    /// The path length through the fluid behind it, in radii of the scene.
     pub(super) through: f32,
-    /// The share of the sun's light that arrives.
+    /// The fraction of the sun's light that arrives.
     pub(super) lit: f32,
 }
 
-/// The light behind all things in a direction.
+/// The light of the backdrop from a direction.
 pub(super) fn backdrop(towards: Vec3) -> Vec3 {
     let [above, level, below] = BACKDROP;
     let up = towards.y;
@@ -58,7 +57,7 @@ pub(super) fn backdrop(towards: Vec3) -> Vec3 {
     }
 }
 
-/// The light of the sky from a direction, the sun's glow in it.
+/// The light of the sky from a direction, including the sun's glow.
 fn sky(towards: Vec3) -> Vec3 {
     let up = towards.y;
     let sky = if up >= 0.0 {
@@ -70,31 +69,32 @@ fn sky(towards: Vec3) -> Vec3 {
     sky + SUNLIGHT * (1.6 * near.powi(180) + 0.25 * near.powi(12))
 }
 
-/// The light that falls on a surface which scatters it evenly.
+/// The light on a diffuse surface.
 fn fallen(normal: Vec3, lit: f32) -> Vec3 {
     let ambient = BELOW.lerp(ABOVE, 0.5 + 0.5 * normal.y);
     ambient * 0.75 + SUNLIGHT * (0.65 * lit * normal.dot(SUN.normalize()).max(0.0))
 }
 
-/// Ground that is flat, of which the sun reaches so much.
+/// The light of flat ground; `lit` is the fraction of the sun's light.
 pub(super) fn ground(lit: f32) -> Vec3 {
     GROUND * fallen(Vec3::Y, lit)
 }
 
-/// A surface of one colour.
+/// The light of a surface of one colour.
 pub(super) fn solid(colour: Vec3, seen: Seen) -> Vec3 {
     let half = (SUN.normalize() - seen.towards).normalize();
     let gloss = seen.normal.dot(half).max(0.0).powi(60);
     colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
 }
 
-/// Water, in front of what `behind` says of a direction; `exp` is the exponential function.
+/// The light of water. `behind` gives the light behind it from a direction; `exp` is the
+/// exponential function.
 pub(super) fn water(seen: Seen, exp: impl Fn(f32) -> f32, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
     let Seen { towards, normal, through, lit } = seen;
     let facing = (-towards.dot(normal)).clamp(0.0, 1.0);
     let mirrored = MIRRORED + (1.0 - MIRRORED) * (1.0 - facing).powi(5);
     let mirror = sky(towards + 2.0 * facing * normal);
-    // Through the surface by Snell's law; what comes out on the other side goes on as it went in.
+    // Refraction by Snell's law on entry; the light leaves in the same direction as it entered.
     let along = towards + facing * normal;
     let bent = towards.lerp((towards - along * (1.0 - REFRACTION)).normalize(), 0.7).normalize();
     let left = Vec3::new(exp(-TAKEN.x * through), exp(-TAKEN.y * through), exp(-TAKEN.z * through));
@@ -109,8 +109,8 @@ pub(super) fn water(seen: Seen, exp: impl Fn(f32) -> f32, behind: impl Fn(Vec3) 
     body.lerp(mirror, mirrored) + SUNLIGHT * (1.4 * glint * lit)
 }
 
-/// The exponential of what is not positive, nearly: off by less than a thousandth, which no byte
-/// shows, in a fraction of the time.
+/// A fast approximation of the exponential of a non-positive number, with an error below 0.001,
+/// which is invisible in a byte.
 #[inline]
 pub(super) fn quick_exp(x: f32) -> f32 {
     let power = (x * std::f32::consts::LOG2_E + EXPONENT_BIAS).max(0.0);
@@ -122,20 +122,20 @@ pub(super) fn quick_exp(x: f32) -> f32 {
 }
 const EXPONENT_BIAS: f32 = (f32::MAX_EXP - 1) as f32;
 
-/// A wire of dark ink that covers a share of a surface.
+/// A dark wire that covers a fraction of a surface.
 pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
     surface.lerp(INK, share)
 }
 
-/// The byte of a channel on screens: light that is too bright is taken back softly, then sRGB.
+/// The byte of a channel in sRGB, after compressing values that are too bright.
 pub(super) fn byte(light: f32) -> u8 {
     let x = light.max(0.0);
-    // Straight up to 0.8, then towards 1.
+    // Linear up to 0.8, then towards 1.
     let x = if x <= 0.8 { x } else { 1.0 - 0.2 * (-(x - 0.8) / 0.2).exp() };
     SRGB[((x * (SRGB_STEPS - 1) as f32 + 0.5) as usize).min(SRGB_STEPS - 1)]
 }
 
-/// Bytes for light from 0 to 1, in steps of which the darkest bytes take several.
+/// Bytes for light from 0 to 1, in steps fine enough for the darkest bytes.
 static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let byte = |step: usize| {
         let x = step as f32 / (SRGB_STEPS - 1) as f32;
@@ -146,7 +146,7 @@ static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
 });
 const SRGB_STEPS: usize = 1 << 13;
 
-/// The light of a colour as screens name it.
+/// The linear light of an sRGB colour.
 pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
     let light = |byte: u8| {
         let x = f32::from(byte) / 255.0;
@@ -155,17 +155,17 @@ pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
     Vec3::new(light(r), light(g), light(b))
 }
 
-/// Pixels from one that is worked out to the next.
+/// Distance in pixels between computed points.
 const STEP: usize = 4;
 
-/// Light at every few pixels.
+/// Light at a coarse grid of pixels, interpolated in between.
 pub(super) struct Sketch {
     columns: usize,
     known: Vec<Vec3>,
 }
 
 impl Sketch {
-    /// Works it out for a picture of such a size.
+    /// Computes the grid for a picture of this size.
     pub(super) fn new(
         width: usize,
         height: usize,

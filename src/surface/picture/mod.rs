@@ -1,10 +1,10 @@
-//! Pictures of meshes: water under a soft sky, a solid colour, or an attribute by a colour map.
+//! Pictures of meshes: water under a soft sky, a solid colour, or a colour map of an attribute.
 //!
-//! Drawn in three steps: which triangle is seen at every sample (`raster.rs`), what there is to
-//! know of those that are (`visible.rs`), and what light makes of it (`scene.rs`, `light.rs`). Only
-//! the first step sees all of a mesh, batch by batch. The fluid is closed, so the depths at which a
-//! line of sight leaves it less those at which it enters are the way through the water, which is
-//! what it is coloured by. A picture has the same bytes for any number of threads.
+//! Drawing has three steps: finding the visible triangle at every sample (`raster.rs`), collecting
+//! data of the visible triangles (`visible.rs`), and computing light (`scene.rs`, `light.rs`). Only
+//! the first step reads the whole mesh, batch by batch. The fluid is closed, so the depths at which
+//! a line of sight leaves it minus those at which it enters give the path length through the water,
+//! which determines its colour. A picture has the same bytes for any number of threads.
 
 mod camera;
 mod colour;

@@ -1,5 +1,4 @@
-//! A set of numbers within a range, a bit each, that knows how many come before each of its
-//! members.
+//! A set of numbers within a range, one bit each, with the rank of each member.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,25 +8,25 @@ use rayon::prelude::*;
 
 use crate::system::bits::ones;
 
-/// Numbers of a task.
+/// Numbers per task.
 const NUMBERS: u32 = 1 << 13;
 
-/// Numbers that several threads enter.
+/// A set to which several threads add.
 pub(super) struct Entered {
     first: u32,
     words: Vec<AtomicU64>,
 }
 
-/// Numbers of which each has a rank.
+/// A set with ranks.
 pub(super) struct Ranked {
     first: u32,
     words: Vec<u64>,
-    /// Members before each word.
+    /// Number of members before each word.
     before: Vec<u32>,
 }
 
 impl Entered {
-    /// None of a range.
+    /// An empty set for a range.
     pub(super) fn none_of(range: Range<u32>) -> Self {
         Self { first: range.start, words: zeroed_vec(range.len().div_ceil(64)) }
     }
@@ -37,17 +36,18 @@ impl Entered {
         numbers.div_ceil(64) * (size_of::<u64>() + size_of::<u32>()) as u64
     }
 
-    /// Enters a number of the range.
+    /// Adds a number of the range.
     pub(super) fn insert(&self, number: u32) {
         let at = number - self.first;
         let (word, bit) = (&self.words[at as usize / 64], 1 << (at % 64));
-        // Read first: most are there already, and reading disturbs no other thread.
+        // Reads first: most numbers are already members, and reading does not slow other threads
+        // down.
         if word.load(Ordering::Relaxed) & bit == 0 {
             word.fetch_or(bit, Ordering::Relaxed);
         }
     }
 
-    /// Ranks the numbers that were entered.
+    /// Computes the ranks.
     pub(super) fn ranked(self) -> Ranked {
         let words: Vec<u64> = self.words.into_iter().map(AtomicU64::into_inner).collect();
         let mut total = 0;
@@ -63,7 +63,7 @@ impl Entered {
 }
 
 impl Ranked {
-    /// How many members there are.
+    /// Number of members.
     pub(super) fn len(&self) -> usize {
         self.before.last().map_or(0, |&total| total as usize)
     }
@@ -75,7 +75,7 @@ impl Ranked {
         self.words.get(at as usize / 64).is_some_and(|word| word >> (at % 64) & 1 == 1)
     }
 
-    /// How many members come before a number, if it is one.
+    /// The rank of a member; `None` for other numbers.
     #[inline]
     pub(super) fn rank(&self, number: u32) -> Option<u32> {
         let at = number.checked_sub(self.first)?;
@@ -84,7 +84,7 @@ impl Ranked {
         (word & bit != 0).then(|| self.before[at as usize / 64] + (word & (bit - 1)).count_ones())
     }
 
-    /// Members of a range, in order.
+    /// Members in a range, in order.
     pub(super) fn within(&self, range: Range<u32>) -> impl Iterator<Item = u32> + '_ {
         let [start, end] = [range.start, range.end].map(|number| number.saturating_sub(self.first));
         let words = start as usize / 64..(end as usize).div_ceil(64).min(self.words.len());
@@ -92,7 +92,7 @@ impl Ranked {
         all.filter(move |at| (start..end).contains(at)).map(|at| at + self.first)
     }
 
-    /// Maps the members of a range, on several threads; in their order.
+    /// Maps the members of a range, on several threads, in their order.
     pub(super) fn map<T: Send + Copy + Default>(
         &self,
         range: Range<u32>,
@@ -114,7 +114,7 @@ impl Ranked {
         all
     }
 
-    /// How many members come before a number, whether or not it is one.
+    /// The number of members less than a number.
     fn rank_from(&self, number: u32) -> u32 {
         let at = number.saturating_sub(self.first) as usize;
         match self.words.get(at / 64) {

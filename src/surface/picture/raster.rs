@@ -1,12 +1,12 @@
-//! The surface as it is seen: for every sample of a picture which triangle is nearest there, and
-//! how much water is behind it (a visibility buffer, Burns and Hunt 2013).
+//! The visible surface: for every sample of a picture, the nearest triangle, and the path length
+//! through the water behind it (a visibility buffer, Burns and Hunt 2013).
 //!
-//! Corners are rounded to 1 / 256 of a sample, and a sample is inside of a triangle by integers;
-//! one on an edge belongs to the triangle below or to the right of it. So a closed surface has no
-//! cracks, and every line of sight leaves it as often as it enters. What triangles make of a sample
-//! is a sum of integers and a maximum, in which their order does not show. So triangles of few
-//! samples are drawn by whichever thread looks at them, and of larger ones each thread draws what
-//! is in rows of its own.
+//! Corners are rounded to 1 / 256 of a sample, and integer arithmetic decides whether a sample is
+//! inside a triangle. A sample on an edge belongs to the triangle below or to the right. A closed
+//! surface therefore has no cracks, and every line of sight leaves it as often as it enters.
+//! Triangles contribute integer sums and a maximum to a sample, which do not depend on their order.
+//! Therefore any thread may draw small triangles, and each thread draws the parts of large ones in
+//! its own rows.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -17,55 +17,56 @@ use crate::system::memory::{empty_in_huge_pages, zeroed_in_huge_pages};
 
 use super::camera::{Camera, FARTHEST};
 
-/// Steps along the edge of a sample.
+/// Steps per sample.
 const STEPS: i32 = 1 << STEP_BITS;
 const STEP_BITS: u32 = 8;
-/// Steps from the picture's first sample that a corner may be away: what is farther is cut off.
+/// Maximum distance of a corner from the picture's first sample, in steps; triangles beyond are
+/// clipped.
 const FAR: i32 = 1 << 28;
-/// Steps of the way through the fluid as far as the eye is from the farthest place.
+/// Steps of the path length that equals the distance from the eye to the farthest place.
 const WAY_STEPS: f64 = (1 << 26) as f64;
 
-/// Samples in the box of a triangle that any thread may draw. More are drawn faster where no other
-/// thread draws at the time.
+/// Maximum number of samples in the box of a triangle that any thread may draw. Larger triangles
+/// are faster without concurrent writes.
 const FEW: i64 = 4;
 
 /// A corner of a triangle on the picture.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Corner {
-    /// From the middle of the first sample to the right and down, in steps.
+    /// Steps to the right and down from the middle of the first sample.
     at: [i32; 2],
-    /// One over the distance, in units of the eye's; 0 for what is behind the eye, or too far to
-    /// the side.
+    /// The inverse distance, in units of the eye's distance; 0 if it is behind the eye, or too far
+    /// to the side.
     near: f32,
 }
 
-/// The nearest triangle at a sample, and the way through the fluid behind it.
+/// The nearest triangle at a sample, and the path length through the fluid behind it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
     /// The triangle's number.
     pub(super) triangle: u32,
-    /// One over its distance, in units of the eye's.
+    /// Its inverse distance, in units of the eye's distance.
     pub(super) near: f32,
-    /// The way through the fluid, along the middle line of sight, in the same units.
+    /// The path length through the fluid, along the middle line of sight, in the same units.
     pub(super) through: f32,
 }
 
-/// A mesh as it is seen from somewhere.
+/// A mesh as seen from an eye.
 pub(super) struct Raster {
     pub(super) width: usize,
     pub(super) height: usize,
     nearest: Vec<AtomicU64>,
     through: Vec<AtomicI32>,
-    /// Distance of the eye from what it looks at: with it as the unit, numbers keep their digits
-    /// whatever the mesh's size.
+    /// Distance from the eye to the target. With this unit, numbers keep their digits for any size
+    /// of mesh.
     unit: f64,
-    /// The distance from which on is drawn.
+    /// The distance of the near plane.
     before: f64,
     way_steps: f32,
 }
 
 impl Raster {
-    /// Nothing yet, of an eye that sees to about `farthest`.
+    /// An empty raster, for an eye that sees up to about `farthest`.
     pub(super) fn new(width: usize, height: usize, camera: &Camera, farthest: f64) -> Self {
         let unit = camera.distance();
         let way_steps = (WAY_STEPS * unit / farthest.max(unit)) as f32;
@@ -81,12 +82,12 @@ impl Raster {
         }
     }
 
-    /// Bytes that one of such a size takes.
+    /// Bytes of a raster of this size.
     pub(super) fn bytes(width: usize, height: usize) -> u64 {
         (width * height * (size_of::<AtomicU64>() + size_of::<AtomicI32>())) as u64
     }
 
-    /// Returns what is seen at a sample; `None` where there is nothing.
+    /// The visible surface at a sample; `None` if there is none.
     pub(super) fn sample(&self, n: usize) -> Option<Sample> {
         let nearest = self.nearest[n].load(Ordering::Relaxed);
         (nearest > 0).then(|| Sample {
@@ -96,7 +97,7 @@ impl Raster {
         })
     }
 
-    /// A place as it is [seen](Camera::seen), on this picture.
+    /// The corner at a place in [camera coordinates](Camera::seen).
     #[inline(always)]
     pub(super) fn corner(&self, [x, y, distance]: [f64; 3]) -> Corner {
         let near = 1.0 / distance;
@@ -110,14 +111,14 @@ impl Raster {
         if !(distance >= self.before && right.abs() < far && down.abs() < far) {
             return Corner::default();
         }
-        // Rounded: what is positive is cut off at the point.
+        // Rounds positive numbers, because the conversion truncates.
         let round = |steps: f64| (steps + far + 0.5) as i32 - FAR;
         Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
     }
 
-    /// The column and the row of a corner in halves of samples, so that odd numbers are between
-    /// samples; those of what is beside the picture are one. Even ones, and of no sample, where it
-    /// has no place.
+    /// The column and row of a corner in half samples: odd numbers are between samples. Corners
+    /// beside the picture are clamped. A corner without a place has even numbers beyond all
+    /// samples.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
         let (width, height) = (self.width as i32, self.height as i32);
@@ -128,8 +129,8 @@ impl Raster {
         [halves(x, width), halves(y, height)]
     }
 
-    /// Whether the box around a triangle, in which there is a sample, holds no other; and whether
-    /// that one is inside of the triangle.
+    /// Whether the bounding box of a triangle, which contains a sample, contains only one; and
+    /// whether that sample is inside the triangle.
     #[inline(always)]
     pub(super) fn holds_one(&self, corners: [Corner; 3]) -> [bool; 2] {
         let [[left, right], [top, bottom]] = self.around(corners);
@@ -140,7 +141,7 @@ impl Raster {
         [one, one & inside(a, b) & inside(b, c) & inside(c, a)]
     }
 
-    /// The first and the last of the columns, and of the rows, in the box around a triangle.
+    /// The first and last column and row in the bounding box of a triangle.
     #[inline(always)]
     fn around(&self, corners: [Corner; 3]) -> [[i32; 2]; 2] {
         [
@@ -149,8 +150,8 @@ impl Raster {
         ]
     }
 
-    /// Draws a triangle whose box holds few samples, whatever other threads draw. Of any other it
-    /// draws nothing, and returns the rows that it is in: all where a corner has no place.
+    /// Draws a triangle whose box contains few samples; any thread may do so. Otherwise draws
+    /// nothing, and returns the triangle's rows: all rows if a corner has no place.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
         if !placed(corners) {
@@ -162,7 +163,7 @@ impl Raster {
             return Some(top..bottom + 1);
         }
         self.fill(around, number, corners, |sample, key, way| {
-            // Read first: much is behind what is there, and reading is cheaper.
+            // Reads first: many triangles are hidden, and reading is cheaper.
             if self.nearest[sample].load(Ordering::Relaxed) < key {
                 self.nearest[sample].fetch_max(key, Ordering::Relaxed);
             }
@@ -171,8 +172,8 @@ impl Raster {
         None
     }
 
-    /// Draws what is in some rows of a triangle, in which no other thread draws at the time; `seen`
-    /// tells how its corners are seen, where it has to be cut off.
+    /// Draws the part of a triangle in some rows, in which no other thread draws; `seen` returns
+    /// camera coordinates of its corners if it must be clipped.
     pub(super) fn draw(
         &self,
         rows: &Range<i32>,
@@ -184,7 +185,7 @@ impl Raster {
             self.fill_rows(rows, number, corners);
             return;
         }
-        // Fanned: what is left of a triangle is convex.
+        // A clipped triangle is convex, so it can be drawn as a fan.
         let cut = self.cut(seen());
         let corners: Vec<Corner> = cut.iter().map(|&corner| self.corner(corner)).collect();
         if let [first, rest @ ..] = &corners[..]
@@ -195,8 +196,8 @@ impl Raster {
         }
     }
 
-    /// Cuts off what of a triangle is behind the eye, or too far to the side (Sutherland and
-    /// Hodgman 1974).
+    /// Clips the parts of a triangle that are behind the eye, or too far to the side (Sutherland
+    /// and Hodgman 1974).
     fn cut(&self, corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
         if !corners.iter().flatten().all(|x| x.abs() <= FARTHEST) {
             return Vec::new();
@@ -217,7 +218,8 @@ impl Raster {
                 let last = polygon[n.checked_sub(1).unwrap_or(polygon.len() - 1)];
                 let [from, to] = [plane(last), plane(corner)];
                 if (from >= 0.0) != (to >= 0.0) {
-                    // From the inside out, so that the triangle beside it is cut at the same place.
+                    // From the inside out, so that the neighbouring triangle is clipped at the same
+                    // place.
                     let ([inner, outer], share) = if from >= 0.0 {
                         ([last, corner], from / (from - to))
                     } else {
@@ -242,7 +244,7 @@ impl Raster {
             return;
         }
         let [left, right] = samples(corners, 0, &(0..self.width as i32));
-        // Read and written, which is much faster than both in one.
+        // A separate read and write is much faster than an atomic addition.
         self.fill([[left, right], [top, bottom]], number, corners, |sample, key, way| {
             let (nearest, through) = (&self.nearest[sample], &self.through[sample]);
             if nearest.load(Ordering::Relaxed) < key {
@@ -252,8 +254,8 @@ impl Raster {
         });
     }
 
-    /// Calls `put` for each sample of some columns and rows that is inside of a triangle, with what
-    /// is compared to find the nearest, and what is to be added to the way.
+    /// Calls `put` for each sample inside a triangle in a range of columns and rows, with the key
+    /// that finds the nearest triangle, and the contribution to the path length.
     #[inline(always)]
     fn fill(
         &self,
@@ -266,11 +268,11 @@ impl Raster {
         if area == 0 {
             return;
         }
-        // Rows go down: what turns clockwise there is seen from inside, and is where the line of
-        // sight leaves the fluid.
+        // Rows go down: a clockwise triangle is seen from inside, where the line of sight leaves
+        // the fluid.
         let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
-        // Of an edge what is 0 or more if the first sample is inside of it, and what one to the
-        // right, and one down, adds.
+        // For each edge: a value that is at least 0 if the first sample is inside, and its
+        // increments to the right and down.
         let edge = |p: Corner, q: Corner| {
             let [x, y] = across(p, q);
             [turn_of([left, top], p, q, 1), -y * i64::from(STEPS), x * i64::from(STEPS)]
@@ -290,9 +292,9 @@ impl Raster {
                     entered = true;
                     let near = a.near + (in_b as f32 * b_near + in_c as f32 * c_near) * share;
                     let near = near.clamp(least, most);
-                    // Of those that are equally near, the first.
+                    // Among equally near triangles, the first one wins.
                     let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
-                    // Sums may exceed their range in between: they come back.
+                    // Intermediate sums may overflow; the final sum does not.
                     let way = (leaves / near * self.way_steps) as i64 as i32;
                     put(row + x as usize, key, way);
                 } else if entered {
@@ -314,15 +316,15 @@ fn across(p: Corner, q: Corner) -> [i64; 2] {
     [i64::from(q.at[0]) - i64::from(p.at[0]), i64::from(q.at[1]) - i64::from(p.at[1])]
 }
 
-/// Twice the area of a triangle: less than 0 where it turns counterclockwise.
+/// Twice the area of a triangle; negative if it is counterclockwise.
 #[inline(always)]
 fn area([a, b, c]: [Corner; 3]) -> i64 {
     let ([x, y], [u, v]) = (across(a, b), across(a, c));
     x * v - y * u
 }
 
-/// Twice the area between an edge and a sample, less one where a sample on the edge is not inside:
-/// of an edge that is turned round by -1.
+/// Twice the area between an edge and a sample, minus one if a sample on the edge is outside.
+/// `turn` of -1 reverses the edge.
 #[inline(always)]
 fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     let [x, y] = across(p, q);
@@ -336,7 +338,7 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
-    // What is beside the picture is between two samples that are not there, and nothing is less
+    // Places beside the picture are between two samples that do not exist, and no result is less
     // than 1.
     (half.clamp(-1, 2 * samples - 1) + 2) as u16
 }
@@ -347,17 +349,16 @@ fn placed([a, b, c]: [Corner; 3]) -> bool {
     a.near.min(b.near).min(c.near) > 0.0
 }
 
-/// The first and the last of the samples along an axis, of those given, that are between the
-/// outermost corners.
+/// The first and last sample along an axis, within the given range, between the outermost corners.
 #[inline(always)]
 fn samples(corners: [Corner; 3], axis: usize, of: &Range<i32>) -> [i32; 2] {
     let [a, b, c] = [corners[0].at[axis], corners[1].at[axis], corners[2].at[axis]];
     let (lo, hi) = (a.min(b).min(c), a.max(b).max(c));
-    // Samples are at whole multiples.
+    // Samples are at multiples of `STEPS`.
     [((lo + STEPS - 1) >> STEP_BITS).max(of.start), (hi >> STEP_BITS).min(of.end - 1)]
 }
 
-/// Corners of the smallest task.
+/// Minimum number of corners per task.
 const LEAST: usize = 1 << 9;
 
 /// A raster, and the camera whose view is drawn on it.
@@ -368,7 +369,7 @@ pub(super) struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
-    /// A place on the picture, and the halves that it is in.
+    /// A place on the picture, and its half samples.
     #[inline(always)]
     fn corner(&self, place: [f64; 3]) -> (Corner, u64) {
         let corner = self.raster.corner(self.camera.seen(place.into()));
@@ -377,26 +378,27 @@ impl Canvas<'_> {
     }
 }
 
-/// How many views are drawn at once: the eye's and the sun's.
+/// Number of views that are drawn at once: eye and sun.
 pub(super) const VIEWS: usize = 2;
 
-/// Corners on the pictures, kept from one batch to the next for their memory.
+/// Corners on the pictures; the buffer is reused between batches.
 pub(super) struct Corners {
     pub(super) at: Vec<[Corner; VIEWS]>,
-    /// The [halves](Raster::halves) that each is in, 16 bits an axis, the eye's in the higher ones.
+    /// The [half samples](Raster::halves) of each corner, 16 bits per axis, with the eye's in the
+    /// higher bits.
     pub(super) halves: Vec<u64>,
 }
 
 impl Corners {
-    /// Bytes of one.
+    /// Bytes per corner.
     pub(super) const BYTES: u64 = (size_of::<[Corner; VIEWS]>() + size_of::<u64>()) as u64;
 
-    /// An empty list with room for `count`.
+    /// An empty list with capacity for `count`.
     pub(super) fn with_room(count: usize) -> Self {
         Self { at: empty_in_huge_pages(count), halves: empty_in_huge_pages(count) }
     }
 
-    /// Puts places on the pictures.
+    /// Projects places onto the pictures.
     pub(super) fn put(&mut self, [eye, sun]: [Canvas<'_>; VIEWS], places: &[[f64; 3]]) {
         let of = |&place: &[f64; 3]| {
             let (eye_corner, eye_halves) = eye.corner(place);

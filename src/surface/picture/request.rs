@@ -172,13 +172,13 @@ impl Picture {
     }
 
     /// Sets the memory limit, unless it is set.
-    pub(crate) fn memory_unless_said(mut self, bytes: u64) -> Self {
+    pub(crate) fn memory_unless_set(mut self, bytes: u64) -> Self {
         self.memory = self.memory.or(Some(bytes));
         self
     }
 
     /// Sets the axis that points up, unless it is set.
-    pub(crate) fn up_unless_said(mut self, up: impl FnOnce() -> UpAxis) -> Self {
+    pub(crate) fn up_unless_set(mut self, up: impl FnOnce() -> UpAxis) -> Self {
         self.up = self.up.or_else(|| Some(up()));
         self
     }
@@ -198,25 +198,25 @@ impl Picture {
 
 /// Memory for a mesh.
 pub(super) enum Memory {
-    /// Room for the whole mesh, whatever it takes.
+    /// The whole mesh.
     Whole,
     /// At most batches of this many bytes.
     Batches(u64),
 }
 
-/// The memory limit, and the part of it that is used.
+/// The memory limit and the used bytes.
 pub(super) struct Budget {
     used: u64,
     allowed: u64,
 }
 
 impl Budget {
-    /// Takes a part of the bytes that may be used.
+    /// Starts with `used` bytes.
     pub(super) fn new(used: u64, allowed: u64) -> Self {
         Self { used, allowed }
     }
 
-    /// Checks that `bytes` more may be used.
+    /// Checks that `bytes` more are available.
     pub(super) fn check(&self, bytes: u64) -> Result<(), PictureError> {
         let Self { used, allowed } = *self;
         let needed = used + bytes;

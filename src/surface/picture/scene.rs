@@ -1,5 +1,4 @@
-//! The light of every pixel: what is seen there, how much of the sun gets to it, and what is behind
-//! it.
+//! The light of every pixel: the visible surface, the sunlight on it, and the light behind it.
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 
@@ -13,21 +12,20 @@ use super::request::{Effort, Picture};
 use super::sun::Sunlight;
 use super::visible::{Edges, Visible};
 
-/// Samples along the edge of a pixel, at the most.
+/// Maximum number of samples along the edge of a pixel.
 const FINEST: usize = 2;
-/// Samples along an edge of the sun's view: of large pictures, and of those of no more rows than
-/// that.
+/// Samples along an edge of the sun's view: for large pictures, and for those with at most that
+/// many rows.
 const SUN_SAMPLES: usize = 1024;
 const SMALL: usize = 400;
-/// Where the floor ends in the backdrop, in radii from the middle.
+/// Range over which the floor fades into the backdrop, in radii from the middle.
 const FLOOR: [f32; 2] = [2.0, 7.0];
-/// Samples of a pixel are lit as one where their distances differ by less.
+/// Samples of a pixel are lit as one if their distances differ by less.
 const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
 
-/// How many samples a picture takes along edges: of a pixel, of the sun's view, and of what a
-/// shadow in it is blurred over.
+/// Numbers of samples along edges: of a pixel, of the sun's view, and of the blur of its shadows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Samples {
     pub(super) of_pixel: usize,
@@ -36,7 +34,7 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// The numbers for a picture with `rows`.
+    /// The numbers for a picture with `rows` rows.
     pub(super) fn new(effort: Effort, rows: usize) -> Self {
         let of_sun = if rows <= SMALL { SUN_SAMPLES / 2 } else { SUN_SAMPLES };
         match effort {
@@ -46,7 +44,7 @@ impl Samples {
     }
 }
 
-/// All that decides the light of a pixel.
+/// The data for the light of a pixel.
 pub(super) struct Scene<'a> {
     picture: &'a Picture,
     camera: &'a Camera,
@@ -57,7 +55,7 @@ pub(super) struct Scene<'a> {
     sun: &'a Sunlight,
     world: DMat3,
     middle: DVec3,
-    /// Radii of the scene in a unit of the raster.
+    /// Conversion from units of the raster to radii of the scene.
     radii: f32,
     /// Height of the floor, if there is one.
     floor: Option<f64>,
@@ -65,7 +63,7 @@ pub(super) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// A picture's view of what was drawn on its raster, and on the sun's.
+    /// Prepares a picture from its raster and the sun's raster.
     pub(super) fn new(
         picture: &'a Picture,
         [lo, hi]: Bounds,
@@ -83,7 +81,7 @@ impl<'a> Scene<'a> {
         Self { picture, camera, raster, finer, visible, sun, world, middle, radii, floor, palette }
     }
 
-    /// The light of a pixel: the mean of its samples'.
+    /// The light of a pixel: the mean over its samples.
     pub(super) fn pixel(&self, x: usize, y: usize) -> Vec3 {
         let finer = self.finer;
         let of_sample = |i: usize| {
@@ -115,16 +113,15 @@ impl<'a> Scene<'a> {
             return self.light_exactly(&sum, middle);
         }
         let lights = surfaces.map(|(surface, sample, towards)| match sample {
-            // Samples are averaged as they will be shown, so that a glint does not eat the edge
-            // beside it.
+            // Samples are averaged after clipping, so that a bright highlight does not hide the
+            // edge beside it.
             Some(_) => self.light_exactly(&surface, towards).min(Vec3::ONE),
             None => self.behind(self.camera.eye, self.direction(towards)),
         });
         lights.sum::<Vec3>() * share
     }
 
-    /// The direction in which a place of the picture is seen, in the axes right, up and towards of
-    /// the world.
+    /// The direction of a place on the picture, in the axes right, up and towards the viewer.
     fn direction(&self, towards: Vec2) -> Vec3 {
         self.shown(towards).normalize()
     }
@@ -133,14 +130,14 @@ impl<'a> Scene<'a> {
         (self.world.transpose() * self.camera.towards(towards.x.into(), towards.y.into())).as_vec3()
     }
 
-    /// The surface that is seen at a sample.
+    /// The visible surface at a sample.
     fn surface(&self, sample: Sample, towards: Vec2) -> Surface {
         let spot = self.visible.spot(sample.triangle, towards);
         let rows = (self.raster.height / self.finer) as f32;
         let inked = self.picture.wireframe.then(|| {
             let Edges { nearest, radius } = self.visible.edges(sample.triangle, towards);
             let [nearest, radius] = [nearest, radius].map(|heights| heights * rows);
-            // Of triangles that are smaller than their wires, the wires fade.
+            // Wires fade on triangles that are smaller than the wires.
             (0.5 * WIRE + 0.5 - nearest).clamp(0.0, 1.0) * (radius / WIRE).min(1.0)
         });
         Surface {
@@ -152,34 +149,33 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The light of a pixel of one sample, drawn quickly: of light from behind the fluid, which is
-    /// not bent in it.
+    /// The light of a pixel with one sample, without refraction of the light from behind the fluid.
     pub(super) fn sketched(&self, x: usize, y: usize, behind: Vec3) -> Vec3 {
         let Some(sample) = self.raster.sample(y * self.raster.width + x) else { return behind };
         let towards = self.at(x as f32 + 0.5, y as f32 + 0.5);
         self.light(&self.surface(sample, towards), towards, quick_exp, |_, _| behind)
     }
 
-    /// The light of a pixel as it is without the fluid.
+    /// The light of a pixel without the fluid.
     pub(super) fn empty(&self, x: usize, y: usize) -> Vec3 {
         let half = 0.5 * self.finer as f32;
         let middle = self.at((self.finer * x) as f32 + half, (self.finer * y) as f32 + half);
         self.behind(self.camera.eye, self.direction(middle))
     }
 
-    /// The place of a sample on the picture: to the right and up in heights from the middle.
+    /// The place of a sample on the picture: to the right and up from the middle in heights.
     fn at(&self, x: f32, y: f32) -> Vec2 {
         let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
         Vec2::new((x - width / 2.0) / height, 0.5 - y / height)
     }
 
-    /// The light of a surface, on a line of sight, with all that is bent in it.
+    /// The light of a surface on a line of sight, with refraction.
     fn light_exactly(&self, surface: &Surface, towards: Vec2) -> Vec3 {
         self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
     }
 
-    /// The light of a surface, on a line of sight; `exp` is the exponential function, and `behind`
-    /// the light from behind the fluid, to a place from a direction.
+    /// The light of a surface on a line of sight; `exp` is the exponential function, and `behind`
+    /// returns the light from behind the fluid at a place from a direction.
     fn light(
         &self,
         surface: &Surface,
@@ -204,7 +200,7 @@ impl<'a> Scene<'a> {
         if surface.inked > 0.0 { wire(light, surface.inked) } else { light }
     }
 
-    /// The light from behind all fluid: of the floor and the backdrop.
+    /// The light from behind the fluid: the floor and the backdrop.
     fn behind(&self, from: DVec3, direction: Vec3) -> Vec3 {
         let Some(floor) = self.floor else { return backdrop(direction) };
         let above = self.world.y_axis.dot(from) - floor;
@@ -227,16 +223,16 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// A surface that light falls on.
+/// A lit surface.
 #[derive(Debug, Clone, Copy, Default)]
 struct Surface {
-    /// One over the distance, in units of the eye's.
+    /// The inverse distance, in units of the eye's distance.
     near: f32,
     /// Not of unit length.
     normal: Vec3,
     value: f32,
     through: f32,
-    /// The share that wires cover.
+    /// The fraction that wires cover.
     inked: f32,
 }
 

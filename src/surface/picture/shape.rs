@@ -1,5 +1,4 @@
-//! A mesh as drawing wants it: in memory as a whole, or in batches of triangles that are read again
-//! for each pass.
+//! A mesh for drawing: in memory, or in batches of triangles that are read again for each pass.
 
 use std::borrow::Cow;
 use std::io;
@@ -20,32 +19,32 @@ use super::request::Memory;
 use super::request::PictureError;
 use super::request::Scope;
 
-/// Bytes of a vertex that is kept: its place, and its corner in each view while it is drawn.
+/// Bytes per vertex in memory: its position, and its corner in each view during drawing.
 pub(super) const VERTEX_BYTES: u64 = size_of::<[f64; 3]>() as u64 + Corners::BYTES;
 pub(super) const TRIANGLE_BYTES: u64 = size_of::<[u32; 3]>() as u64;
-/// Bytes of a triangle of a batch whose corners are no other's.
+/// Bytes per triangle of a batch without shared corners.
 const BATCH_BYTES: u64 = TRIANGLE_BYTES + 3 * VERTEX_BYTES;
-/// Triangles of the smallest batch: of a piece, and what is read beside it.
+/// Minimum number of triangles per batch: one piece with its vertices.
 pub(super) const LEAST_BATCH: u64 = 1 << 17;
 pub(super) const LEAST_BATCH_BYTES: u64 = LEAST_BATCH * BATCH_BYTES;
-/// Pieces that each thread reads before they are put together.
+/// Number of pieces that each thread reads before they are joined.
 const PIECES: usize = 16;
 
-/// Places of a task.
+/// Positions per task.
 const PLACES: usize = 1 << 12;
 
-/// A mesh, its box and the range of its values.
+/// A mesh with its bounding box and its range of values.
 pub(super) struct Shape<'a> {
     pub(super) mesh: &'a dyn MeshSource,
     pub(super) scope: Scope,
-    /// The number of the first vertex of each piece, and of all vertices.
+    /// The number of the first vertex of each piece, and the total.
     firsts: Vec<u32>,
     kept: Option<Kept<'a>>,
-    /// Triangles of a batch, of a mesh that is not kept.
+    /// Triangles per batch of a mesh that is not in memory.
     batch: usize,
 }
 
-/// All of a mesh.
+/// A whole mesh in memory.
 struct Kept<'a> {
     places: Cow<'a, [[f64; 3]]>,
     normals: Vec<[f32; 3]>,
@@ -53,19 +52,19 @@ struct Kept<'a> {
     triangles: Vec<[u32; 3]>,
 }
 
-/// Triangles of a mesh, and all of their corners.
+/// Triangles of a mesh with all of their corners.
 pub(super) struct Batch<'a> {
     /// The number of the first triangle.
     pub(super) first: u32,
     /// Corners by their numbers in the mesh.
     pub(super) triangles: &'a [[u32; 3]],
     pub(super) places: &'a [[f64; 3]],
-    /// The vertices whose places these are; `None` for all of the mesh.
+    /// The vertices of the positions; `None` for all vertices.
     held: Option<Ranked>,
 }
 
 impl Batch<'_> {
-    /// Where the place of a vertex is, if it is here.
+    /// The index of the position of a vertex, if it is here.
     #[inline]
     pub(super) fn find(&self, vertex: u32) -> Option<usize> {
         match &self.held {
@@ -74,7 +73,7 @@ impl Batch<'_> {
         }
     }
 
-    /// The place of a corner.
+    /// The index of the position of a corner.
     #[inline]
     pub(super) fn index(&self, corner: u32) -> usize {
         self.find(corner).expect("a batch has its triangles' corners")
@@ -82,7 +81,7 @@ impl Batch<'_> {
 }
 
 impl<'a> Shape<'a> {
-    /// Reads the vertices of a mesh, and its triangles if all are kept.
+    /// Reads the vertices of a mesh, and its triangles if everything fits the memory.
     pub(super) fn read(
         mesh: &'a dyn MeshSource,
         kind: &Values<'_>,
@@ -168,32 +167,32 @@ impl<'a> Shape<'a> {
         Ok(Self { mesh, scope, firsts, kept: keep.then_some(kept), batch })
     }
 
-    /// How many vertices there are.
+    /// Number of vertices.
     pub(super) fn vertices(&self) -> u32 {
         self.firsts[self.firsts.len() - 1]
     }
 
-    /// How many vertices a batch has, where that is known.
+    /// Maximum number of vertices in a batch, if known.
     pub(super) fn most_corners(&self) -> usize {
         self.kept.as_ref().map_or(0, |kept| kept.places.len())
     }
 
-    /// The normals of all vertices, where they have any and are in memory.
+    /// The normals of all vertices, if they have any and are in memory.
     pub(super) fn kept_normals(&self) -> Option<&[[f32; 3]]> {
         self.kept.as_ref().map(|kept| &kept.normals[..])
     }
 
-    /// The values of all vertices, where they are in memory.
+    /// The values of all vertices, if they are in memory.
     pub(super) fn kept_values(&self) -> Option<&[f32]> {
         self.kept.as_ref().map(|kept| &kept.values[..])
     }
 
-    /// The vertices of each piece.
+    /// The range of vertices of each piece.
     pub(super) fn pieces(&self) -> impl Iterator<Item = Range<u32>> + '_ {
         self.firsts.windows(2).map(|ends| ends[0]..ends[1])
     }
 
-    /// Passes all triangles on, with the places of their corners.
+    /// Passes on all triangles, with the positions of their corners.
     pub(super) fn batches(
         &self,
         mut pass: impl FnMut(&Batch<'_>) -> Result<(), PictureError>,
@@ -212,7 +211,7 @@ impl<'a> Shape<'a> {
         })
     }
 
-    /// Passes all triangles on: the number of the first, and their corners.
+    /// Passes on all triangles: the number of the first, and their corners.
     pub(super) fn triangles(
         &self,
         mut pass: impl FnMut(u32, &[[u32; 3]]) -> Result<(), PictureError>,
@@ -239,7 +238,7 @@ impl<'a> Shape<'a> {
         if triangles.is_empty() { Ok(()) } else { pass(first, &triangles) }
     }
 
-    /// The places of the corners of triangles.
+    /// The positions of the corners of triangles.
     fn places_of(&self, triangles: &[[u32; 3]]) -> io::Result<(Ranked, Vec<[f64; 3]>)> {
         let range = triangles
             .par_iter()
@@ -270,8 +269,8 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// Puts what pieces have one after the other, on several threads, into a whole from a place on;
-/// returns the place behind.
+/// Copies the data of pieces, on several threads, into one array from a position on; returns the
+/// end.
 fn put<P: Sync, T: Copy + Send + Sync>(
     into: &mut [T],
     first: usize,
@@ -291,10 +290,10 @@ fn put<P: Sync, T: Copy + Send + Sync>(
     end
 }
 
-/// The box around what can be seen.
+/// The bounding box of the visible positions.
 fn box_of(places: &[[f64; 3]]) -> Option<Bounds> {
     let none = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-    // Without branches: what cannot be seen counts as none.
+    // Without branches: invisible positions are replaced by neutral ones.
     let found = places.iter().fold(none, |[lo, hi], place| {
         let sound = place.iter().fold(true, |sound, x| sound & (x.abs() <= FARTHEST));
         let place = |none: f64| place.map(|x| if sound { x } else { none });
@@ -303,7 +302,7 @@ fn box_of(places: &[[f64; 3]]) -> Option<Bounds> {
     (found[0][0] <= found[1][0]).then_some(found)
 }
 
-/// Triangles of a piece; those that name vertices which there are not have no area.
+/// Triangles of a piece; those with missing vertices become degenerate.
 fn triangles_of(mesh: &dyn MeshSource, piece: usize, vertices: u64) -> io::Result<Vec<[u32; 3]>> {
     let triangles = mesh.triangles(piece)?.into_iter();
     let sound = |corners: [u64; 3]| match corners.iter().all(|&corner| corner < vertices) {

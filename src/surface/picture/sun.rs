@@ -1,5 +1,4 @@
-//! The sun's light on and under the fluid, by a view of it from the sun (a shadow map, Williams
-//! 1978).
+//! Sunlight on and below the fluid, from a view of the sun (a shadow map, Williams 1978).
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -10,18 +9,18 @@ use super::camera::{Camera, ball};
 use super::light::SUN;
 use super::raster::Raster;
 
-/// Distance of the sun's eye in radii: far enough for its rays to be parallel nearly.
+/// Distance of the sun's eye in radii, far enough for almost parallel rays.
 const SUN_FAR: f64 = 40.0;
-/// How fast sunlight dies in water, over the radius of the scene, and how thin a layer casts no
-/// shadow on itself.
+/// Absorption of sunlight in water over the radius of the scene, and the thickness of a layer that
+/// casts no shadow on itself.
 const SUN_TAKEN: f32 = 5.0;
 const SKIN: f32 = 0.012;
 
-/// The sun's view of the fluid, which tells how far its light gets.
+/// The sun's view of the fluid.
 pub(super) struct Sun {
     pub(super) camera: Camera,
     pub(super) raster: Raster,
-    /// Radii of the scene in a unit of the raster.
+    /// Conversion from units of the raster to radii of the scene.
     radii: f32,
 }
 
@@ -35,7 +34,7 @@ impl Sun {
         Self { camera, raster, radii: SUN_FAR as f32 }
     }
 
-    /// Tells how far light gets, now that the fluid is drawn.
+    /// Computes the sunlight after the fluid is drawn.
     ///
     /// Shadows are blurred over `blurred` samples along an edge.
     pub(super) fn light(self, blurred: usize) -> Sunlight {
@@ -57,18 +56,18 @@ impl Sun {
     }
 }
 
-/// The sun's light on and under the fluid.
+/// Sunlight on and below the fluid.
 pub(super) struct Sunlight {
     camera: Camera,
     /// Samples along an edge of its view.
     samples: usize,
-    /// Samples along an edge that a shadow is blurred over.
+    /// Samples along an edge of a shadow's blur.
     blurred: usize,
     radii: f32,
-    /// For each sample the distance of the surface, in units of the camera's; infinite where there
-    /// is none.
+    /// For each sample, the distance of the surface, in units of the camera's distance; infinite if
+    /// there is none.
     distances: Vec<f32>,
-    /// For each sample the share of the light that gets through all of the fluid.
+    /// For each sample, the fraction of the light that passes through all of the fluid.
     below: Vec<f32>,
 }
 
@@ -78,8 +77,7 @@ impl Sunlight {
         (samples * samples * 2 * size_of::<f32>()) as u64
     }
 
-    /// The share of the sun's light that gets to a place in the fluid; `exp` is the exponential
-    /// function.
+    /// The fraction of the sunlight at a place in the fluid; `exp` is the exponential function.
     pub(super) fn within(&self, place: DVec3, exp: impl Fn(f32) -> f32) -> f32 {
         self.mean(place, &self.distances, |surface, distance| {
             let water = (distance - surface) * self.radii - SKIN;
@@ -87,12 +85,12 @@ impl Sunlight {
         })
     }
 
-    /// The share of the sun's light that gets to a place on the ground.
+    /// The fraction of the sunlight at a place on the ground.
     pub(super) fn below(&self, place: DVec3) -> f32 {
         self.mean(place, &self.below, |share, _| share)
     }
 
-    /// The mean of what the samples around a place say of its distance.
+    /// The mean over the samples around a place.
     fn mean(&self, place: DVec3, of: &[f32], share: impl Fn(f32, f32) -> f32) -> f32 {
         let [x, y, distance] = self.camera.seen(place);
         let side = self.samples as f64;

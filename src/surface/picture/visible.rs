@@ -1,5 +1,5 @@
-//! The visible part of a mesh: triangles that are seen at any sample, and for their corners where
-//! they are seen, normals and values.
+//! The visible part of a mesh: triangles that are visible at any sample, and the positions, normals
+//! and values of their corners.
 
 use std::io;
 
@@ -14,23 +14,23 @@ use super::request::Budget;
 use super::request::PictureError;
 use super::shape::{Batch, Shape};
 
-/// Triangles of a task.
+/// Triangles per task.
 const TASK: usize = 1 << 13;
-/// Shares of the corners, of each of which one thread adds up the normals.
+/// Number of groups of corners. One thread sums the normals of each group.
 const SHARES: usize = 16;
-/// The rank of a corner that is not seen.
+/// The rank of an invisible corner.
 const UNSEEN: u32 = u32::MAX;
 
-/// The triangles that are seen, and their corners.
+/// The visible triangles and their corners.
 pub(super) struct Visible {
     triangles: Ranked,
     corners: Vec<[u32; 3]>,
     /// To the right and up from the middle in heights times the distance, and the distance, in
-    /// units of the eye's.
+    /// units of the eye's distance.
     seen: Vec<[f32; 3]>,
     /// Unit vectors, or zeros.
     normals: Vec<Vec3>,
-    /// None where no values are shown.
+    /// Empty if no values are shown.
     values: Vec<f32>,
 }
 
@@ -41,21 +41,21 @@ pub(super) struct Spot {
     pub(super) value: f32,
 }
 
-/// The edges of a triangle around a place on it.
+/// The edges of a triangle near a place on it.
 pub(super) struct Edges {
-    /// From the nearest edge, in heights of the picture.
+    /// Distance from the nearest edge, in heights of the picture.
     pub(super) nearest: f32,
-    /// The radius of the circle within the triangle, in heights of the picture.
+    /// The radius of the inscribed circle, in heights of the picture.
     pub(super) radius: f32,
 }
 
 impl Visible {
-    /// Bytes of a triangle that is seen, while normals are added up too, and of a corner.
+    /// Bytes per visible triangle, while normals are summed, and per corner.
     pub(super) const TRIANGLE_BYTES: u64 =
         (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
     pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
 
-    /// Gathers what is seen of a mesh on a raster, on which it was drawn.
+    /// Collects the visible part of a mesh after it was drawn on a raster.
     pub(super) fn of(
         raster: &Raster,
         shape: &Shape<'_>,
@@ -115,7 +115,7 @@ impl Visible {
         Ok(visible)
     }
 
-    /// Sets the normals and the values that vertices carry.
+    /// Sets the normals and the values of the vertices.
     fn carried(
         &mut self,
         shape: &Shape<'_>,
@@ -156,8 +156,8 @@ impl Visible {
         Ok(())
     }
 
-    /// The place on a triangle that is seen in a direction: to the right and up in heights from the
-    /// middle.
+    /// The place on a triangle that is visible in a direction: to the right and up from the middle
+    /// in heights.
     pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> Spot {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
@@ -176,7 +176,7 @@ impl Visible {
         Spot { normal: weighted(0) + weighted(1) + weighted(2), value }
     }
 
-    /// The edges of a triangle around the place on it that is seen in a direction.
+    /// The edges of a triangle near the place that is visible in a direction.
     pub(super) fn edges(&self, triangle: u32, towards: Vec2) -> Edges {
         let (_, distances, from_line) = self.around(triangle, towards);
         let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / distances[n]);
@@ -189,8 +189,8 @@ impl Visible {
         Edges { nearest, radius }
     }
 
-    /// The corners of a triangle, their distances, and how far they are from a line of sight at
-    /// those.
+    /// The corners of a triangle, their distances, and their offsets from a line of sight at those
+    /// distances.
     fn around(&self, triangle: u32, towards: Vec2) -> ([usize; 3], [f32; 3], [Vec2; 3]) {
         let [a, b, c] = self.corners[rank(&self.triangles, triangle) as usize];
         let corners = [a as usize, b as usize, c as usize];
@@ -201,23 +201,23 @@ impl Visible {
     }
 }
 
-/// The normal of a triangle by its area, and the ranks of the corners that it is added to.
+/// The area-weighted normal of a triangle, and the ranks of the corners to which it is added.
 type Addition = ([u32; 3], Vec3);
 
-/// Adds the normals of triangles, by their areas, to those of their corners that are seen: in the
-/// order of the triangles.
+/// Adds the area-weighted normals of triangles to their visible corners, in the order of the
+/// triangles.
 fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [Vec3]) {
     let share = normals.len().div_ceil(SHARES).max(1);
     let scale = 1.0 / unit;
-    // For each task the triangles that add to each share, by the ranks of their corners; most add
-    // to one share only.
+    // For each task, the triangles that contribute to each group, by the ranks of their corners.
+    // Most contribute to one group only.
     let additions: Vec<[Vec<Addition>; SHARES]> = batch
         .triangles
         .par_chunks(TASK)
         .map(|triangles| {
             let mut additions: [Vec<_>; SHARES] = Default::default();
             for &[a, b, c] in triangles {
-                // Most triangles of a fine mesh are not near any that is seen.
+                // Most triangles of a fine mesh have no visible corner.
                 if !(vertices.contains(a) | vertices.contains(b) | vertices.contains(c)) {
                     continue;
                 }

@@ -1,53 +1,54 @@
-//! Collapses edges as long as the surface stays within the distance.
+//! Collapses edges while the surface stays within the tolerance.
 //!
-//! A vertex goes onto a neighbour, the least quadric error first (Garland and Heckbert, Surface
+//! A vertex moves onto a neighbour, in the order of quadric errors (Garland and Heckbert, Surface
 //! simplification using quadric error metrics, 1997), if the mesh stays a 2-manifold there (Dey et
 //! al., Topology preserving edge contraction, 1999), no triangle turns over or becomes a sliver,
-//! and what changes stays near, both ways.
+//! and the distances between both surfaces stay within the tolerance, in both directions.
 //!
-//! Every vertex of the reference that is gone has a closest triangle, which is near enough. When
-//! triangles change, those that they were closest to must find new ones among them. What lies
-//! between two vertices that one triangle is near to, it is near to as well, for triangles are
-//! convex; elsewhere it is halved.
+//! Every removed vertex of the reference has a closest triangle within the tolerance. When
+//! triangles change, the vertices for which they were closest must find new ones among them. If one
+//! triangle is close to two vertices, it is also close to the segment between them, because
+//! triangles are convex; other segments are bisected.
 
 use glam::{Vec3A, Vec4};
 
 use super::surface::{Edge, Incident, NONE, Outgoing, Spot, Surface, scaled_normal, squared_near};
 use super::surface::{Outside, Topology};
 
-/// The share of the distance that a sample may take: the rest is for what lies between samples.
+/// The fraction of the distance that samples may use; the rest is for the surface between samples.
 const SAMPLE_SHARE: f32 = 0.93;
-/// Maximum distance of samples along an edge, in cells. There are more around an uncertain one.
+/// Maximum distance of samples along an edge, in cells. Uncertain edges have more samples.
 const SAMPLE_STEP: f32 = 0.5;
-const DOUBT_SHARE: f32 = 0.4;
+const UNCERTAIN_SHARE: f32 = 0.4;
 const FINE: i32 = 4;
-/// Nothing between two vertices is looked at if each takes no more than this share of the distance,
-/// and the cosine between the normals of their closest triangles is not less.
+/// The segment between two vertices is not checked if both use at most this fraction of the
+/// distance, and the cosine between the normals of their closest triangles is not less than
+/// `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// Where this was so all around a vertex, nobody looks again until its closest triangle has turned
-/// by more, as a cosine.
+/// If this held for all segments around a vertex, they are not checked again until its closest
+/// triangle has turned by more than this cosine.
 const STEADY: f32 = 0.98;
-/// How often what lies between two vertices is halved.
+/// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
-/// Collapses with a mean error of more than this share of the distance are not tried.
+/// Collapses with a mean error above this fraction of the distance are not tried.
 const QUADRIC_SHARE: f32 = 0.9;
-/// No triangle turns by more, as a cosine.
+/// Maximum rotation of a triangle, as a cosine.
 const TURN: f32 = 0.2;
-/// Two triangles fold back on each other when the cosine between their normals is below this: 170
+/// Two triangles fold back on each other if the cosine between their normals is below this: 170
 /// degrees.
 const FOLD: f32 = -0.985;
-/// A triangle is a sliver when the squared sine of its least angle is less: 10 degrees.
+/// A triangle is a sliver if the squared sine of its smallest angle is less: 10 degrees.
 const SLIVER: f32 = 0.03;
-/// A closed part of no more triangles keeps so large a share of its volume with every collapse: one
+/// Maximum number of triangles of a closed part whose volume is checked with every collapse: a part
 /// that is smaller than the distance could vanish or turn inside out.
 const SMALL: usize = 16;
 const KEPT: f32 = 0.5;
 
-/// The reference surface and the limits that the collapses of a patch are checked against.
+/// The reference surface and the limits for the collapses in a patch.
 pub struct Measure<'a> {
     pub topology: &'a Topology,
-    /// The surface that the result must not leave.
+    /// The surface within whose tolerance the result must stay.
     pub reference: &'a Surface<'a>,
     /// The edges of the reference.
     pub outgoing: &'a Outgoing,
@@ -56,8 +57,8 @@ pub struct Measure<'a> {
     pub distance: f32,
 }
 
-/// Finds closest triangles on `surface` for the vertices of `reference` that it does not have, from
-/// one that has one to the next.
+/// Finds closest triangles on `surface` for the vertices of `reference` that it does not have,
+/// starting each search from a neighbour's result.
 pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A], distance: f32) {
     let lacks = |surface: &Surface, corners: &[u32; 3]| {
         corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE)
@@ -90,26 +91,26 @@ pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A],
                     found_some = true;
                 }
             }
-            // Others may know better, but each is asked but once.
+            // Other neighbours might give a better result, but each is tried only once.
             false
         });
     }
 }
 
-/// Squared distances from planes, weighted, as seen from a vertex: a cache line.
+/// A weighted sum of squared distances from planes, relative to a vertex. Fits a cache line.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 struct Quadric {
-    /// Columns of a matrix. The last of the first is the weight.
+    /// Columns of a matrix. The last element of the first is the weight.
     planes: [Vec4; 3],
-    /// The last is the constant.
+    /// The last element is the constant.
     linear: Vec4,
 }
 
 impl Quadric {
     const NONE: Self = Self { planes: [Vec4::ZERO; 3], linear: Vec4::ZERO };
 
-    /// Builds the quadric of a plane through the vertex, by a normal as long as its weight.
+    /// The quadric of a plane through the vertex; the length of the normal is the weight.
     fn of_plane(normal: Vec3A) -> Self {
         let weight = normal.length();
         let unit = normal.normalize_or_zero();
@@ -125,7 +126,7 @@ impl Quadric {
         self.planes[0].w
     }
 
-    /// The first three are the matrix times `offset`.
+    /// The first three elements are the matrix times `offset`.
     fn times(&self, offset: Vec3A) -> Vec4 {
         let [x, y, z] = self.planes;
         x * offset.x + y * offset.y + z * offset.z
@@ -135,7 +136,7 @@ impl Quadric {
         Vec3A::from_vec4(self.times(offset) + 2.0 * self.linear).dot(offset) + self.linear.w
     }
 
-    /// Returns the quadric as seen from a vertex at `offset`.
+    /// The quadric relative to a vertex at `offset`.
     fn moved(&self, offset: Vec3A) -> Self {
         let linear = self.linear + self.times(offset);
         Self { linear: linear.with_w(self.at(offset).max(0.0)), ..*self }
@@ -147,37 +148,38 @@ impl Quadric {
     }
 }
 
-/// In progress.
+/// State of a simplification.
 struct Work<'a, 'b> {
     by: &'b Measure<'a>,
     surface: Surface<'a>,
-    /// For each triangle one of those whose closest triangle it is, and for each of these the next.
+    /// For each triangle, a list of the vertices for which it is closest: the first one, and for
+    /// each vertex the next.
     first: Vec<u32>,
     next: Vec<u32>,
-    /// For each vertex that is gone the normal of its closest triangle when nothing around it
-    /// needed a look, or zero.
+    /// For each removed vertex, the normal of its closest triangle when no segment around it needed
+    /// a check, or zero.
     calm: Vec<Vec3A>,
-    /// Vertices at the other ends of what was looked at: they are calm no more.
+    /// Vertices at the other ends of checked segments, which need checks again.
     looked_at: Vec<u32>,
     quadrics: Vec<Quadric>,
-    /// For each vertex its least error and where to, or `NONE` where that is to be found.
+    /// For each vertex, its smallest error and its target, or `NONE` if they must be computed.
     best: Vec<(f32, u32)>,
     /// Vertices whose neighbourhood has changed.
     changed: Vec<u32>,
     is_changed: Vec<bool>,
     ring: Vec<Incident>,
     order: Vec<(f32, u32)>,
-    /// The triangles that are to be, and their normals.
+    /// The new triangles and their normals.
     parts: Vec<([Vec3A; 3], Vec3A)>,
-    /// The first triangles from one on.
+    /// The first triangles of a search.
     near: Vec<u32>,
     moved: Vec<Moved>,
-    /// For each vertex the last mark that it got, to be told from others without clearing.
+    /// For each vertex, its last mark; a new number makes all old marks invalid.
     marks: Vec<u32>,
     mark: u32,
 }
 
-/// A vertex that is gone, and its closest triangle before and after.
+/// A removed vertex, with its closest triangle before and after.
 #[derive(Clone, Copy)]
 struct Moved {
     vertex: u32,
@@ -188,7 +190,7 @@ struct Moved {
 }
 
 impl<'a> Measure<'a> {
-    /// Collapses edges of `surface` except at vertices that are locked.
+    /// Collapses edges of `surface`, except at locked vertices.
     pub fn collapse(&self, surface: Surface<'a>, locked: &[bool]) -> Surface<'a> {
         let vertices = surface.positions.len();
         let mut work = Work {
@@ -226,7 +228,7 @@ impl<'a> Measure<'a> {
         work.surface
     }
 
-    /// Whether a sample is too far from the reference, of an edge whose triangles face this way.
+    /// Whether a sample of an edge is too far from the reference, for triangles that face this way.
     fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &Edge| edge.to == to || edge.before == to;
@@ -245,7 +247,7 @@ impl<'a> Measure<'a> {
             holder.is_some()
         };
         (1..steps).map(|step| step * 2 * FINE).any(|step| {
-            !within(at(step), DOUBT_SHARE)
+            !within(at(step), UNCERTAIN_SHARE)
                 && (step - FINE..=step + FINE).map(at).any(|sample| !within(sample, SAMPLE_SHARE))
         })
     }
@@ -266,7 +268,7 @@ impl Work<'_, '_> {
                     }
                     let (error, _) = self.best[vertex as usize];
                     if error <= limit {
-                        // Positive numbers sort as their bits do.
+                        // Positive floats have the order of their bits.
                         queue.push(u64::from(error.max(0.0).to_bits()) << 32 | u64::from(vertex));
                     }
                 }
@@ -274,7 +276,7 @@ impl Work<'_, '_> {
             self.changed.clear();
             queue.sort_unstable();
             for vertex in queue.drain(..).map(|entry| entry as u32) {
-                // Where something has changed nearby, there may be a better one next time.
+                // After a change nearby, there may be a better target next time.
                 if !self.is_changed[vertex as usize] {
                     self.try_vertex(vertex, limit);
                 }
@@ -291,7 +293,7 @@ impl Work<'_, '_> {
         quadric.at(self.position(to) - self.position(from)) / quadric.weight()
     }
 
-    /// The least error of a vertex, and where to.
+    /// The smallest error of a vertex, and its target.
     fn best_of(&self, vertex: u32) -> (f32, u32) {
         let rim = self
             .surface
@@ -303,7 +305,7 @@ impl Work<'_, '_> {
         )
     }
 
-    /// Collapses the best edge of a vertex that can be, if any.
+    /// Collapses the best valid edge of a vertex, if there is one.
     fn try_vertex(&mut self, vertex: u32, limit: f32) {
         let mut ring = std::mem::take(&mut self.ring);
         ring.clear();
@@ -332,7 +334,7 @@ impl Work<'_, '_> {
         self.ring = ring;
     }
 
-    /// Sees to what a collapse means for the vertices around it.
+    /// Marks the vertices around a collapse as changed.
     fn note_changes(&mut self, gone: u32, ring: &[Incident]) {
         let target = ring[0].rim;
         for &Incident { rim, .. } in ring {
@@ -351,7 +353,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Moves a vertex onto the first of its ring, if it can be.
+    /// Moves a vertex onto the first vertex of its ring, if that is valid.
     fn try_edge(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         let target = ring[0].rim;
         if !self.may_turn(target, ring)
@@ -396,7 +398,7 @@ impl Work<'_, '_> {
             std::mem::replace(&mut self.first[spot.triangle() as usize], vertex);
     }
 
-    /// Whether no triangle turns over, folds back or becomes a worse sliver than there were.
+    /// Whether no triangle turns over, folds back or becomes a worse sliver than before.
     fn may_turn(&mut self, target: u32, ring: &[Incident]) -> bool {
         let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD;
         let (place, mut from) = (self.position(target), self.position(ring[1].rim));
@@ -429,7 +431,7 @@ impl Work<'_, '_> {
         if self.parts.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
             return false;
         }
-        // What is across from the triangles that vanish.
+        // The neighbours of the triangles that vanish.
         let last = ring[ring.len() - 1];
         let sides = [
             (ring[0].triangle, target, self.parts.first()),
@@ -454,7 +456,8 @@ impl Work<'_, '_> {
         {
             return false;
         }
-        // Of a part whose triangles elsewhere may have come to one, too, more than one must stay.
+        // If the other triangles of a part may have vanished too, more than one triangle must
+        // remain.
         if ring.len() == 3
             && ring
                 .iter()
@@ -470,13 +473,12 @@ impl Work<'_, '_> {
         self.surface.star(target).all(|triangle| {
             let corners = self.surface.triangles[triangle as usize];
             corners.iter().all(|&corner| self.marks[corner as usize] != self.mark)
-                // Nothing is left of a tetrahedron.
+                // A tetrahedron would vanish.
                 && (ring.len() > 3 || corners.contains(&vertex) || !beside.iter().all(|v| corners.contains(v)))
         })
     }
 
-    /// Whether the part that a triangle belongs to keeps its share of volume, if it is small and
-    /// closed.
+    /// Whether the part that contains a triangle keeps its volume, if it is small and closed.
     fn keeps_volume(&mut self, vertex: u32, target: u32, triangle: u32) -> bool {
         let Self { surface, near, .. } = self;
         near.clear();
@@ -497,7 +499,7 @@ impl Work<'_, '_> {
             }
         }
         let [from, to] = [vertex, target].map(|vertex| surface.positions[vertex as usize]);
-        // As seen from the target, triangles that vanish have no volume.
+        // Relative to the target, vanishing triangles have no volume.
         let volume = |from: Vec3A| -> f32 {
             let of = |&triangle: &u32| {
                 let corners = surface.triangles[triangle as usize];
@@ -512,7 +514,7 @@ impl Work<'_, '_> {
         after > 0.0 && after >= KEPT * volume(from)
     }
 
-    /// Finds closest triangles among the triangles that are to be for all whose closest triangle
+    /// Finds closest triangles among the new triangles for all vertices whose closest triangle
     /// changes.
     fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
@@ -523,7 +525,7 @@ impl Work<'_, '_> {
         let closest = |gone: u32, before: usize| {
             let (place, normal) =
                 (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
-            // The triangle that it was before, first, and those beside it.
+            // The previous closest triangle first, then its neighbours.
             let mut nearest = None;
             let mut least = within;
             for part in (before..last).chain(0..before) {
@@ -561,7 +563,7 @@ impl Work<'_, '_> {
         true
     }
 
-    /// Whether new edges are near the reference.
+    /// Whether new edges are within the tolerance of the reference.
     fn are_edges_near(&self, target: u32, ring: &[Incident]) -> bool {
         self.parts.windows(2).zip(&ring[2..]).all(|(parts, incident)| {
             let normal = parts[0].1 + parts[1].1;
@@ -569,7 +571,8 @@ impl Work<'_, '_> {
         })
     }
 
-    /// Whether edges of the reference are near whose ends have new closest triangles.
+    /// Whether edges of the reference whose ends have new closest triangles are within the
+    /// tolerance.
     fn is_between_near(&mut self) -> bool {
         let (mut moved, mut looked_at) =
             (std::mem::take(&mut self.moved), std::mem::take(&mut self.looked_at));
@@ -586,7 +589,7 @@ impl Work<'_, '_> {
             let is_near =
                 self.by.outgoing.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
                     let spot = self.surface.spot(other);
-                    // Without branches, for none could be foreseen.
+                    // Without branches, which would be unpredictable.
                     let facing = self.surface.normal_of(spot);
                     let needs_no_look = (spot.triangle() == closest)
                         | (!spot.is_gone() & corners.contains(&other))
@@ -597,7 +600,7 @@ impl Work<'_, '_> {
                         is_calm = false;
                         looked_at.push(other);
                     }
-                    // Where both ends have moved and look, one is enough.
+                    // If both ends have moved and need a check, one check is enough.
                     needs_no_look
                         || self.marks[other as usize] == self.mark
                             && other < moved.vertex
@@ -611,8 +614,8 @@ impl Work<'_, '_> {
         is_near
     }
 
-    /// Whether a vertex that is gone needs no look at what is around it, for its closest triangle
-    /// has hardly turned since nothing did.
+    /// Whether the segments around a removed vertex need no check, because its closest triangle has
+    /// hardly turned since the last one.
     fn stays_calm(&self, vertex: u32) -> bool {
         let spot = self.surface.spot(vertex);
         let facing = self.surface.normal_of(spot);
@@ -620,7 +623,7 @@ impl Work<'_, '_> {
             && facing.is_some_and(|facing| facing.dot(self.calm[vertex as usize]) >= STEADY)
     }
 
-    /// Whether an edge of the reference is near, one end of which is gone.
+    /// Whether an edge of the reference with a removed end is within the tolerance.
     fn is_edge_near(&self, gone: u32, closest: u32, other: u32) -> bool {
         let other_closest = match self.surface.has(other) {
             true => self.surface.towards(other, self.position(gone)),
@@ -633,7 +636,8 @@ impl Work<'_, '_> {
         )
     }
 
-    /// Whether triangles are near all between two points, each of which has one that is near.
+    /// Whether triangles are within the tolerance of the segment between two points, each of which
+    /// has a close triangle.
     fn are_near(&self, closest: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
         let within = SAMPLE_SHARE * self.by.distance;
         let [from, to] = closest.map(|closest| {
@@ -649,7 +653,7 @@ impl Work<'_, '_> {
                 (true, false) => p = middle,
                 (false, true) => q = middle,
                 (false, false) => {
-                    // A crest's normal says little of where it faces.
+                    // On a crest, the normal is not reliable.
                     let between = self.surface.holder(closest[0], middle, Vec3A::ZERO, within);
                     return between.is_some_and(|(between, _)| {
                         self.are_near([closest[0], between], [p, middle], left)
@@ -662,30 +666,31 @@ impl Work<'_, '_> {
     }
 }
 
-/// The squared sine of a triangle's least angle, by its normal that is twice its area long.
+/// The squared sine of a triangle's smallest angle, from its normal with twice its area as length.
 fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
     let [ab, bc, ca] = [b - a, c - b, a - c].map(Vec3A::length_squared);
     scaled.length_squared() * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)
 }
 
-/// A part of a surface. Its border, where other parts go on, stays as it is.
+/// A part of a surface. Its border with other parts stays unchanged.
 #[derive(Clone, Copy)]
 pub struct Patch<'a> {
-    /// The places of the vertices in cells; no two alike.
+    /// The positions of the vertices in cells, all different.
     pub positions: &'a [Vec3A],
-    /// The surface that the result must not leave.
+    /// The surface within whose tolerance the result must stay.
     pub reference: &'a [[u32; 3]],
-    /// The triangles to be simplified.
+    /// The triangles to simplify.
     pub triangles: &'a [[u32; 3]],
-    /// Vertices that stay, besides those of the border.
+    /// Vertices that stay, in addition to the border.
     pub pinned: &'a [u32],
     /// The kind of triangles beyond the border.
     pub outside: Outside,
 }
 
 impl<'a> Patch<'a> {
-    /// Simplifies it: every sample of the result is within `distance` cells of the reference, and
-    /// every vertex of `positions` that was within as much of `triangles` is of the result.
+    /// Simplifies the patch: every sample of the result is within `distance` cells of the
+    /// reference, and every vertex of `positions` within this distance of `triangles` is also
+    /// within it of the result.
     #[inline(never)]
     pub fn simplified(&self, distance: f32) -> Vec<[u32; 3]> {
         let vertices = self.positions.len();

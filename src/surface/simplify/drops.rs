@@ -1,10 +1,10 @@
-//! Whole components below a volume, and drops of few particles.
+//! Finds components below a volume, and drops of few particles.
 //!
-//! Each block's triangles fall into parts; parts that share a vertex are one component. A block's
-//! triangles name vertices of its own and of blocks that come later, so one pass in order sees
-//! every vertex that two blocks share. By the divergence theorem a part's share of the volume is a
-//! sum over its triangles, seen from a corner of its block, and moves to another corner by the sum
-//! of its areas.
+//! Each block's triangles are divided into parts; parts that share a vertex belong to one
+//! component. A block's triangles refer to vertices of its own and of later blocks, so one pass in
+//! order sees every vertex that two blocks share. By the divergence theorem, a part's contribution
+//! to the volume is a sum over its triangles, relative to a corner of its block, and can be moved
+//! to another corner with the sum of its areas.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -20,17 +20,17 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::MEASURING;
 
-/// How many components are left out of a surface because they are too small.
+/// Numbers of components that are left out of a surface because they are too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TooSmall {
-    /// Components of too little volume, fluid or air.
+    /// Components with too little volume, fluid or air.
     pub components: u64,
-    /// Drops of too few particles, and not of too little volume.
+    /// Drops of too few particles, with enough volume.
     pub drops: u64,
 }
 
 impl TooSmall {
-    /// All components that are left out.
+    /// Total number of components that are left out.
     #[must_use]
     pub fn total(self) -> u64 {
         self.components + self.drops
@@ -51,7 +51,7 @@ impl TooSmall {
 /// `drop`: their vertices, and their numbers.
 ///
 /// # Errors
-/// Where scratch files cannot be read, and where the caller has asked for an early end.
+/// If scratch files cannot be read, and after a cancel.
 pub fn smaller_than(
     surface: &Stitched,
     volume: f64,
@@ -62,7 +62,7 @@ pub fn smaller_than(
     let meter = control.meter(Stage::Simplifying, 2 * pieces).between(0.0, MEASURING);
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
-    // Vertices that were named before their own block, with the component that did.
+    // Vertices of later blocks, with the component that refers to them.
     let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
     in_batches(
         pieces,
@@ -116,7 +116,7 @@ pub fn smaller_than(
     Ok((vertices, found))
 }
 
-/// Makes something of all pieces on all threads, and takes it in order.
+/// Maps all pieces on all threads, and consumes the results in order.
 fn in_batches<T: Send>(
     pieces: usize,
     meter: &Meter<'_>,
@@ -134,7 +134,7 @@ fn in_batches<T: Send>(
     Ok(())
 }
 
-/// The volume and area that add up over the triangles of a part, seen from a point.
+/// The sums of volume and area over the triangles of a part, relative to a point.
 #[derive(Clone, Copy)]
 struct Part {
     from: DVec3,
@@ -142,12 +142,12 @@ struct Part {
     area: DVec3,
 }
 
-/// The triangles of one piece.
+/// The parts of one piece.
 struct Parts {
     parts: Vec<Part>,
-    /// For each of the piece's vertices.
+    /// The part of each of the piece's vertices.
     part_of: Vec<u32>,
-    /// Vertices of other pieces, and a part that names them.
+    /// Vertices of other pieces, with a part that refers to them.
     beyond: Vec<(u64, u32)>,
 }
 
@@ -204,7 +204,7 @@ impl Parts {
     }
 }
 
-/// Parts, joined.
+/// Joined parts.
 #[derive(Default)]
 struct Components {
     parents: Vec<u32>,
@@ -229,7 +229,7 @@ impl Components {
         }
     }
 
-    /// Returns the volume of the component that a part belongs to.
+    /// The volume of the component that contains a part.
     fn volume(&mut self, part: u32) -> f64 {
         let root = root(&mut self.parents, part);
         self.sums[root as usize].volume
@@ -244,14 +244,14 @@ pub(super) fn root(lesser: &mut [u32], mut member: u32) -> u32 {
     member
 }
 
-/// Words that are counted together.
+/// Words per count.
 const RUN: usize = 8;
 
-/// Vertices by their numbers.
+/// A set of vertices.
 #[derive(Debug)]
 pub struct VertexSet {
     words: Vec<u64>,
-    /// Members before each run of words, once counted.
+    /// Number of members before each run of words, after `count`.
     before: Vec<u64>,
 }
 
@@ -261,7 +261,7 @@ impl VertexSet {
         Self { words: vec![0; vertices.div_ceil(64) as usize], before: Vec::new() }
     }
 
-    /// Adds one.
+    /// Adds a vertex.
     pub fn insert(&mut self, vertex: u64) {
         self.words[(vertex / 64) as usize] |= 1 << (vertex % 64);
     }
@@ -271,7 +271,7 @@ impl VertexSet {
         self.words[(vertex / 64) as usize] >> (vertex % 64) & 1 == 1
     }
 
-    /// Counts the members, from now on to be asked for their ranks.
+    /// Counts the members, which allows calls of `rank`.
     pub fn count(&mut self) {
         let mut total = 0;
         self.before = self
@@ -286,7 +286,7 @@ impl VertexSet {
         self.before.push(total);
     }
 
-    /// How many members have lesser numbers.
+    /// The number of members with lower numbers.
     pub fn rank(&self, vertex: u64) -> u64 {
         let word = (vertex / 64) as usize;
         let run = word / RUN;

@@ -1,14 +1,14 @@
-//! Fewer triangles within a distance that is asked for, chunk by chunk, seams included.
+//! Simplifies a surface within a tolerance, chunk by chunk, including the seams between chunks.
 //!
-//! A chunk is a cube of 2^3 blocks. What lies wholly in one is simplified with its border locked;
-//! then the same is done once more with chunks that are shifted by half, for what was border before
-//! and what is next to it. Both passes measure against the surface as it was before either, so the
-//! distance asked for is kept by both together: no sample of the result lies farther from the
-//! surface, and no vertex of the surface farther from the result.
+//! A chunk is a cube of 2^3 blocks. The first pass simplifies the triangles inside each chunk, with
+//! its border locked. The second pass does the same with chunks that are shifted by half, for the
+//! triangles on the former borders and near them. Both passes measure against the original surface,
+//! so the result is within the requested distance of it, and every vertex of the surface is within
+//! it of the result.
 //!
-//! The vertices that are left are vertices of the surface as it was, and keep their positions,
-//! normals and attributes. Chunks know nothing of threads or memory, and nothing is held but the
-//! chunks in work, a bit a vertex, and what the budget allows of the triangles.
+//! The remaining vertices are vertices of the original surface, and keep their positions, normals
+//! and attributes. Chunks do not depend on threads or memory. The memory holds the current chunks,
+//! one bit per vertex, and as many triangles as the limit allows.
 //!
 //! The guide for users is `guide.md`.
 
@@ -40,75 +40,74 @@ use surface::Outside;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
-/// In the first pass, a vertex stays in about every square of this many cells. Without them,
+/// In the first pass, one vertex stays in about every square of this many cells. Otherwise,
 /// triangles on flat ground would extend from a seam beyond the chunk that simplifies it in the
 /// second pass.
 const PIN_SPACING: i32 = 16;
 /// The second pass simplifies triangles within this many cells of a seam of the first.
 const BAND: i32 = 4;
-/// The share of the stage in which components are measured.
+/// The fraction of the stage in which components are measured.
 const MEASURING: f64 = 0.1;
-/// Edge of the boxes by which it is found what lies near them, in cells.
+/// Edge in cells of the boxes with which nearby triangles are found.
 const BOX: i32 = 4;
 
-/// Triangles by the numbers of their vertices in the whole mesh.
+/// Triangles as vertex numbers in the whole mesh.
 type Triangles = Vec<[u64; 3]>;
 
 /// A surface with fewer triangles. Its pieces are the chunks of the second pass.
 #[derive(Debug)]
 pub struct Simplified {
     whole: Stitched,
-    /// By their numbers in `whole`.
+    /// With vertex numbers in `whole`.
     triangles: Lists<[u64; 3]>,
     kept: VertexSet,
     /// The pieces of `whole` in each chunk.
     chunks: Vec<Vec<usize>>,
-    /// For each piece of `whole` the new number of its first vertex that is kept.
+    /// For each piece of `whole`, the new number of its first remaining vertex.
     firsts: Vec<u64>,
     counts: [u64; 2],
     too_small: TooSmall,
 }
 
-/// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled
-/// surface.
+/// Maximum memory of the chunks of each thread: 2^3 blocks full of wrinkled surface.
 pub const BYTES_A_THREAD: u64 = 28 << 20;
 
 /// The triangles, components and drops to leave out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reduction {
-    /// Triangles, as long as the surface stays this near.
+    /// Maximum distance of the simplified surface.
     pub tolerance: Option<Tolerance>,
-    /// Components that enclose less, fluid or air.
+    /// Minimum volume of components, fluid or air.
     pub smallest_component: Option<f64>,
-    /// Drops of fewer particles, as told by their volume.
+    /// Minimum number of particles in a drop, estimated from its volume.
     pub smallest_drop: Option<u32>,
 }
 
-/// The share of its particles' volume that a small drop holds: of one particle 0.6 to 1.1, of two
-/// 0.7 to 1.1, of eight 0.8 to 1.1.
+/// The volume of a small drop relative to the volume of its particles: 0.6 to 1.1 for one particle,
+/// 0.7 to 1.1 for two, 0.8 to 1.1 for eight.
 const HELD: f64 = 0.85;
 
 impl Reduction {
-    /// Whether nothing is to be left out.
+    /// Whether nothing is reduced.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Room for the triangles of a reduced surface.
+/// Space for the triangles of a reduced surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Room<'a> {
     /// Bytes in memory.
     pub bytes: u64,
-    /// The folder of scratch files for what exceeds them.
+    /// The folder of scratch files for triangles that exceed it.
     pub folder: &'a Path,
 }
 
-/// Reduces `surface`. One particle fills `particle_cells` cells, triangles take no more than
-/// `room`, and `control` hears of every chunk.
+/// Reduces `surface`. One particle fills `particle_cells` cells, `room` limits the memory of
+/// triangles, and `control` receives the progress of chunks.
 ///
 /// # Errors
-/// Where scratch files cannot be read or written, and where the caller has asked for an early end.
+/// If scratch files cannot be read or written, and after a cancel.
 pub fn simplify(
     surface: Stitched,
     reduction: &Reduction,
@@ -137,7 +136,7 @@ pub fn simplify(
     let batch = 2 * rayon::current_num_threads();
 
     let mut between = Lists::in_memory();
-    // For each list its shifted chunk, and what is to be done with it.
+    // For each list, its shifted chunk and its treatment.
     let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
     for chunks in aligned.chunks(batch) {
         let done: Vec<_> =
@@ -217,21 +216,21 @@ fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
     Simplify,
-    /// The triangle stays as it is, for it crosses the border of its chunk.
+    /// The triangle stays unchanged, because it crosses the border of its chunk.
     Keep,
 }
 
 struct Passes<'a> {
     surface: &'a Stitched,
     left_out: Option<VertexSet>,
-    /// Where there is none, all triangles stay.
+    /// Without a tolerance, all triangles stay.
     tolerance: Option<Tolerance>,
-    /// A count of the chunks that are done.
+    /// Progress of the chunks.
     meter: Meter<'a>,
 }
 
 impl Passes<'_> {
-    /// Calls `put` with each triangle of a piece that is not left out, and its dual cell.
+    /// Calls `put` with each remaining triangle of a piece, and its dual cell.
     fn triangles(&self, piece: usize, mut put: impl FnMut(IVec3, [u64; 3])) -> io::Result<()> {
         self.surface.cell_triangles(piece, |cell, triangle| {
             if self.left_out.as_ref().is_none_or(|left_out| !left_out.contains(triangle[0])) {
@@ -247,8 +246,8 @@ impl Passes<'_> {
         }
     }
 
-    /// Simplifies what lies wholly in the given pieces, and says where in the second pass
-    /// everything goes.
+    /// Simplifies the triangles inside the given pieces, and returns the triangles with their
+    /// treatment in the second pass.
     fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), Triangles)>> {
         self.meter.go_on()?;
         let chunk = Chunk::load(self.surface, pieces)?;
@@ -257,7 +256,7 @@ impl Passes<'_> {
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
-                // Its vertices' cells are those of the dual cell's corners.
+                // The cells of its vertices are at the corners of the dual cell.
                 None => sorted.push(self.home([cell, cell + 1]), triangle),
             })?;
         }
@@ -276,14 +275,14 @@ impl Passes<'_> {
         Ok(sorted.lists)
     }
 
-    /// How many cells from a triangle's vertices the surface within the tolerance of it may lie.
+    /// Maximum distance in cells between a triangle's vertices and the surface within the tolerance
+    /// of it.
     fn reach(&self) -> i32 {
         self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + 1
     }
 
-    /// The shifted chunk of a triangle whose vertices have these cells, and what is to be done with
-    /// it there: all that is simplified lies so far inside that the surface within the tolerance of
-    /// it is in the chunk.
+    /// The shifted chunk of a triangle whose vertices have these cells, and its treatment there. A
+    /// triangle is simplified only if all of the surface within its tolerance is in the chunk.
     fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
         let block = cells[0] >> BLOCK.ilog2();
         let chunk = shifted_chunk(block);
@@ -297,7 +296,7 @@ impl Passes<'_> {
         (MortonKey::of(chunk), fate)
     }
 
-    /// Simplifies once more what the first pass left of a shifted chunk.
+    /// Simplifies the remaining triangles of a shifted chunk again.
     fn second(
         &self,
         pieces: &[usize],
@@ -351,7 +350,7 @@ impl Passes<'_> {
     }
 }
 
-/// Lists by where their triangles go.
+/// Lists of triangles by their target.
 #[derive(Default)]
 struct Sorted {
     lists: Vec<((MortonKey, Fate), Triangles)>,
@@ -366,7 +365,7 @@ impl Sorted {
     }
 }
 
-/// Boxes of cells that triangles come near to.
+/// Boxes of cells near triangles.
 struct Boxes {
     lo: IVec3,
     size: IVec3,
@@ -415,10 +414,10 @@ impl Boxes {
     }
 }
 
-/// The vertices of a chunk that triangles use, in the order in which they do.
+/// The vertices of a chunk that triangles use, in order of first use.
 struct Used {
     vertices: Vec<u32>,
-    /// For each of the chunk's, or `NONE`.
+    /// For each vertex of the chunk its new number, or `NONE`.
     ranks: Vec<u32>,
 }
 
@@ -441,12 +440,12 @@ impl Used {
 
 /// The vertices of a chunk.
 struct Chunk {
-    /// For pieces that follow one another the number of their first vertex, in the whole mesh and
-    /// in the chunk, and how many there are.
+    /// For consecutive pieces: the number of their first vertex in the whole mesh and in the chunk,
+    /// and the number of vertices.
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
-    /// In cells from the chunk's corner, no two alike.
+    /// In cells from the chunk's corner, all different.
     positions: Vec<Vec3A>,
 }
 
@@ -470,7 +469,7 @@ impl Chunk {
             for (cell, place) in places {
                 let corner: DVec3 = *corner.get_or_insert(place.floor());
                 let mut position = (place - corner).as_vec3a();
-                // Triangles with vertices at the same place would face nowhere.
+                // Triangles with two equal positions would have no normal.
                 while !taken.insert(position.to_array().map(f32::to_bits)) {
                     position.x = position.x.next_up();
                 }
@@ -519,12 +518,12 @@ impl Chunk {
 }
 
 impl Simplified {
-    /// The surface as it was.
+    /// The original surface.
     pub fn whole(&self) -> &Stitched {
         &self.whole
     }
 
-    /// Returns how many components and drops were left out.
+    /// The numbers of components and drops that were left out.
     pub fn too_small(&self) -> TooSmall {
         self.too_small
     }

@@ -1,16 +1,15 @@
-//! A patch's triangles with their neighbours, to be changed one by one, and to be measured against.
+//! The triangles of a patch with their neighbours, for single changes and distance searches.
 //!
-//! Nothing is looked up by place. What is asked lies near a triangle that is known, and is searched
-//! for from there.
+//! There is no spatial index. Searches start from a known nearby triangle.
 
 use glam::Vec3A;
 
-/// No triangle.
+/// The absence of a triangle.
 pub const NONE: u32 = u32::MAX;
-/// A triangle's corners, and the sides that leave them, in turn.
+/// The next corner of each corner of a triangle.
 const NEXT: [usize; 3] = [1, 2, 0];
 const PREVIOUS: [usize; 3] = [2, 0, 1];
-/// How many triangles a search looks at before it gives up.
+/// Maximum number of triangles that a search visits before it gives up.
 const PATIENCE: usize = 32;
 /// A search continues from a triangle whose squared distance is at most this many times the
 /// smallest one found.
@@ -23,17 +22,16 @@ const STEPS_A_CELL: f32 = 8.0;
 pub struct Surface<'a> {
     pub positions: &'a [Vec3A],
     pub triangles: Vec<[u32; 3]>,
-    /// For each triangle its neighbours: along the edge from its first corner to the second, and so
-    /// on.
+    /// For each triangle, its neighbours: across the edge from its first corner to the second, and
+    /// so on.
     across: Vec<[u32; 3]>,
-    /// For each vertex; on the border its first triangle, counterclockwise.
+    /// For each vertex, its spot; on the border, its first triangle counterclockwise.
     spots: Vec<Spot>,
     /// Outward, of unit length.
     normals: Vec<Vec3A>,
 }
 
-/// Where a vertex is: a corner of a triangle, or gone, and near one, its closest triangle. Or
-/// nowhere.
+/// The state of a vertex: a corner of a triangle; removed, with its closest triangle; or unused.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Spot(u32);
 
@@ -50,7 +48,7 @@ impl Spot {
         Self(closest | Self::GONE | if is_close { 0 } else { Self::FAR })
     }
 
-    /// With this corner, or its closest triangle.
+    /// A triangle at the vertex, or its closest triangle.
     pub fn triangle(self) -> u32 {
         self.0 & !(Self::GONE | Self::FAR)
     }
@@ -59,13 +57,13 @@ impl Spot {
         self.0 & Self::GONE != 0
     }
 
-    /// Whether it takes so little of the distance that what lies around it needs no look.
+    /// Whether it uses so little of the distance that the segments around it need no check.
     pub fn is_close(self) -> bool {
         self.0 & Self::FAR == 0
     }
 }
 
-/// A triangle around a vertex, its first corner after that, and its normal.
+/// A triangle around a vertex, its next corner, and its normal.
 #[derive(Clone, Copy)]
 pub struct Incident {
     pub triangle: u32,
@@ -75,23 +73,23 @@ pub struct Incident {
 
 /// The edges of a surface by the vertices that they leave.
 pub struct Outgoing {
-    /// For each vertex where its edges end.
+    /// For each vertex, the ends of its edges.
     ends: Vec<u32>,
     edges: Vec<Edge>,
 }
 
-/// An edge as seen from the vertex that it leaves.
+/// An edge, seen from its start.
 #[derive(Clone, Copy, Default)]
 pub struct Edge {
     pub to: u32,
     /// The third corner of the edge's triangle.
     pub before: u32,
-    /// The number of the edge among the sides of all triangles.
+    /// The index of the edge among the sides of all triangles.
     side: u32,
 }
 
 impl Outgoing {
-    /// Lists the edges of all triangles by the vertices that they leave.
+    /// Lists the edges of all triangles by their start.
     pub fn of(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let mut ends = vec![0_u32; vertices];
         for &vertex in triangles.as_flattened() {
@@ -116,7 +114,7 @@ impl Outgoing {
         Self { ends, edges: outgoing }
     }
 
-    /// Returns the edges that leave a vertex.
+    /// The edges that start at a vertex.
     pub fn at(&self, vertex: u32) -> &[Edge] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before as usize]);
         &self.edges[start as usize..self.ends[vertex as usize] as usize]
@@ -124,7 +122,7 @@ impl Outgoing {
 }
 
 impl<'a> Surface<'a> {
-    /// By edges that leave their vertices once each.
+    /// Builds the neighbours from the edges; each directed edge occurs once.
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &Outgoing) -> Self {
         let normals = triangles
             .iter()
@@ -132,7 +130,7 @@ impl<'a> Surface<'a> {
             .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
         let mut spots = vec![Spot::NOWHERE; positions.len()];
-        // For each vertex the last one that an edge comes to from it, and the triangle of that
+        // For each vertex, the last start of an edge that ends there, and the triangle of that
         // edge.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
@@ -165,28 +163,28 @@ impl<'a> Surface<'a> {
         self.spots[vertex as usize]
     }
 
-    /// Returns the normal of the triangle with this corner, or of its closest triangle; `None`
-    /// where it is nowhere.
+    /// The normal of the triangle at a vertex, or of its closest triangle; `None` for an unused
+    /// vertex.
     pub fn normal_of(&self, spot: Spot) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
 
-    /// Notes where a vertex is that is gone.
+    /// Sets the spot of a removed vertex.
     pub fn settle(&mut self, vertex: u32, spot: Spot) {
         self.spots[vertex as usize] = spot;
     }
 
-    /// Whether a triangle has this vertex.
+    /// Whether a vertex is a corner of a triangle.
     pub fn has(&self, vertex: u32) -> bool {
         !self.spot(vertex).is_gone()
     }
 
-    /// A triangle with this vertex, which there is.
+    /// A triangle at this vertex, which must exist.
     pub fn at(&self, vertex: u32) -> u32 {
         self.spot(vertex).triangle()
     }
 
-    /// For every vertex the sum of the normals around it, each as long as its triangle is large.
+    /// For every vertex, the area-weighted sum of the normals around it.
     pub fn vertex_normals(&self) -> Vec<Vec3A> {
         let mut normals = vec![Vec3A::ZERO; self.positions.len()];
         for &triangle in &self.triangles {
@@ -196,12 +194,12 @@ impl<'a> Surface<'a> {
         normals
     }
 
-    /// The triangles around a vertex, all of one fan, counterclockwise.
+    /// The triangles around a vertex, in one fan, counterclockwise.
     pub fn star(&self, vertex: u32) -> impl Iterator<Item = u32> {
         self.incident(vertex).map(|incident| incident.triangle)
     }
 
-    /// The triangle around a vertex that lies towards `point`, if one does, or else any.
+    /// The triangle around a vertex in the direction of `point`, or any other.
     pub fn towards(&self, vertex: u32, point: Vec3A) -> u32 {
         let start = self.positions[vertex as usize];
         let is_towards = |&triangle: &u32| {
@@ -218,15 +216,15 @@ impl<'a> Surface<'a> {
         self.star(vertex).find(is_towards).unwrap_or(self.at(vertex))
     }
 
-    /// Whether a triangle is within a distance, squared, of a point.
+    /// Whether the squared distance of a triangle from a point is at most `squared`.
     pub fn is_near(&self, triangle: u32, point: Vec3A, squared: f32) -> bool {
         squared_near(point, self.corners(triangle), self.normal(triangle), squared).is_some()
     }
 
-    /// A triangle within `distance` of `point`, and that distance squared, that does not face the
-    /// other way than `normal`, if one is found from triangle `from` on: of a thin sheet's two
-    /// sides each has to be near its own. Looks towards the point, and at all that hang together
-    /// within the distance of it, until patience ends.
+    /// A triangle within `distance` of `point` that does not face against `normal`, and its squared
+    /// distance, if a search from triangle `from` finds one. For the two sides of a thin sheet,
+    /// each must be near its own side. The search goes towards the point, and then visits connected
+    /// triangles within the distance, up to a maximum number.
     pub fn holder(
         &self,
         from: u32,
@@ -238,7 +236,7 @@ impl<'a> Surface<'a> {
         let mut count = 0;
         let mut least = f32::INFINITY;
         let mut next = [from, NONE, NONE];
-        // Those before `done` have been gone on from.
+        // Triangles before `done` have been expanded.
         for done in 0..PATIENCE {
             for triangle in next {
                 if triangle == NONE || seen[..count].iter().any(|(other, _)| *other == triangle) {
@@ -271,8 +269,8 @@ impl<'a> Surface<'a> {
         near.map_or(f32::INFINITY, |(squared, _)| squared)
     }
 
-    /// Whether one can walk on the surface from one of its vertices to another, not next to it, in
-    /// the plane of `normal` and the line between them, within `distance` of that line and on
+    /// Whether there is a path on the surface between two of its vertices that are not adjacent, in
+    /// the plane of `normal` and the line between them, within `distance` of that line, and on
     /// triangles that do not face the other way.
     pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
@@ -285,7 +283,7 @@ impl<'a> Surface<'a> {
         };
         let crossing =
             |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
-        // The triangle that one is in, the side that one leaves it by, and its ends.
+        // The current triangle, the side by which the path leaves it, and the ends of that side.
         let mut way = None;
         let mut before = None;
         for triangle in self.star(from) {
@@ -327,7 +325,7 @@ impl<'a> Surface<'a> {
         false
     }
 
-    /// The edges of a triangle that have no other triangle.
+    /// The edges of a triangle without another triangle.
     pub fn open_edges(&self, triangle: u32) -> impl Iterator<Item = [u32; 2]> {
         let edges = edges(self.triangles[triangle as usize]).into_iter();
         edges
@@ -336,7 +334,7 @@ impl<'a> Surface<'a> {
             .map(|(edge, _)| edge)
     }
 
-    /// The triangles around a vertex inside of the patch, counterclockwise.
+    /// The triangles around a vertex inside the patch, counterclockwise.
     pub fn incident(&self, vertex: u32) -> impl Iterator<Item = Incident> {
         let spot = self.spot(vertex);
         let start = if spot.is_gone() { NONE } else { spot.triangle() };
@@ -353,19 +351,19 @@ impl<'a> Surface<'a> {
         })
     }
 
-    /// Returns which of a triangle's corners this vertex is.
+    /// The index of this vertex among a triangle's corners.
     fn corner(&self, triangle: u32, vertex: u32) -> usize {
-        // Without branches, for none could be foreseen.
+        // Without branches, which would be unpredictable.
         let [_, b, c] = self.triangles[triangle as usize];
         usize::from(b == vertex) + 2 * usize::from(c == vertex)
     }
 
-    /// The triangles across its edges, or `NONE`.
+    /// The neighbouring triangles, or `NONE`.
     pub fn beside(&self, triangle: u32) -> [u32; 3] {
         self.across[triangle as usize]
     }
 
-    /// The triangle across the edge that leaves `vertex`, or `NONE`.
+    /// The triangle across the edge that starts at `vertex`, or `NONE`.
     pub fn across_from(&self, triangle: u32, vertex: u32) -> u32 {
         self.across[triangle as usize][self.corner(triangle, vertex)]
     }
@@ -377,8 +375,8 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle
-    /// vanish, the others get these normals.
+    /// Moves a vertex onto the first vertex of its ring. The ring's first and last triangle vanish;
+    /// the others get these normals.
     pub fn collapse(
         &mut self,
         vertex: u32,
@@ -402,7 +400,7 @@ impl<'a> Surface<'a> {
         for incident in [ring[0], ring[last]] {
             self.triangles[incident.triangle as usize] = [NONE; 3];
         }
-        // What was first on a border still is, or what takes its place.
+        // The first triangle of a border vertex stays first, or its replacement does.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
             let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
@@ -410,7 +408,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Undoes what `collapse` did.
+    /// Undoes `collapse`.
     pub fn restore(&mut self, vertex: u32, ring: &[Incident]) {
         let last = ring.len() - 1;
         let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
@@ -452,7 +450,7 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Outward, twice the triangle's area long.
+/// The outward normal, as long as twice the triangle's area.
 pub fn scaled_normal([a, b, c]: [Vec3A; 3]) -> Vec3A {
     (b - a).cross(c - a)
 }
@@ -466,8 +464,8 @@ fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// The squared distance from a point to a triangle with this unit normal, if it is not above the
-/// one given; and whether the point is right above or below.
+/// The squared distance from a point to a triangle with this unit normal, if it is at most the
+/// given one; and whether the point's projection is inside the triangle.
 #[inline]
 pub fn squared_near(
     p: Vec3A,
@@ -482,7 +480,7 @@ pub fn squared_near(
     }
     let mut least = f32::INFINITY;
     for [from, to] in [[a, b], [b, c], [c, a]] {
-        // Beyond this side.
+        // Outside this side.
         if from.cross(to).dot(normal) <= 0.0 {
             let ahead = to - from;
             let along = (-from.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);
@@ -498,7 +496,7 @@ pub fn squared_near(
 /// The triangles around a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outside {
-    /// Triangles as marching cubes made them: each lies in one dual cell.
+    /// Triangles from marching cubes: each lies in one dual cell.
     DualCells,
     /// Triangles of any size.
     Simplified,
@@ -520,7 +518,7 @@ impl Outside {
 
 /// The topology that a patch must keep.
 pub struct Topology {
-    /// The vertices on the border, which other patches use, too.
+    /// The vertices on the border, which other patches also use.
     pub border: Vec<bool>,
     /// Vertices on the border whose triangles form more than one fan.
     pinched: Vec<bool>,
@@ -528,7 +526,7 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// Examines a patch that is oriented, and manifold but for its border.
+    /// Examines an oriented patch that is manifold except for its border.
     pub fn of(patch: &Surface, outside: Outside) -> Self {
         let mut fans = vec![0_u8; patch.positions.len()];
         for triangle in 0..patch.triangles.len() as u32 {
@@ -540,12 +538,12 @@ impl Topology {
         Self { border: with(1), pinched: with(2), outside }
     }
 
-    /// Whether not all triangles around a vertex are known from one of them.
+    /// Whether the triangles around a vertex form more than one fan.
     pub fn is_pinched(&self, vertex: u32) -> bool {
         self.pinched[vertex as usize]
     }
 
-    /// Whether there may be an edge between the two outside of the patch.
+    /// Whether there may be an edge between two vertices outside the patch.
     pub fn is_chord(&self, patch: &Surface, a: u32, b: u32) -> bool {
         let [p, q] = [a, b].map(|vertex| patch.positions[vertex as usize]);
         self.border[a as usize] && self.border[b as usize] && self.outside.may_join(p, q)

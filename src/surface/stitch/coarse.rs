@@ -1,9 +1,9 @@
-//! A mesh of fewer triangles for a glance: vertices that are near to each other drawn together
-//! (Rossignac and Borrel 1993).
+//! A mesh with fewer triangles for a preview: nearby vertices are merged (Rossignac and Borrel
+//! 1993).
 //!
-//! The vertices of 2 x 2 x 2 cells become one in their middle, and triangles that have two corners
-//! in one are left out. What is left of a closed surface is closed in the sense that matters to
-//! pictures: a line of sight leaves it as often as it enters it.
+//! The vertices of 2 x 2 x 2 cells are merged in the middle, and triangles with two equal corners
+//! are left out. The result of a closed surface is closed in the sense that matters for pictures: a
+//! line of sight leaves it as often as it enters it.
 
 use std::io;
 
@@ -20,10 +20,10 @@ use super::{Stitched, split};
 const LOWEST: TileMask = 0x0505_0000_0505;
 const LOWEST_OF: u32 = 0b10_1010;
 
-/// A mesh whose vertices are drawn together.
+/// A mesh with merged vertices.
 pub(super) struct Coarse<'a> {
     fine: &'a Stitched,
-    /// The number of the first vertex of each piece, and of all vertices.
+    /// The number of the first vertex of each piece, and the total.
     firsts: Vec<u64>,
 }
 
@@ -41,7 +41,7 @@ fn rank(groups: TileMask, bit: u32) -> usize {
 }
 
 impl<'a> Coarse<'a> {
-    /// Counts the vertices that are left.
+    /// Counts the remaining vertices.
     pub(super) fn new(fine: &'a Stitched) -> io::Result<Self> {
         let count = |piece: usize| -> io::Result<u64> {
             Ok(fine.tiles(piece)?.iter().map(|tile| u64::from(groups(tile).count_ones())).sum())
@@ -60,7 +60,7 @@ impl<'a> Coarse<'a> {
         (self.firsts[piece + 1] - self.firsts[piece]) as usize
     }
 
-    /// Puts the vertices of a block where they are wanted.
+    /// Writes the vertices of a block.
     fn place(&self, block: &BlockMesh, to: &mut [[f64; 3]]) {
         let places = self.fine.positions(block);
         let (mut places, mut rest) = (places.iter(), to);
@@ -78,7 +78,7 @@ impl<'a> Coarse<'a> {
         }
     }
 
-    /// Collects the triangles of a piece that are left.
+    /// Collects the remaining triangles of a piece.
     fn triangles_left<T>(
         &self,
         piece: usize,
@@ -89,7 +89,7 @@ impl<'a> Coarse<'a> {
         self.fine.emit_by(
             piece,
             |found, tile| {
-                // The first tile of a block has its first vertex.
+                // The first tile of a block has the block's first vertex.
                 next = if tile.first_vertex == 0 { self.firsts[found] } else { next };
                 let (groups, first) = (groups(tile), next);
                 next += u64::from(groups.count_ones());
@@ -106,7 +106,7 @@ impl<'a> Coarse<'a> {
 }
 
 impl MeshSource for Coarse<'_> {
-    /// Returns a summary that counts all triangles, of which not all are left.
+    /// A summary that counts all triangles, although fewer remain.
     fn outline(&self) -> Outline {
         Outline {
             vertices: self.firsts[self.fine.pieces()],

@@ -1,9 +1,9 @@
-//! One mesh from the surfaces of all blocks, by the identity of dual edges.
+//! Joins the surfaces of all blocks into one mesh, by the identity of dual edges.
 //!
 //! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed
-//! edges: it follows from their order. Nothing is searched for by position and nothing depends on
-//! distance. Order is that of tiles along the Morton curve. Positions and triangles are made when
-//! they are asked for, block by block, and never kept.
+//! edges: it follows from their order. Nothing is searched by position, and nothing depends on
+//! distance. Tiles are ordered along the Morton curve. Positions and triangles are computed on
+//! request, block by block, and never stored.
 
 mod coarse;
 mod numbers;
@@ -29,16 +29,16 @@ use crate::system::memory::zeroed_in_huge_pages;
 use numbers::Numbers;
 pub use numbers::writing_bytes;
 
-/// Why a surface cannot be brought into memory as one indexed mesh.
+/// An error of making one indexed mesh in memory.
 #[derive(Debug, Error)]
 pub enum WholeMeshError {
-    /// 32 bits cannot number its vertices.
+    /// Its vertex numbers exceed 32 bits.
     #[error(
         "the surface has {0} vertices, more than an indexed mesh in memory can have; use a \
          larger cell size"
     )]
     TooManyVertices(u64),
-    /// Surfaces were spooled to a file that cannot be read.
+    /// A scratch file with surfaces cannot be read.
     #[error("scratch file: {0}")]
     Scratch(#[from] io::Error),
 }
@@ -54,7 +54,7 @@ pub struct Stitched {
 }
 
 impl Stitched {
-    /// Joins the surfaces in `spool`, whose vertices carry `attributes`.
+    /// Joins the surfaces in `spool`, whose vertices have `attributes`.
     pub fn new(
         spool: Spool,
         grid: Grid,
@@ -65,7 +65,7 @@ impl Stitched {
         Self { spool, grid, domain, crossings: crossings.into(), attributes }
     }
 
-    /// A corner of the mesh's blocks that is farthest from the origin, as its greatest coordinate.
+    /// The maximum absolute coordinate of the corners of the mesh's blocks.
     pub fn farthest_coordinate(&self) -> f64 {
         let corners = |block: IVec3| {
             let CellBox { lo, hi } = CellBox::cube(block, BLOCK);
@@ -74,7 +74,7 @@ impl Stitched {
         self.spool.blocks().flat_map(corners).fold(0.0, f64::max)
     }
 
-    /// All of it in memory.
+    /// Makes the whole mesh in memory.
     pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
         if u32::try_from(self.vertex_count()).is_err() {
             return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
@@ -105,7 +105,7 @@ impl Stitched {
         })
     }
 
-    /// The positions of all vertices, and all triangles, whose vertices 32 bits can number.
+    /// The positions of all vertices, and all triangles, for vertex numbers of 32 bits.
     fn positions_and_triangles(&self) -> io::Result<Indexed> {
         let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
         let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
@@ -116,7 +116,7 @@ impl Stitched {
         Ok((positions, triangles))
     }
 
-    /// Collects `width` numbers of every vertex; `put` writes them block by block.
+    /// Collects `width` numbers per vertex; `put` writes them block by block.
     fn of_vertices<T: Zeroable + Send>(
         &self,
         width: usize,
@@ -130,7 +130,7 @@ impl Stitched {
         Ok(all)
     }
 
-    /// The grid that the surface was made on.
+    /// The grid of the surface.
     pub fn grid(&self) -> Grid {
         self.grid
     }
@@ -140,19 +140,19 @@ impl Stitched {
         self.spool.bytes()
     }
 
-    /// The volume inside, told by where columns of cells along x enter and leave it: the mesh's
-    /// own, but for what the surface bends within a cell.
+    /// The enclosed volume, from the lengths of columns of cells along x inside the surface: that
+    /// of the mesh, except for the curvature within a cell.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn volume(&self) -> io::Result<f64> {
         self.volume_within(None)
     }
 
-    /// The [volume](Self::volume) inside, as far as it is in some cells, if they are given.
+    /// The [volume](Self::volume) inside the given cells, if any are given.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn volume_within(&self, within: Option<CellBox>) -> io::Result<f64> {
         let of_piece =
             |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block, within));
@@ -161,7 +161,7 @@ impl Stitched {
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
     }
 
-    /// Sums what a block adds to the lengths of all columns along x, in cells.
+    /// The contribution of a block to the lengths of all columns along x, in cells.
     fn block_columns(&self, block: &BlockMesh, within: Option<CellBox>) -> f64 {
         let of_tile = |tile: &Tile| {
             let first = tile.corner(block.block);
@@ -174,7 +174,7 @@ impl Stitched {
                     if column.cmplt(lo).any() || column.cmpge(hi).any() {
                         return 0.0;
                     }
-                    // Centres are at whole numbers.
+                    // Centres are at integers.
                     x = x.clamp(f64::from(lo.x) - 0.5, f64::from(hi.x) - 0.5);
                 }
                 if tile.corners[0] >> bit & 1 == 1 { x } else { -x }
@@ -192,7 +192,7 @@ impl Stitched {
     /// The tiles of a piece.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn tiles(&self, piece: usize) -> io::Result<Cow<'_, [Tile]>> {
         self.spool.tiles(piece)
     }
@@ -212,15 +212,15 @@ impl Stitched {
         self.spool.piece_of(vertex)
     }
 
-    /// How many vertices a piece has.
+    /// Number of vertices of a piece.
     pub fn piece_vertices(&self, piece: usize) -> usize {
         self.spool.counts(piece)[0]
     }
 
-    /// For each vertex of a piece the lower cell of its edge, and its position in cells.
+    /// For each vertex of a piece, the lower cell of its edge, and its position in cells.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn places(&self, piece: usize) -> io::Result<Vec<(IVec3, DVec3)>> {
         let block = self.spool.get(piece)?;
         let positions = self.positions(&block);
@@ -231,11 +231,10 @@ impl Stitched {
         Ok(places)
     }
 
-    /// Calls `put` with each triangle of a piece, and the lowest corner of the dual cell that it
-    /// lies in.
+    /// Calls `put` with each triangle of a piece, and the lowest corner of its dual cell.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn cell_triangles(
         &self,
         piece: usize,
@@ -244,7 +243,8 @@ impl Stitched {
         self.emit(piece, |_, cell, triangle| put(cell, triangle))
     }
 
-    /// The one place where floating point enters: v = (1 - a) p_i + a p_j, or a point of the wall.
+    /// The only place with floating-point arithmetic: v = (1 - a) p_i + a p_j, or a point of the
+    /// wall.
     fn place(&self, block: &BlockMesh, positions: &mut [[f64; 3]]) {
         let place = |cell: IVec3, axis: usize, ends: [u16; 2]| {
             let mut cells = cell.as_dvec3() + 0.5;
@@ -274,14 +274,13 @@ impl Stitched {
         positions
     }
 
-    /// How many triangles a piece has.
+    /// Number of triangles of a piece.
     fn piece_triangles(&self, piece: usize) -> usize {
         self.spool.counts(piece)[1]
     }
 
     /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number
-    /// `i`: they refer to the block's own vertices and to those of its neighbours further up along
-    /// the axes.
+    /// `i`. Vertices belong to the block or to its upper neighbours.
     fn emit(&self, i: usize, put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
         let numbered = |found: usize, tile: &Tile| {
             let mut next = self.spool.first_vertex(found) + u64::from(tile.first_vertex);
@@ -293,8 +292,8 @@ impl Stitched {
         self.emit_by(i, numbered, put)
     }
 
-    /// Does so with vertices by other numbers: of a block's tiles, one after the other, what
-    /// numbers their vertices by their bits.
+    /// Like `emit`, with other vertex numbers: for each tile of a block, in order, a function that
+    /// numbers its vertices by their bits.
     fn emit_by<N: FnMut(u32) -> u64>(
         &self,
         i: usize,

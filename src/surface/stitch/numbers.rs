@@ -1,4 +1,4 @@
-//! Numbers of the vertices on a block's dual edges, and the triangles that join them.
+//! Numbers of the vertices on a block's dual edges, and the triangles between them.
 
 use std::borrow::Cow;
 use std::io;
@@ -15,26 +15,25 @@ use crate::surface::mesh::{Tile, bits, cell_of_bit};
 use super::Stitched;
 use super::coarse::Coarse;
 
-/// Cells along each axis: a block's, and one layer of the blocks above.
+/// Cells along each axis: those of a block, and one layer of the upper blocks.
 const EDGE: usize = BLOCK as usize + 1;
 
-/// Triangles of a closed surface, nearly.
+/// Approximate ratio of triangles to vertices of a closed surface.
 const TRIANGLES_A_VERTEX: u64 = 2;
-/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and
-/// four blocks' records.
+/// Bytes per triangle of a block for a thread that writes it: three numbers, and the records of
+/// four blocks.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 
-/// Bytes for `threads` that each number and write the triangles of a block, with `vertices`
-/// together.
+/// Bytes for `threads` that each number and write the triangles of a block, with `vertices` in
+/// total.
 pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
     threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
 }
 
-/// The numbers of the vertices on the edges that a block's triangles join. Of edges without a
-/// vertex nothing is known.
+/// The numbers of the vertices on the edges of a block's triangles. Other entries are undefined.
 pub(super) struct Numbers {
-    /// Three of each cell, by the axis of the edge whose lower cell it is; x fastest.
+    /// Three per cell, by the axis of the edge that starts there; x fastest.
     numbers: Vec<u64>,
 }
 
@@ -43,8 +42,8 @@ impl Numbers {
         Self { numbers: vec![0; 3 * EDGE.pow(3)] }
     }
 
-    /// Enters the vertices of a tile whose lowest cell is at `corner`, counted from the block's;
-    /// `number` is called with the bit of each in their order.
+    /// Sets the numbers of the vertices of a tile whose lowest cell is at `corner`, relative to the
+    /// block; `number` is called with the bit of each vertex in order.
     #[inline]
     pub(super) fn enter(&mut self, tile: &Tile, corner: IVec3, mut number: impl FnMut(u32) -> u64) {
         if corner.max_element() >= EDGE as i32 {
@@ -92,14 +91,13 @@ fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(
     }
 }
 
-/// Where the numbers of a cell begin.
+/// The index of a cell's first number.
 fn index(cell: IVec3) -> usize {
     let cell = cell.as_usizevec3();
     3 * (cell.x + EDGE * (cell.y + EDGE * cell.z))
 }
 
-/// [`TABLE`], with each edge as where its number is among those from the dual cell's lowest corner
-/// on.
+/// [`TABLE`], with each edge as an offset from the number of the dual cell's lowest corner.
 static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
     let place = |edge: Edge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())

@@ -1,5 +1,5 @@
-//! The whole mesh on a device: positions in f32 and triangles, in the order of
-//! [`Stitched`](super::Stitched), and to the bit what its positions round to.
+//! Stitches the whole mesh on a device: positions in f32 and triangles, in the order of
+//! [`Stitched`](super::Stitched), with exactly its rounded positions.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,15 +16,15 @@ use crate::vulkan::{Batch, ComputePipeline, Device, Ticket, View, VulkanError};
 
 /// Tiles along a block's edge.
 pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
-/// Words of a combination of signs in the table: how many triangles, and each.
+/// Words per case in the table: the number of triangles, and the triangles.
 pub const CASE_WORDS: u32 = 6;
 /// Bits of an edge: corner + 8 axis.
 pub const EDGE_BITS: u32 = 5;
-/// The number of a block that is not there.
+/// The number of a missing block.
 pub const NO_BLOCK: u32 = u32::MAX;
-/// Bytes of a position, and of a triangle.
+/// Bytes of a position or a triangle.
 const ROW: u64 = 12;
-/// Vertices or triangles of a submission, at the most.
+/// Maximum number of vertices or triangles per submission.
 const ROWS_AT_ONCE: u64 = 4 << 20;
 
 /// The shaders of stitching.
@@ -36,17 +36,17 @@ pub struct StitchPipelines {
 }
 
 impl StitchPipelines {
-    /// Compiles them.
+    /// Compiles the shaders.
     ///
     /// # Errors
-    /// Those of the device.
+    /// Errors of the device.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
         let [starts, vertices, triangles] = device.pipelines([&STARTS, &VERTICES, &TRIANGLES])?;
         Ok(Self { starts, vertices, triangles })
     }
 }
 
-/// A block's surface among all, as `surface.wgsl` has it.
+/// A block's surface among all, as in `surface.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct MeshBlock {
@@ -59,7 +59,7 @@ pub struct MeshBlock {
     above: [u32; 8],
 }
 
-/// Where all blocks begin in the whole mesh.
+/// The start of each block in the whole mesh.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshLayout {
     blocks: Vec<MeshBlock>,
@@ -69,11 +69,11 @@ pub struct MeshLayout {
 }
 
 impl MeshLayout {
-    /// Lays out blocks, by their coordinates and tallies; `None` where 32 bits cannot number
-    /// everything. Blocks are in Morton order, and their coordinates are counted in blocks.
+    /// Lays out blocks by their coordinates and tallies; `None` if numbers exceed 32 bits. Blocks
+    /// are in Morton order, and their coordinates are in blocks.
     ///
     /// # Panics
-    /// If the blocks are in another order.
+    /// If the blocks are in a different order.
     pub fn new(blocks: &[(IVec3, Tally)]) -> Option<Self> {
         let keys: Vec<_> = blocks.iter().map(|&(block, _)| MortonKey::of(block)).collect();
         assert!(keys.is_sorted_by(|a, b| a < b), "blocks are in Morton order");
@@ -99,28 +99,28 @@ impl MeshLayout {
         Some(layout)
     }
 
-    /// Returns the blocks as shaders take them.
+    /// The blocks as shaders need them.
     pub fn blocks(&self) -> &[MeshBlock] {
         &self.blocks
     }
 
-    /// Returns the number of tiles of all blocks.
+    /// The number of tiles of all blocks.
     pub fn tiles(&self) -> u32 {
         self.tiles
     }
 
-    /// Returns the number of vertices of all blocks.
+    /// The number of vertices of all blocks.
     pub fn vertices(&self) -> u32 {
         self.vertices
     }
 
-    /// Returns the number of triangles of all blocks.
+    /// The number of triangles of all blocks.
     pub fn triangles(&self) -> u32 {
         self.triangles
     }
 
-    /// Cuts the blocks into runs whose rows, which begin at `first` of each block, a shader can see
-    /// at once.
+    /// Divides the blocks into runs whose rows fit one shader binding; `first` gives the first row
+    /// of each block.
     fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<Run> {
         let begin =
             |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
@@ -140,27 +140,27 @@ impl MeshLayout {
     }
 }
 
-/// Tiles, and what they own.
+/// A range of tiles, with their rows.
 struct Run {
     tiles: Range<u32>,
     rows: Range<u32>,
 }
 
 impl Run {
-    /// A work group a tile, in rows that every device allows.
+    /// One work group per tile, in rows that every device supports.
     fn groups(&self) -> [u32; 3] {
         let tiles = self.tiles.len() as u32;
         let width = tiles.clamp(1, 1 << 15);
         [width, tiles.div_ceil(width), 1]
     }
 
-    /// Returns a view of the run's part of a buffer, and the number of words in the view before it.
+    /// A view of the run's part of a buffer, and the number of words in the view before it.
     fn view(&self, all: &View, alignment: u64) -> (View, u32) {
         all.aligned(u64::from(self.rows.start) * ROW, self.rows.len() as u64 * ROW, alignment)
     }
 }
 
-/// The table of marching cubes as shaders take it: [`CASE_WORDS`] for each combination of signs.
+/// The table of marching cubes for shaders: [`CASE_WORDS`] for each combination of signs.
 pub fn table() -> Vec<u32> {
     let bits = |edge: Edge| u32::from(edge.corner) | u32::from(edge.axis) << 3;
     let pack = |[a, b, c]: [Edge; 3]| bits(a) | bits(b) << EDGE_BITS | bits(c) << (2 * EDGE_BITS);
@@ -179,30 +179,30 @@ pub struct StitchBuffers {
     pub grid: View,
     /// [`MeshLayout::blocks`].
     pub blocks: View,
-    /// A [`Tile`](crate::surface::mesh::Tile) each: those of all blocks, in order.
+    /// A [`Tile`](crate::surface::mesh::Tile) for each tile of all blocks, in order.
     pub tiles: View,
-    /// For every vertex the field at the lower and the upper end of its edge, 16 bits each, in
+    /// For every vertex, the field at the lower and the upper end of its edge, 16 bits each, in
     /// order.
     pub ends: View,
     /// [`table`].
     pub table: View,
-    /// Two words a tile, to work with.
+    /// Two words per tile, as a temporary buffer.
     pub begins: View,
-    /// Three f32 a vertex, to be written.
+    /// Output: three f32 per vertex.
     pub positions: View,
-    /// Three u32 a triangle, to be written.
+    /// Output: three u32 per triangle.
     pub indices: View,
 }
 
 /// Writes the positions and the triangles of the whole mesh, after some tickets, in submissions
-/// that are each short enough for any driver; the last is left for the caller to submit.
+/// that are short enough for any driver; the caller submits the last one.
 ///
 /// # Errors
-/// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a
-/// shader can see at once.
+/// Errors of the device, and [`VulkanError::OutOfMemory`] if the tiles or the ends exceed a shader
+/// binding.
 ///
 /// # Panics
-/// If a buffer is smaller than what it is to hold.
+/// If a buffer is too small.
 pub fn stitch(
     device: &Device,
     (batch, after): (&mut Batch, &[Ticket]),
@@ -227,7 +227,7 @@ pub fn stitch(
         [width, count.div_ceil(width), 1],
     )?;
     let limits = device.limits();
-    // What alignment adds in front of a run must fit as well.
+    // Padding for alignment before a run must fit as well.
     let range = (limits.storage_range - limits.alignment).min(ROWS_AT_ONCE * ROW);
     for run in layout.runs(|block| block.first_vertex, layout.vertices, range) {
         let (positions, first_word) = run.view(positions, limits.alignment);

@@ -1,4 +1,4 @@
-//! Lists between two passes: in memory while they are few, in a scratch file when not.
+//! Lists between two passes: in memory, or in a scratch file if there are many.
 
 use std::borrow::Cow;
 use std::io;
@@ -8,10 +8,10 @@ use bytemuck::{Pod, cast_slice, cast_slice_mut};
 
 use super::Scratch;
 
-/// Lists that are written once and read by number.
+/// Lists that are written once, and read by index.
 #[derive(Debug)]
 pub struct Lists<T> {
-    /// Where each list begins in the file, and its length.
+    /// Position of each list in the file, and its length.
     index: Vec<(u64, usize)>,
     store: Store<T>,
     bytes: u64,
@@ -24,7 +24,7 @@ enum Store<T> {
 }
 
 impl<T: Pod> Lists<T> {
-    /// Nothing yet.
+    /// An empty collection.
     pub fn in_memory() -> Self {
         Self { index: Vec::new(), store: Store::Memory(Vec::new()), bytes: 0 }
     }
@@ -34,10 +34,10 @@ impl<T: Pod> Lists<T> {
         self.bytes
     }
 
-    /// From now on keeps lists in a scratch file in `folder`.
+    /// Moves all current and future lists to a scratch file in `folder`.
     ///
     /// # Errors
-    /// Where that file cannot be created or written.
+    /// If that file cannot be created or written.
     pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
         let Store::Memory(lists) = &mut self.store else { return Ok(()) };
         let lists = std::mem::take(lists);
@@ -49,10 +49,10 @@ impl<T: Pod> Lists<T> {
         Ok(())
     }
 
-    /// Adds a list; its number is that of those before it.
+    /// Adds a list at the end.
     ///
     /// # Errors
-    /// Where the scratch file cannot be written.
+    /// If the scratch file cannot be written.
     pub fn push(&mut self, list: Vec<T>) -> io::Result<()> {
         let len = list.len();
         self.bytes += size_of_val(&list[..]) as u64;
@@ -72,7 +72,7 @@ impl<T: Pod> Lists<T> {
         self.index.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no lists.
     pub fn is_empty(&self) -> bool {
         self.index.is_empty()
     }
@@ -80,7 +80,7 @@ impl<T: Pod> Lists<T> {
     /// List number `i`.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
+    /// If the scratch file cannot be read.
     pub fn get(&self, i: usize) -> io::Result<Cow<'_, [T]>> {
         match &self.store {
             Store::Memory(lists) => Ok(Cow::Borrowed(&lists[i])),

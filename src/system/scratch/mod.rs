@@ -1,4 +1,5 @@
-//! Scratch files: room for what exceeds the memory budget, gone with the process however it ends.
+//! Scratch files for data that exceeds the memory limit. They disappear with the process, however
+//! it ends.
 
 mod lists;
 
@@ -11,8 +12,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::system::reopened::{read_exact_at, write_all_at};
 
-/// An unnamed file. It is written and read by position, by several threads at once; it is never
-/// mapped, so a full disk is an error and nothing else.
+/// An unnamed file that several threads read and write by position. It is never mapped, so a full
+/// disk is an ordinary error.
 #[derive(Debug)]
 pub struct Scratch {
     file: File,
@@ -20,47 +21,47 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// A new one in `folder`, without a name: nothing is left to be removed, not even after a
+    /// Creates a file without a name in `folder`. Nothing remains to be removed, even after a
     /// crash.
     ///
     /// # Errors
-    /// The system's refusal to create a file there.
+    /// If the system cannot create a file there.
     pub fn in_folder(folder: &Path) -> io::Result<Self> {
         Ok(Self { file: tempfile::tempfile_in(folder)?, end: AtomicU64::new(0) })
     }
 
-    /// Sets `bytes` aside and returns where they begin.
+    /// Reserves `bytes`, and returns their position.
     pub fn reserve(&self, bytes: u64) -> u64 {
         self.end.fetch_add(bytes, Ordering::Relaxed)
     }
 
-    /// Bytes set aside so far.
+    /// Reserved bytes.
     pub fn len(&self) -> u64 {
         self.end.load(Ordering::Relaxed)
     }
 
-    /// Whether nothing was set aside.
+    /// Whether nothing is reserved.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Writes all of `bytes` from position `at` on.
+    /// Writes all of `bytes` from position `at`.
     ///
     /// # Errors
-    /// The system's, such as a full disk.
+    /// Errors of the system, such as a full disk.
     pub fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
         write_all_at(&self.file, at, bytes)
     }
 
-    /// Fills `bytes` from position `at` on.
+    /// Fills `bytes` from position `at`.
     ///
     /// # Errors
-    /// The system's, and [`io::ErrorKind::UnexpectedEof`] past what was written.
+    /// Errors of the system, and [`io::ErrorKind::UnexpectedEof`] past the written data.
     pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         read_exact_at(&self.file, at, bytes)
     }
 
-    /// Writes `bytes` at the end and returns where they begin.
+    /// Writes `bytes` at the end, and returns their position.
     pub fn append(&self, bytes: &[u8]) -> io::Result<u64> {
         let at = self.reserve(bytes.len() as u64);
         self.write_at(at, bytes)?;
@@ -68,10 +69,10 @@ impl Scratch {
     }
 }
 
-/// Bytes that can still be written in `folder`.
+/// Free bytes for files in `folder`.
 ///
 /// # Errors
-/// The system's, such as that there is no such folder.
+/// Errors of the system, such as a missing folder.
 pub fn free_bytes(folder: &Path) -> io::Result<u64> {
     fs4::available_space(folder)
 }

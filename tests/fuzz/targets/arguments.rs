@@ -1,6 +1,6 @@
 //! The program's arguments: read, and made into a request, which is not run.
 
-use meniscus::program::{parsed, told};
+use meniscus::program::{error_message, parsed};
 
 use super::Target;
 
@@ -69,7 +69,7 @@ fn run(data: &[u8]) {
             // Numbers are checked by the library, when the request is run.
             assert_eq!(format!("{:?}", request.settings()), format!("{settings:?}"));
             let opened = request.open("there/is/none.xyz");
-            assert!(opened.is_err_and(|error| !told(&error).is_empty()));
+            assert!(opened.is_err_and(|error| !error_message(&error).is_empty()));
         }
         Ok(None) => {}
         Err(message) => assert!(!message.is_empty()),

@@ -93,7 +93,7 @@ fn frames(data: &[u8]) {
         }
     }
     let inputs = [folder.join(request)];
-    let _ = Simulation::if_several(&inputs, &folder.join("m_{}.ply"));
+    let _ = Simulation::detect(&inputs, &folder.join("m_{}.ply"));
     let Ok(Some(inputs)) = Inputs::of(&inputs) else { return };
     assert!(!inputs.describe().is_empty());
     for inputs in inputs.simulations(None).unwrap_or_default() {

@@ -15,7 +15,7 @@ import meniscus
 from bpy.app.handlers import persistent
 
 from . import meshes, vertices
-from .surfaces.arrays import Arrays, Unfit
+from .surfaces.arrays import Arrays, OutOfRange
 from .surfaces.cache import Cache
 from .surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sampling
 from .surfaces.sequence import Listings, Timing, shown_at
@@ -180,7 +180,7 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
         status.warnings = arrays.warnings
         meshes.fill(mesh, arrays, scale)
         mesh[MADE] = name
-    except (Refused, Unfit, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
+    except (Refused, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
         status.error = str(error) or "The memory does not suffice"
         if mesh.vertices and not mesh.is_editmode:
             mesh.clear_geometry()

@@ -81,7 +81,7 @@ def test_a_listing_is_read_again_when_its_folder_has_changed(sequence: Path) -> 
 
 
 def test_what_is_not_there_is_the_librarys_error(tmp_path: Path) -> None:
-    with pytest.raises(meniscus.Error, match="no frames"):
+    with pytest.raises(meniscus.Error, match="no file matches"):
         Listings().frames(str(tmp_path / "none_{}.bgeo"))
     with pytest.raises(meniscus.Error, match="nowhere"):
         Listings().frames(str(tmp_path / "nowhere" / "none_{}.bgeo"))

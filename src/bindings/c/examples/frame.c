@@ -1,4 +1,4 @@
-// A frame of particles in memory to a mesh file: `frame OUTPUT`.
+// Reconstructs a frame of particles in memory, and writes a mesh file: `frame OUTPUT`.
 #include <meniscus.h>
 
 #include <stdio.h>
@@ -20,7 +20,7 @@ int main(int count, char **arguments) {
     for (int axis = 0; axis < 3; axis++) water[i].position[axis] = 0.05f * (float)at[axis];
     water[i].velocity[1] = -9.81f * 0.05f;
   }
-  // They are read where they are.
+  // The library reads them in place.
   const MeniscusAttribute velocity = {
       .size = sizeof velocity, .name = "velocity", .values = water[0].velocity, .components = 3, .stride = sizeof *water};
   const MeniscusParticles particles = {.size = sizeof particles,

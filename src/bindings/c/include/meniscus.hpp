@@ -1,6 +1,8 @@
-// meniscus for C++17: handles that free themselves, exceptions, and containers, around meniscus.h, where everything is documented.
+// meniscus for C++17: RAII handles, exceptions, and containers for meniscus.h, which documents
+// everything.
 //
-// What C returns as a status is thrown as meniscus::Error. What a callback throws ends the work, and is thrown on by the call.
+// A status other than MENISCUS_STATUS_OK is thrown as meniscus::Error. An exception of a callback
+// ends the work, and is rethrown by the call.
 #ifndef MENISCUS_HPP
 #define MENISCUS_HPP
 
@@ -21,7 +23,7 @@
 
 namespace meniscus {
 
-// A call that failed: what() says what is wrong, and where.
+// A failed call: what() says what is wrong, and where.
 class Error : public std::runtime_error {
  public:
   Error(MeniscusStatus status, const std::string &what) : std::runtime_error(what), status(status) {}
@@ -32,7 +34,7 @@ inline void check(MeniscusStatus status) {
   if (status != MENISCUS_STATUS_OK) throw Error(status, meniscus_last_error());
 }
 
-// Numbers that belong to another, side by side.
+// A view of contiguous numbers that another object owns.
 template <class T>
 class Span {
  public:
@@ -58,7 +60,8 @@ constexpr int32_t number_type() {
   return std::is_same_v<T, float> ? MENISCUS_TYPE_F32 : MENISCUS_TYPE_F64;
 }
 
-// Particles in the caller's memory, which stays where it is, and as it is, while it is used. Strides are in bytes.
+// Particles in the caller's memory, which must stay unchanged while it is used. Strides are in
+// bytes.
 class Particles {
  public:
   template <class T>
@@ -71,7 +74,7 @@ class Particles {
   explicit Particles(const std::vector<std::array<T, 3>> &positions)
       : Particles(reinterpret_cast<const T *>(positions.data()), positions.size()) {}
 
-  // Adds a value of each particle; its name must live as long as this.
+  // Adds an attribute of the particles; its name must live as long as this object.
   template <class T>
   Particles &attribute(const char *name, const T *values, uint32_t components, std::ptrdiff_t stride = 0) {
     MeniscusAttribute attribute{};
@@ -81,7 +84,7 @@ class Particles {
     return *this;
   }
 
-  // As C has it, as long as this stays as it is.
+  // The C structure, valid while this object is unchanged.
   MeniscusParticles c() const {
     MeniscusParticles c = c_;
     c.attributes = attributes_.data(), c.attribute_count = attributes_.size();
@@ -108,7 +111,7 @@ using Handle = std::unique_ptr<T, Free<free>>;
 
 }  // namespace detail
 
-// A handle by which any thread can end work early: Options::cancel_by takes it.
+// A handle with which any thread can cancel work: Options::cancel_by takes it.
 class Cancel {
  public:
   void cancel() { meniscus_cancel(handle_.get()); }
@@ -118,7 +121,7 @@ class Cancel {
   detail::Handle<MeniscusCancel, meniscus_cancel_free> handle_{meniscus_cancel_new()};
 };
 
-// Options by the program's keys: `Options().set("spacing", 0.05).set("normals", true)`.
+// Options, by the keys of the program: `Options().set("spacing", 0.05).set("normals", true)`.
 class Options {
  public:
   Options() = default;
@@ -129,7 +132,7 @@ class Options {
     return *this;
   }
 
-  // Sets an option from a number, a switch or text. Throws if the key is unknown, or the value of
+  // Sets an option from a number, a switch or text. Throws if the key is unknown, or the value has
   // another type.
   template <class T>
   Options &set(const std::string &key, const T &value) {
@@ -154,13 +157,13 @@ class Options {
     check(meniscus_options_set(handle_.get(), key.c_str(), nullptr));
     return *this;
   }
-  // Sets the function that is called with progress; it returns false to end the work.
+  // Sets the function that is called with progress; it returns false to cancel the work.
   Options &on_progress(std::function<bool(const MeniscusProgress &)> progress) {
     on_progress_ = std::move(progress);
     return *this;
   }
   const std::function<bool(const MeniscusProgress &)> &on_progress() const { return on_progress_; }
-  // Sets the handle by which any thread can end the work.
+  // Sets the handle with which any thread can cancel the work.
   Options &cancel_by(const Cancel &cancel) {
     check(meniscus_options_cancel_by(handle_.get(), cancel.c()));
     return *this;
@@ -182,7 +185,7 @@ class Options {
 
 namespace detail {
 
-// Options of one call, which calls this object with its progress.
+// Options of one call, with this object as the receiver of its progress.
 class Asked {
  public:
   explicit Asked(const Options &options)
@@ -194,7 +197,7 @@ class Asked {
   Asked &operator=(const Asked &) = delete;
   const MeniscusOptions *c() const { return handle_.get(); }
 
-  // Throws what the callback threw, or what went wrong.
+  // Throws the exception of the callback, or the error of the call.
   void check(MeniscusStatus status) {
     if (auto thrown = std::exchange(thrown_, nullptr)) std::rethrow_exception(thrown);
     meniscus::check(status);
@@ -226,13 +229,13 @@ class Mesh {
   uint64_t vertex_count() const { return meniscus_mesh_vertex_count(c()); }
   uint64_t triangle_count() const { return meniscus_mesh_triangle_count(c()); }
 
-  // x, y, z of each vertex: lent, as long as the mesh lives, as all that is a Span.
+  // x, y, z of each vertex. Every Span of a mesh is valid as long as the mesh lives.
   Span<double> positions() const { return {arrays().positions, 3 * arrays().vertex_count}; }
   // The vertices of each triangle, counterclockwise seen from outside.
   Span<uint32_t> triangles() const { return {arrays().triangles, 3 * arrays().triangle_count}; }
-  // The normal of each vertex; empty where none were asked for.
+  // The normal of each vertex; empty if no normals were requested.
   Span<float> normals() const { return {arrays().normals, arrays().normals ? 3 * arrays().vertex_count : 0}; }
-  // All components of each vertex, of an attribute by its name; whole numbers rounded to float.
+  // The components of each vertex, of the attribute with this name; integers are rounded to float.
   Span<float> attribute(const std::string &name) const {
     const MeniscusArrays lent = arrays();
     for (const auto &one : Span(lent.attributes, lent.attribute_count)) {
@@ -241,7 +244,7 @@ class Mesh {
     throw std::out_of_range("the mesh has no attribute " + name);
   }
 
-  // Copies, in the width that is asked for.
+  // Copies, as float or double.
   template <class T>
   std::vector<T> copy_positions() const {
     static_assert(std::is_floating_point_v<T>, "coordinates are float or double");
@@ -253,7 +256,7 @@ class Mesh {
     }
     return out;
   }
-  // All components of each vertex, of an attribute of whole numbers by its name, as they are.
+  // The exact components of each vertex, of the integer attribute with this name.
   std::vector<int64_t> copy_whole(const std::string &name) const {
     for (std::size_t i = 0; i < meniscus_mesh_attribute_count(c()); i++) {
       if (name != meniscus_mesh_attribute_name(c(), i)) continue;
@@ -269,7 +272,7 @@ class Mesh {
     return out;
   }
 
-  // Doubts about the surface, or about the request for it.
+  // Warnings about the surface, or about its request.
   std::vector<std::string> warnings() const {
     std::vector<std::string> all;
     for (std::size_t i = 0; i < meniscus_mesh_warning_count(c()); i++) all.emplace_back(meniscus_mesh_warning(c(), i));
@@ -278,9 +281,9 @@ class Mesh {
   MeniscusReport report() const { return filled<MeniscusReport>(meniscus_mesh_report); }
   MeniscusCheck checked() const { return filled<MeniscusCheck>(meniscus_mesh_check); }
 
-  // Writes a file, whose size in bytes it returns, and refuses to replace one.
+  // Writes a new file, and returns its size in bytes. An existing file is an error.
   uint64_t write(const std::string &path) const { return write(path, 0); }
-  // Writes a file in place of one that may be there.
+  // Writes a file, and replaces an existing one.
   uint64_t overwrite(const std::string &path) const { return write(path, 1); }
 
   const MeniscusMesh *c() const { return handle_.get(); }
@@ -320,7 +323,7 @@ inline Mesh reconstruct(const std::string &path, const Options &options = {}) {
   return Mesh(mesh);
 }
 
-// A frame that is sampled once, and surfaced as often as one likes.
+// A frame that is sampled once, from which several surfaces can be made.
 class Frame {
  public:
   explicit Frame(const Particles &particles, const Options &options = {}) {
@@ -333,20 +336,20 @@ class Frame {
     take(asked, [&](MeniscusFrame **frame) { return meniscus_sample_file(path.c_str(), asked.c(), frame); });
   }
 
-  // Draws the surface that was asked for when it was sampled.
+  // Makes the surface that was requested when the particles were sampled.
   Mesh surface() const {
     MeniscusMesh *mesh = nullptr;
     check(meniscus_frame_surface(handle_.get(), nullptr, &mesh));
     return Mesh(mesh);
   }
-  // Draws a surface by other options.
+  // Makes a surface with other options.
   Mesh surface(const Options &options) const {
     detail::Asked asked(options);
     MeniscusMesh *mesh = nullptr;
     asked.check(meniscus_frame_surface(handle_.get(), asked.c(), &mesh));
     return Mesh(mesh);
   }
-  // Writes a .mnf file, whose size in bytes it returns, and refuses to replace one.
+  // Writes a new .mnf file, and returns its size in bytes. An existing file is an error.
   uint64_t pack(const std::string &path) const {
     uint64_t bytes = 0;
     check(meniscus_frame_pack(handle_.get(), path.c_str(), 0, &bytes));
@@ -363,7 +366,7 @@ class Frame {
   detail::Handle<MeniscusFrame, meniscus_frame_free> handle_;
 };
 
-// A simulation that runs: frames from memory, one after the other, all alike.
+// A running simulation: frames from memory, in order, with one calibration.
 class Simulation {
  public:
   explicit Simulation(const Options &options = {}) : asked_(std::make_unique<detail::Asked>(options)) {
@@ -378,7 +381,7 @@ class Simulation {
     asked_->check(meniscus_simulation_frame(handle_.get(), &c, &mesh));
     return Mesh(mesh);
   }
-  // Whether cells, grid and calibration are frozen.
+  // Whether cells, grid and calibration are fixed.
   bool is_settled() const { return meniscus_simulation_is_settled(handle_.get()) != 0; }
 
  private:

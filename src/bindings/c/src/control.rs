@@ -1,4 +1,4 @@
-//! The caller's hold on work: a callback that is told how far it is, and early ends.
+//! Progress callbacks and cancellation.
 
 use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};
@@ -9,7 +9,7 @@ use parking_lot::ReentrantMutex;
 
 use crate::status::{ask, c_text};
 
-/// A step on the way from particles to a mesh file.
+/// A stage between particles and a mesh file.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusStage {
@@ -17,9 +17,9 @@ pub enum MeniscusStage {
     Other = 0,
     /// The input is read.
     Reading = 1,
-    /// Particles are counted in the cells, to know what memory the frame takes.
+    /// Particles are counted in cells, to estimate the memory of the frame.
     Counting = 2,
-    /// A large frame waits until others are done.
+    /// A large frame waits for others to finish.
     Waiting = 3,
     /// Particles are sampled on the grid.
     Sampling = 4,
@@ -46,44 +46,43 @@ impl From<Stage> for MeniscusStage {
     }
 }
 
-/// Progress of a frame. The library fills it, and a later version may put more behind.
+/// Progress of a frame. The library fills it, and later versions may append fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusProgress {
-    /// Bytes of this structure as the library knows it.
+    /// Size of this structure in the library.
     pub size: usize,
-    /// The stage in one word, such as "meshing"; valid during the callback.
+    /// The name of the stage, such as "meshing"; valid during the callback.
     pub name: *const c_char,
-    /// The share of this stage that is done, from 0 to 1.
+    /// The finished fraction of this stage, from 0 to 1.
     pub done: f64,
     /// The stage, one of MeniscusStage.
     pub stage: i32,
 }
 
-/// A function that is told of progress. It returns 0 for the work to go on, and anything else to
-/// end it early: the call then returns MENISCUS_STATUS_CANCELLED.
+/// A function that receives progress. It returns 0 to continue; any other value cancels the work,
+/// and the call returns MENISCUS_STATUS_CANCELLED.
 ///
-/// It is called from threads of the library, but never from two at once in the same call, and never
-/// after the call has returned. It must not throw, nor leave by longjmp.
+/// Threads of the library call it, but only one at a time within a call, and never after the call
+/// has returned. It must not throw, nor leave by longjmp.
 pub type MeniscusProgressCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, progress: *const MeniscusProgress) -> i32>;
 
-/// A handle to end work early from any thread. Work that was begun with it, or is begun later, ends
-/// with MENISCUS_STATUS_CANCELLED: a handle is not used again once it was cancelled. It may be
-/// freed while such work runs.
+/// A handle with which any thread can cancel work. Current and later work with the handle ends with
+/// MENISCUS_STATUS_CANCELLED, so a cancelled handle cannot be reused. It may be freed while such
+/// work runs.
 #[derive(Debug, Default)]
 pub struct MeniscusCancel {
     pub cancel: Cancel,
 }
 
-/// Makes a handle, to be freed by meniscus_cancel_free.
+/// Creates a handle, to be freed by meniscus_cancel_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
-/// Asks all work with this handle to end soon. May be called from any thread, at any time; NULL is
-/// ignored.
+/// Cancels all work with this handle. Any thread may call it at any time; NULL is ignored.
 ///
 /// `cancel` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -103,7 +102,7 @@ pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
     unsafe { free(cancel) };
 }
 
-/// Frees what a handle points to; NULL is ignored.
+/// Frees the target of a handle; NULL is ignored.
 ///
 /// # Safety
 /// `handle` is NULL, or came from a `Box` that is not freed yet.
@@ -114,16 +113,16 @@ pub unsafe fn free<T>(handle: *mut T) {
     }
 }
 
-/// A callback, and what it is called with.
+/// A callback with its argument.
 #[derive(Clone, Copy)]
 pub struct Listener {
     pub callback: unsafe extern "C" fn(*mut c_void, *const MeniscusProgress) -> i32,
     pub user: *mut c_void,
 }
 
-/// A callback that hears only while a call lasts: surfaces hold whoever was told of their progress,
-/// and may outlive what the callback needs. A callback may call the library, which may call it
-/// again: hence a lock that its own thread can take twice.
+/// A callback that is active only during a call: surfaces keep their progress callback, and may
+/// outlive its argument. A callback may call the library, which may call the callback again;
+/// therefore the lock is reentrant.
 struct Ear(ReentrantMutex<Cell<Option<Listener>>>);
 
 // SAFETY: what `user` points to is used by one thread at a time, and its owner has agreed to any.
@@ -131,10 +130,10 @@ unsafe impl Send for Ear {}
 // SAFETY: as above.
 unsafe impl Sync for Ear {}
 
-/// The control of a request: whom to tell, and how to end it early.
+/// Progress and cancellation of a request.
 pub struct Control {
     cancel: Cancel,
-    /// Whether the handle is the caller's, or this one's own.
+    /// Whether the handle belongs to the caller.
     is_given: bool,
     listener: Option<Listener>,
     ear: Arc<Ear>,
@@ -145,28 +144,28 @@ unsafe impl Send for Control {}
 // SAFETY: as above.
 unsafe impl Sync for Control {}
 
-/// Lets the callback hear, as long as it lives.
+/// Activates the callback until it is dropped.
 pub struct Listening<'a>(&'a Control);
 
 impl Control {
-    /// Takes a callback, if there is one, and a handle to end by, if there is one.
+    /// Takes an optional callback, and an optional cancel handle.
     pub fn new(listener: Option<Listener>, cancel: Option<Cancel>) -> Self {
         let is_given = cancel.is_some();
         Self { cancel: cancel.unwrap_or_default(), is_given, listener, ear: Ear::deaf() }
     }
 
-    /// Makes the same for other work, that a callback's end of this does not end.
-    pub fn anew(&self) -> Self {
+    /// A copy for other work, which a cancel by the callback does not affect.
+    pub fn for_other_work(&self) -> Self {
         let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
         Self { cancel, ear: Ear::deaf(), ..*self }
     }
 
-    /// The handle by which the work ends early.
+    /// The cancel handle of the work.
     pub fn cancel(&self) -> &Cancel {
         &self.cancel
     }
 
-    /// Makes a request tell the callback of its progress, and end by the handle.
+    /// Adds the callback and the handle to a request.
     pub fn of(&self, request: Reconstruction) -> Reconstruction {
         let request = request.cancel(self.cancel.clone());
         if self.listener.is_none() {
@@ -176,7 +175,7 @@ impl Control {
         request.progress(move |progress| ear.hear(progress, &cancel))
     }
 
-    /// Lets the callback hear.
+    /// Activates the callback.
     pub fn listen(&self) -> Listening<'_> {
         self.ear.0.lock().set(self.listener);
         Listening(self)

@@ -1,4 +1,5 @@
-//! Files of a simulation to mesh files, with the program's own state and records beside them.
+//! Converts the files of a simulation to mesh files, with the same state and records as the
+//! program.
 
 use std::ffi::{CString, c_char, c_void};
 use std::path::PathBuf;
@@ -10,73 +11,73 @@ use crate::sized::{Growing, check, fill};
 use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call};
 use crate::text::{path, pointers};
 
-/// News of a conversion.
+/// Kinds of events of a conversion.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusEventKind {
-    /// Something that is newer than this header.
+    /// An event that is newer than this header.
     Other = 0,
-    /// No frame has come yet, and one is waited for.
+    /// Waiting for the first frame.
     Waiting = 1,
-    /// The spacing that a frame says, or looks like, may not be right.
-    Doubted = 2,
-    /// The state of an earlier run is made anew, because settings or its input changed.
-    Anew = 3,
-    /// The frames of an earlier run are gone on with.
-    GoesOn = 4,
-    /// The measurements that all frames share are made.
+    /// The spacing may be wrong.
+    SpacingWarning = 2,
+    /// The conversion starts again, because settings or its input changed.
+    Restarted = 3,
+    /// An earlier conversion is resumed.
+    Resumed = 4,
+    /// The calibration that all frames share was measured.
     Measured = 5,
-    /// The frames that are to be made are known.
-    Begins = 6,
-    /// A further frame has come.
-    Came = 7,
-    /// A frame is at a stage, or is over.
+    /// The conversion begins, and the number of frames is known.
+    Started = 6,
+    /// A new frame appeared.
+    FrameAppeared = 7,
+    /// A frame entered a stage, progressed in it, or left the last one.
     Stage = 8,
-    /// A frame is done: its mesh is whole, and under its name.
+    /// A frame is finished: its mesh is complete, with its final name.
     Done = 9,
-    /// A frame could not be made.
+    /// A frame failed.
     Failed = 10,
-    /// One of several simulations could not be converted; the others are.
+    /// One of several simulations failed; the others continue.
     SimulationFailed = 11,
-    /// All frames of a simulation are done, or have failed.
+    /// All frames of a simulation have finished or failed.
     Ended = 12,
 }
 
-/// An event of a conversion. The library fills it, and a later version may put more behind.
+/// An event of a conversion. The library fills it, and later versions may append fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusEvent {
-    /// Bytes of this structure as the library knows it.
+    /// Size of this structure in the library.
     pub size: usize,
-    /// The event as a line for people; valid during the callback.
+    /// The event as a line of text; valid during the callback.
     pub text: *const c_char,
-    /// The doubts about a frame that is done, a line each; NULL where there are none. Valid during
-    /// the callback.
+    /// The warnings about a finished frame, one per line; NULL if there are none. Valid during the
+    /// callback.
     pub warnings: *const c_char,
-    /// The number of the frame, for stages, and for frames that are done or failed; negative before
+    /// The number of the frame, for stages, and for frames that finished or failed; negative before
     /// frame 0.
     pub frame: i64,
-    /// Frames that are done or have failed so far, where that is known.
+    /// Frames that have finished or failed so far, if known.
     pub done: u64,
-    /// Frames that are to be made, where that is known.
+    /// All frames of the conversion, if known.
     pub total: u64,
-    /// Frames that have failed so far, where that is known.
+    /// Frames that have failed so far, if known.
     pub failed: u64,
     /// One of MeniscusEventKind.
     pub kind: i32,
-    /// How much of its stage is done for a frame that is at one, from 0 to 1.
+    /// The finished fraction of the frame's stage, from 0 to 1.
     pub share: f64,
 }
 
-/// A function that is told of events. It returns 0 for the conversion to go on, and anything else
-/// to end it early: frames that are done stay.
+/// A function that receives events. It returns 0 to continue; any other value cancels the
+/// conversion, and keeps finished frames.
 ///
 /// It is called on the thread that called meniscus_convert. It must not throw, nor leave by
 /// longjmp.
 pub type MeniscusEventCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
 
-/// A callback, and what it is called with.
+/// A callback with its argument.
 #[derive(Clone, Copy)]
 pub struct EventListener {
     pub callback: unsafe extern "C" fn(*mut c_void, *const MeniscusEvent) -> i32,
@@ -91,15 +92,15 @@ pub struct MeniscusSummary {
     pub size: usize,
     /// Frames that were made.
     pub made: u64,
-    /// Frames that have failed.
+    /// Frames that failed.
     pub failed: u64,
     /// Frames that are missing between others.
     pub missing: u64,
     /// Particles in the frames that were made.
     pub particles: u64,
-    /// Particles that are in no surface, at the least.
+    /// Lower bound of the particles that are missing from surfaces.
     pub lost: u64,
-    /// How long it took in seconds.
+    /// Duration in seconds.
     pub seconds: f64,
 }
 
@@ -108,8 +109,8 @@ unsafe impl Growing for MeniscusSummary {
     const NAME: &str = "MeniscusSummary";
 }
 
-/// Tells a caller of an event.
-fn tell(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
+/// Passes an event to the callback.
+fn notify(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
     let Some(EventListener { callback, user }) = listener else { return };
     let text = c_text(event.to_string());
     let (told, warnings) = described(event);
@@ -122,7 +123,7 @@ fn tell(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
     }
 }
 
-/// An event in numbers, and the warnings of its frame.
+/// An event as a C structure, with the warnings about its frame.
 fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
     let mut told = MeniscusEvent {
         size: size_of::<MeniscusEvent>(),
@@ -138,15 +139,15 @@ fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
     let mut warnings = Vec::new();
     let kind = match event {
         Event::Waiting { .. } => MeniscusEventKind::Waiting,
-        Event::Doubted(_) => MeniscusEventKind::Doubted,
-        Event::Anew { .. } => MeniscusEventKind::Anew,
-        Event::GoesOn { .. } => MeniscusEventKind::GoesOn,
+        Event::SpacingWarning(_) => MeniscusEventKind::SpacingWarning,
+        Event::Restarted { .. } => MeniscusEventKind::Restarted,
+        Event::Resumed { .. } => MeniscusEventKind::Resumed,
         Event::Measured { .. } => MeniscusEventKind::Measured,
-        Event::Begins { frames, done, .. } => {
+        Event::Started { frames, done, .. } => {
             (told.done, told.total) = (*done as u64, *frames as u64);
-            MeniscusEventKind::Begins
+            MeniscusEventKind::Started
         }
-        Event::Came { .. } => MeniscusEventKind::Came,
+        Event::FrameAppeared { .. } => MeniscusEventKind::FrameAppeared,
         Event::Stage { frame, progress, .. } => {
             told.frame = *frame;
             told.share = progress.map_or(0.0, |progress| progress.done);
@@ -172,7 +173,7 @@ fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
 }
 
 impl MeniscusEvent {
-    fn count(&mut self, progress: &meniscus::Tallied) {
+    fn count(&mut self, progress: &meniscus::FrameCounts) {
         (self.done, self.total) = (progress.done as u64, progress.total as u64);
         self.failed = progress.failed as u64;
     }
@@ -192,17 +193,17 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
     names.iter().map(|&name| unsafe { path(name, "inputs") }).collect()
 }
 
-/// Converts the frames of a simulation from files to files, as the program does: all alike, side by
-/// side, whole or not at all.
+/// Converts the files of a simulation to mesh files, as the program does: with one calibration, in
+/// parallel, each file completely or not at all.
 ///
-/// `inputs`: one name with {} for the number, a folder, a glob or a file of several steps; or the
-/// files of `input_count` frames; or, with the option "together", inputs whose frames of one number
-/// are one. `output`: a name with {} or {:04} for the number, or a folder.
-/// `options`: which frames, and how; NULL for all defaults. Their progress function is not called.
-/// `summary`: NULL, or where to put what was done.
+/// `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
+/// files of `input_count` frames; or, with the option "together", inputs whose frames with the same
+/// number are joined. `output`: a name with {} or {:04} for the number, or a folder. `options`: the
+/// frames and their settings; NULL for all defaults. Their progress function is not called.
+/// `summary`: NULL, or the structure to fill.
 ///
-/// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are
-/// done: the message says of the first.
+/// MENISCUS_STATUS_INCOMPLETE if frames failed or are missing between others; the message describes
+/// the first. The other frames are finished.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -227,7 +228,7 @@ pub unsafe extern "C" fn meniscus_convert(
         let asked = asked.on_machine(|_| simulation.input_bytes())?;
         let (listener, cancel) = (asked.event, asked.control.cancel());
         let simulation = simulation.reconstruction(asked.request.clone());
-        let summaries = simulation.run(|event| tell(listener, &event, cancel))?;
+        let summaries = simulation.run(|event| notify(listener, &event, cancel))?;
         let all = summed(&summaries);
         if !summary.is_null() {
             // SAFETY: as for this function.
@@ -243,14 +244,14 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
         size: size_of::<MeniscusSummary>(),
         made: sum(&|one| one.made as u64),
         failed: sum(&|one| one.failed.len() as u64),
-        missing: sum(&|one| one.lacking() - one.failed.len() as u64),
+        missing: sum(&|one| one.incomplete_frames() - one.failed.len() as u64),
         particles: sum(&|one| one.left_out.census.binned as u64),
         lost: sum(&|one| one.left_out.lost),
         seconds: summaries.iter().map(|one| one.seconds).sum(),
     }
 }
 
-/// Says what is not there, if anything is not.
+/// Describes the first missing or failed frame, if there is one.
 fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
     let failed =
         summaries.iter().flat_map(|one| &one.failed).map(|failed| failed.error.to_string());

@@ -1,4 +1,4 @@
-//! Frames: particles to a surface at once, or sampled once and surfaced as often as one likes.
+//! Frames: particles to a surface in one call, or sampled once for several surfaces.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -11,12 +11,12 @@ use crate::mesh::MeniscusMesh;
 use crate::options::{Asked, MeniscusOptions, replacing};
 use crate::particles::{Borrowed, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
-use crate::text::{path, tell};
+use crate::text::{path, put};
 
-/// A frame that was sampled: particles as a field, from which surfaces are drawn by other filters
-/// without the particles. Freed by meniscus_frame_free.
+/// A sampled frame: the field of the particles, from which surfaces with different filters can be
+/// made. Freed by meniscus_frame_free.
 ///
-/// Several threads may use it at once, as long as none frees it.
+/// Several threads may use it at the same time, as long as none frees it.
 pub struct MeniscusFrame {
     frame: Frame,
     warnings: Vec<CString>,
@@ -29,7 +29,7 @@ impl MeniscusFrame {
     }
 }
 
-/// Does work whose result is a handle: NULL where it fails.
+/// Does work whose result is a handle: NULL on failure.
 ///
 /// # Safety
 /// `out` is NULL, or points to a pointer.
@@ -43,15 +43,15 @@ pub unsafe fn making<T>(
             return Err(Failure::request(format!("{what} is NULL")));
         }
         // SAFETY: as for this function.
-        unsafe { tell(out, std::ptr::null_mut()) };
+        unsafe { put(out, std::ptr::null_mut()) };
         let made = Box::into_raw(Box::new(work()?));
         // SAFETY: as for this function.
-        unsafe { tell(out, made) };
+        unsafe { put(out, made) };
         Ok(())
     })
 }
 
-/// Does something with particles in memory, while the callback listens.
+/// Does work with particles in memory, with the callback active.
 ///
 /// # Safety
 /// Pointers are NULL or point to the described data.
@@ -67,7 +67,7 @@ unsafe fn of_particles<T>(
     Ok(act(&asked.request, &particles)?)
 }
 
-/// Does something with a file, while the callback listens.
+/// Does work with a file, with the callback active.
 ///
 /// # Safety
 /// Pointers are NULL or point to the described data.
@@ -78,7 +78,7 @@ unsafe fn of_file<T>(
 ) -> Outcome<T> {
     // SAFETY: as for this function.
     let (file, asked) = unsafe { (path(file, "path")?, Asked::new(options)?) };
-    // What is wrong with the request is said before a device is opened.
+    // Errors of the request are reported before a device is opened.
     asked.request.check(&file)?;
     let asked = asked.for_file(&file)?;
     let _listening = asked.control.listen();
@@ -87,14 +87,14 @@ unsafe fn of_file<T>(
 
 /// Reconstructs the surface of particles in memory.
 ///
-/// `options` may be NULL for all defaults. `mesh`: where to put the mesh, to be freed by
-/// meniscus_mesh_free; NULL where it fails.
+/// `options` may be NULL for all defaults. `mesh`: receives the mesh, to be freed by
+/// meniscus_mesh_free; NULL on failure.
 ///
-/// MENISCUS_STATUS_REQUEST for arguments and options that are wrong, and for memory that does not
-/// do; MENISCUS_STATUS_INPUT for particles that are not finite or too far away, have no surface, or
-/// are none; MENISCUS_STATUS_OUTPUT where scratch files fail.
+/// MENISCUS_STATUS_REQUEST for invalid arguments and options, and for too little memory;
+/// MENISCUS_STATUS_INPUT for particles that are not finite or too far away, for no particles, and
+/// if they have no surface; MENISCUS_STATUS_OUTPUT if scratch files fail.
 ///
-/// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
+/// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_reconstruct(
     particles: *const MeniscusParticles,
@@ -111,8 +111,8 @@ pub unsafe extern "C" fn meniscus_reconstruct(
 
 /// Reconstructs the surface of the particles in a file, or of a packed frame.
 ///
-/// `path`: any file that the program reads; one of several steps has a number behind a colon.
-/// Otherwise as meniscus_reconstruct.
+/// `path`: any file that the program reads; `file#N` is a step of a file with several. Otherwise
+/// like meniscus_reconstruct.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -127,12 +127,12 @@ pub unsafe extern "C" fn meniscus_reconstruct_file(
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
-/// Samples particles in memory once, for surfaces that may be drawn otherwise again and again.
+/// Samples particles in memory once, for several surfaces with different settings.
 ///
-/// `frame`: where to put the frame, to be freed by meniscus_frame_free; NULL where it fails.
-/// Otherwise as meniscus_reconstruct. The particles are not needed any more afterwards.
+/// `frame`: receives the frame, to be freed by meniscus_frame_free; NULL on failure. Otherwise like
+/// meniscus_reconstruct. The particles are not needed any more afterwards.
 ///
-/// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
+/// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_sample(
     particles: *const MeniscusParticles,
@@ -172,12 +172,12 @@ unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
     unsafe { frame.as_ref() }.ok_or_else(|| Failure::request("frame is NULL"))
 }
 
-/// Draws a surface of a frame.
+/// Makes a surface from a frame.
 ///
-/// `options`: NULL for the surface that was asked for when it was sampled. Else whatever does not
-/// need the particles again, from the width of smoothing to simplifying; what says how particles
-/// are sampled may be as it was, and is refused otherwise (MENISCUS_STATUS_REQUEST). Memory,
-/// threads, scratch folder and device stay those of the frame. Otherwise as meniscus_reconstruct.
+/// `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
+/// settings from smoothing to simplifying; settings of the sampling must be unset or unchanged
+/// (else MENISCUS_STATUS_REQUEST). Memory, threads, scratch folder and device remain those of the
+/// frame. Otherwise like meniscus_reconstruct.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -201,11 +201,10 @@ pub unsafe extern "C" fn meniscus_frame_surface(
     unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
-/// Writes a frame to a .mnf file, whole or not at all, to be surfaced later by
-/// meniscus_reconstruct_file or meniscus_sample_file.
+/// Writes a frame to a .mnf file, completely or not at all, for meniscus_reconstruct_file or
+/// meniscus_sample_file.
 ///
-/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
-/// size.
+/// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -221,12 +220,12 @@ pub unsafe extern "C" fn meniscus_frame_pack(
         let output = Reconstruction::new().packed_output(&path, replacing(overwrite))?;
         let packed = frame.frame.pack(output)?;
         // SAFETY: as for this function.
-        unsafe { tell(bytes, packed.bytes) };
+        unsafe { put(bytes, packed.bytes) };
         Ok(())
     })
 }
 
-/// Returns the number of doubts about the frame's particles; 0 of NULL.
+/// Returns the number of warnings about the frame's particles; 0 for NULL.
 ///
 /// `frame` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -235,8 +234,8 @@ pub unsafe extern "C" fn meniscus_frame_warning_count(frame: *const MeniscusFram
     unsafe { frame.as_ref() }.map_or(0, |frame| frame.warnings.len())
 }
 
-/// Returns a doubt by its number from 0, for people; valid until the frame is freed. NULL where
-/// there is no such doubt.
+/// Returns a warning by its index, as text that is valid until the frame is freed; NULL if there is
+/// no such warning.
 ///
 /// `frame` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]

@@ -1,8 +1,8 @@
-//! The C interface of meniscus: `include/meniscus.h` is made of what is public here, by cbindgen.
+//! The C interface of meniscus. cbindgen generates `include/meniscus.h` from its public items.
 //!
-//! Nothing is decided here: what callers say is checked as far as C cannot, and handed to the
-//! library. No panic goes beyond a function, and what fails is a code and a message.
-// The safety of functions is said in the header's words.
+//! The interface checks the caller's arguments as far as C allows, and passes them to the library.
+//! No panic crosses a function, and errors are a code and a message.
+// The safety of functions is documented for the header.
 #![allow(clippy::missing_safety_doc)]
 
 mod control;
@@ -19,7 +19,7 @@ mod text;
 
 use std::ffi::c_char;
 
-/// Returns the version of the library, such as "0.3.0". The text lives for ever.
+/// Returns the version of the library, such as "0.3.0". The text is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()

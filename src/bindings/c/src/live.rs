@@ -1,4 +1,4 @@
-//! A simulation that runs: frames from memory, one after the other, all alike.
+//! A running simulation: frames from memory, in order, with one calibration.
 
 use meniscus::{LiveSimulation, Reconstruction};
 use parking_lot::Mutex;
@@ -10,22 +10,20 @@ use crate::options::{Asked, MeniscusOptions};
 use crate::particles::{Borrowed, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, ask};
 
-/// A simulation whose frames come from memory, one after the other. Freed by
-/// meniscus_simulation_free.
+/// A simulation whose frames come from memory, in order. Freed by meniscus_simulation_free.
 ///
-/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters
-/// reach, and frozen: the frames from then on are alike. It makes one frame at a time.
+/// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
+/// the filters, and kept for all later frames. It makes one frame at a time.
 pub struct MeniscusSimulation {
     live: Mutex<LiveSimulation>,
     control: Control,
 }
 
-/// Starts threads for a simulation, of which nothing is known yet.
+/// Starts a simulation with its threads.
 ///
-/// `options` may be NULL for all defaults; its callback and what that is given have to be there
-/// until the simulation is freed. A callback ends one frame early, a handle also all that come
-/// later. `simulation`: where to put the handle, to be freed by meniscus_simulation_free; NULL
-/// where it fails.
+/// `options` may be NULL for all defaults; the callback and its argument must exist until the
+/// simulation is freed. A callback cancels one frame, a handle also all later ones. `simulation`:
+/// receives the handle, to be freed by meniscus_simulation_free; NULL on failure.
 ///
 /// Pointers are NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -47,11 +45,11 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 
 /// Reconstructs the surface of the next frame.
 ///
-/// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what
-/// meniscus_reconstruct does; the next frame may do better than one that fails.
-/// MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
+/// A frame without particles, or without a surface, is an empty mesh. Otherwise like
+/// meniscus_reconstruct; after a failure, the next frame can still succeed. MENISCUS_STATUS_REQUEST
+/// while the simulation works on another frame.
 ///
-/// Pointers are NULL or point to the described data; the particles stay as they are meanwhile.
+/// Pointers are NULL or point to the described data; the particles stay unchanged meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_simulation_frame(
     simulation: *mut MeniscusSimulation,
@@ -65,12 +63,12 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
             simulation.ok_or_else(|| Failure::request("simulation is NULL"))?;
         // SAFETY: as for this function.
         let particles = unsafe { Borrowed::new(particles) }?;
-        // A callback that asked for a frame would wait for itself.
+        // A callback that requests a frame would wait for itself.
         let Some(mut live) = live.try_lock() else {
             return Err(Failure::request("the simulation is at work on another frame"));
         };
-        let control = control.anew();
-        live.controlled_by(&control.of(Reconstruction::new()));
+        let control = control.for_other_work();
+        live.set_control(&control.of(Reconstruction::new()));
         let _listening = control.listen();
         Ok(MeniscusMesh::new(live.frame(&particles)?))
     };
@@ -78,7 +76,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
     unsafe { making(mesh, "mesh", made) }
 }
 
-/// Returns 1 once cells, grid and calibration are frozen, else 0; 0 of NULL, and while a frame is
+/// Returns 1 once cells, grid and calibration are fixed, else 0; 0 for NULL, and while a frame is
 /// made.
 ///
 /// `simulation` is NULL, or a handle that is not freed yet.
@@ -92,7 +90,7 @@ pub unsafe extern "C" fn meniscus_simulation_is_settled(
     ask(0, || live.is_some_and(|live| live.is_settled()).into())
 }
 
-/// Frees a simulation; NULL is ignored. Meshes that it made stay.
+/// Frees a simulation; NULL is ignored. Its meshes stay valid.
 ///
 /// `simulation` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]

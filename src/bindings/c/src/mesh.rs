@@ -1,5 +1,5 @@
-//! Surfaces: what they hold, copied to the caller's memory or lent from the library's, and written
-//! to files.
+//! Surfaces: their data, copied to the caller's memory or lent from the library's, and written to
+//! files.
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
@@ -15,11 +15,11 @@ use crate::options::replacing;
 use crate::report::{MeniscusCheck, MeniscusReport};
 use crate::sized::{Growing, check, fill};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
-use crate::text::{buffer, path, tell};
+use crate::text::{buffer, path, put};
 
 /// A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
 ///
-/// Several threads may use it at once, as long as none frees it.
+/// Several threads may use it at the same time, as long as none frees it.
 pub struct MeniscusMesh {
     surface: Surface,
     outline: Outline,
@@ -28,7 +28,7 @@ pub struct MeniscusMesh {
     lent: OnceLock<Lent>,
 }
 
-/// The whole mesh, as it is lent.
+/// The whole mesh in memory.
 struct Lent {
     mesh: Mesh,
     attributes: Vec<MeniscusMeshAttribute>,
@@ -39,39 +39,39 @@ unsafe impl Send for Lent {}
 // SAFETY: as above.
 unsafe impl Sync for Lent {}
 
-/// A value on the vertices of a mesh, lent by the mesh.
+/// An attribute of the vertices, lent by the mesh.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusMeshAttribute {
     /// The name.
     pub name: *const c_char,
-    /// All components of one vertex after the other. Whole numbers are rounded to float:
-    /// meniscus_mesh_attribute_whole copies them as they are.
+    /// The components of each vertex together. Integers are rounded to float:
+    /// meniscus_mesh_attribute_whole copies their exact values.
     pub values: *const f32,
     /// Numbers per vertex.
     pub components: u64,
 }
 
-/// A mesh in memory of the library's. The caller sets `size`, and the library fills the rest; all
-/// pointers are valid until the mesh is freed, and NULL where there is nothing.
+/// A mesh in the library's memory. The caller sets `size`, and the library fills the rest; all
+/// pointers are valid until the mesh is freed, and NULL for empty arrays.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusArrays {
     /// sizeof(MeniscusArrays).
     pub size: usize,
-    /// How many vertices there are.
+    /// Number of vertices.
     pub vertex_count: u64,
-    /// How many triangles there are.
+    /// Number of triangles.
     pub triangle_count: u64,
-    /// 3 numbers a vertex: x, y, z, in the unit of the particles' positions.
+    /// 3 numbers per vertex: x, y, z, in the unit of the particles' positions.
     pub positions: *const f64,
-    /// 3 numbers a triangle: its vertices, counterclockwise seen from outside.
+    /// 3 numbers per triangle: its vertices, counterclockwise seen from outside.
     pub triangles: *const u32,
-    /// 3 numbers a vertex: the normal, of length 1, outward; NULL where none were asked for.
+    /// 3 numbers per vertex: the outward unit normal; NULL if no normals were requested.
     pub normals: *const f32,
-    /// The other values of the vertices.
+    /// The other attributes of the vertices.
     pub attributes: *const MeniscusMeshAttribute,
-    /// How many attributes there are.
+    /// Number of attributes.
     pub attribute_count: usize,
 }
 
@@ -80,7 +80,7 @@ unsafe impl Growing for MeniscusArrays {
     const NAME: &str = "MeniscusArrays";
 }
 
-/// The address of an array, NULL where it is empty.
+/// The address of an array, or NULL if it is empty.
 fn address<T>(of: &[T]) -> *const T {
     if of.is_empty() { null() } else { of.as_ptr() }
 }
@@ -99,7 +99,7 @@ impl MeniscusMesh {
         }
     }
 
-    /// Lends the whole mesh, which is gathered when it is asked for first.
+    /// Lends the whole mesh, which the first call makes.
     fn lent(&self) -> Outcome<&Lent> {
         if let Some(lent) = self.lent.get() {
             return Ok(lent);
@@ -116,7 +116,7 @@ impl MeniscusMesh {
         Ok(self.lent.get_or_init(|| Lent { mesh, attributes }))
     }
 
-    /// Puts `each` value of all pieces into a buffer for `needed`.
+    /// Copies the values of `each` piece into a buffer for `needed` values.
     ///
     /// # Safety
     /// As for [`buffer`].
@@ -151,7 +151,7 @@ impl MeniscusMesh {
         unsafe { self.copy(out, self.outline.vertices.saturating_mul(3), each) }
     }
 
-    /// The attribute of a number.
+    /// The attribute with an index.
     fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
         let there = self.names.len();
         let none =
@@ -195,7 +195,7 @@ unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
     unsafe { mesh.as_ref() }.ok_or_else(|| Failure::request("mesh is NULL"))
 }
 
-/// Asks a mesh for something; of NULL it is `none`.
+/// Queries a mesh; returns `none` for NULL.
 ///
 /// # Safety
 /// As for [`of`].
@@ -208,7 +208,7 @@ unsafe fn asked<T: Copy>(
     unsafe { mesh.as_ref() }.map_or(none, |mesh| ask(none, || what(mesh)))
 }
 
-/// Frees a mesh, and all that it has lent; NULL is ignored.
+/// Frees a mesh, with all memory that it has lent; NULL is ignored.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -217,7 +217,7 @@ pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
     unsafe { free(mesh) };
 }
 
-/// Returns the number of vertices; 0 of NULL.
+/// Returns the number of vertices; 0 for NULL.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -226,7 +226,7 @@ pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -
     unsafe { asked(mesh, 0, |mesh| mesh.outline.vertices) }
 }
 
-/// Returns the number of triangles; 0 of NULL.
+/// Returns the number of triangles; 0 for NULL.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -235,7 +235,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh)
     unsafe { asked(mesh, 0, |mesh| mesh.outline.triangles) }
 }
 
-/// Returns 1 if vertices have normals, else 0; 0 of NULL.
+/// Returns 1 if vertices have normals, else 0; 0 for NULL.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -244,7 +244,7 @@ pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) ->
     unsafe { asked(mesh, 0, |mesh| mesh.outline.normals.into()) }
 }
 
-/// Returns the number of attributes of the vertices, normals not among them; 0 of NULL.
+/// Returns the number of attributes of the vertices, without normals; 0 for NULL.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -253,8 +253,8 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh
     unsafe { asked(mesh, 0, |mesh| mesh.names.len()) }
 }
 
-/// Returns the name of an attribute by its number from 0, valid until the mesh is freed; NULL where
-/// there is no such attribute.
+/// Returns the name of an attribute by its index, valid until the mesh is freed; NULL if there is
+/// no such attribute.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -268,8 +268,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_name(
     }
 }
 
-/// Returns the numbers per vertex of an attribute by its number from 0; 0 where there is no such
-/// attribute.
+/// Returns the number of components of an attribute by its index; 0 if there is no such attribute.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -285,10 +284,10 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_components(
     }
 }
 
-/// Copies the vertices' positions as float: 3 numbers a vertex.
+/// Copies the vertices' positions as float: 3 numbers per vertex.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to
-/// float moves vertices that are far from the origin.
+/// `capacity`: the size of `out` in numbers, at least 3 per vertex. Rounding to float moves
+/// vertices that are far from the origin.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -301,9 +300,9 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f32(
     call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x as f32) })
 }
 
-/// Copies the vertices' positions as double: 3 numbers a vertex.
+/// Copies the vertices' positions as double: 3 numbers per vertex.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
+/// `capacity`: the size of `out` in numbers, at least 3 per vertex.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -316,11 +315,11 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x) })
 }
 
-/// Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from
+/// Copies the triangles as uint32_t: the 3 vertices of each triangle, counterclockwise seen from
 /// outside.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
-/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+/// `capacity`: the size of `out` in numbers, at least 3 per triangle. MENISCUS_STATUS_REQUEST for a
+/// mesh of more than 2^32 vertices.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -343,10 +342,10 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
     })
 }
 
-/// Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from
+/// Copies the triangles as uint64_t: the 3 vertices of each triangle, counterclockwise seen from
 /// outside.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
+/// `capacity`: the size of `out` in numbers, at least 3 per triangle.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -359,10 +358,10 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     call(|| unsafe { of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
 }
 
-/// Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST
-/// where none were asked for.
+/// Copies the vertices' outward unit normals: 3 numbers per vertex. MENISCUS_STATUS_REQUEST if no
+/// normals were requested.
 ///
-/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
+/// `capacity`: the size of `out` in numbers, at least 3 per vertex.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -387,8 +386,8 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
     })
 }
 
-/// Returns 1 if an attribute by its number from 0 is of whole numbers, which
-/// meniscus_mesh_attribute_whole copies as they are; else 0, also where there is no such attribute.
+/// Returns 1 if the attribute with this index has integers, whose exact values
+/// meniscus_mesh_attribute_whole copies; else 0, also if there is no such attribute.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -404,10 +403,10 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
     }
 }
 
-/// Copies an attribute of the vertices by its number from 0: all components of one vertex after the
-/// other. Whole numbers are rounded to float.
+/// Copies an attribute of the vertices by its index, with the components of each vertex together.
+/// Integers are rounded to float.
 ///
-/// `capacity`: the numbers that `out` has room for, at least the vertices times the components.
+/// `capacity`: the size of `out` in numbers, at least the number of vertices times components.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -426,11 +425,11 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
     })
 }
 
-/// Copies an attribute of whole numbers, such as identifiers, by its number from 0: all components
-/// of one vertex after the other. MENISCUS_STATUS_REQUEST for an attribute of other numbers.
+/// Copies an attribute of integers, such as identifiers, by its index, with the components of each
+/// vertex together. MENISCUS_STATUS_REQUEST for other attributes.
 ///
-/// Numbers are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the numbers that `out` has
-/// room for, at least the vertices times the components.
+/// Values are from -2^31 to 2^31 - 1, or from 0 to 2^32 - 1. `capacity`: the size of `out` in
+/// numbers, at least the number of vertices times components.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -455,11 +454,11 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
     })
 }
 
-/// Lends the whole mesh, in memory that the library allocates with the first such call, and frees
-/// with the mesh. MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+/// Lends the whole mesh, in memory that the first call allocates, and that is freed with the mesh.
+/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure of
-/// the size that it says.
+/// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure
+/// with the size in its first field.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_arrays(
     mesh: *const MeniscusMesh,
@@ -486,7 +485,7 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
     })
 }
 
-/// Returns the number of doubts about the surface, or about the request for it; 0 of NULL.
+/// Returns the number of warnings about the surface, or about its request; 0 for NULL.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -495,8 +494,8 @@ pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) 
     unsafe { asked(mesh, 0, |mesh| mesh.warnings.len()) }
 }
 
-/// Returns a doubt by its number from 0, for people; valid until the mesh is freed. NULL where
-/// there is no such doubt.
+/// Returns a warning by its index, as text that is valid until the mesh is freed; NULL if there is
+/// no such warning.
 ///
 /// `mesh` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -510,10 +509,10 @@ pub unsafe extern "C" fn meniscus_mesh_warning(
     }
 }
 
-/// Tells how the mesh was made.
+/// Reports how the mesh was made.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure of
-/// the size that it says.
+/// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure
+/// with the size in its first field.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_report(
     mesh: *const MeniscusMesh,
@@ -523,11 +522,11 @@ pub unsafe extern "C" fn meniscus_mesh_report(
     call(|| unsafe { fill(report, of(mesh)?.surface.report().into(), "report") })
 }
 
-/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Takes memory for a
-/// copy of the mesh, as meniscus_mesh_arrays does.
+/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Needs memory for a
+/// copy of the mesh, like meniscus_mesh_arrays.
 ///
-/// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure of
-/// the size that it says.
+/// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure with
+/// the size in its first field.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_check(
     mesh: *const MeniscusMesh,
@@ -547,12 +546,11 @@ pub unsafe extern "C" fn meniscus_mesh_check(
     })
 }
 
-/// Writes the mesh to a file whose extension says the format: whole or not at all, and the same
-/// bytes as the program writes.
+/// Writes the mesh to a file whose extension selects the format: completely or not at all, with the
+/// same bytes as the program.
 ///
-/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's
-/// size. The axis that points up and the compression are those of the options that the mesh was
-/// made by.
+/// `overwrite`: not 0 to replace an existing file. `bytes`: NULL, or receives the file's size. The
+/// up axis and the compression are those in the options of the mesh.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -570,17 +568,16 @@ pub unsafe extern "C" fn meniscus_mesh_write(
             _ => mesh.surface.write(&path)?,
         };
         // SAFETY: as for this function.
-        unsafe { tell(bytes, written) };
+        unsafe { put(bytes, written) };
         Ok(())
     })
 }
 
-/// Tells what the format of a file would make of the mesh that is worth a warning, in lines of
-/// text, and puts it into the caller's buffer, cut short where that is too small, and ended by a
-/// NUL.
+/// Writes the warnings about storing the mesh in the format of a file, one per line, into the
+/// caller's buffer, truncated if the buffer is too small, and terminated by a NUL.
 ///
-/// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the
-/// whole text takes, without the NUL: 0 where there is no warning.
+/// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length of the
+/// whole text without the NUL: 0 without warnings.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -598,7 +595,7 @@ pub unsafe extern "C" fn meniscus_mesh_format_warnings(
         let lines: Vec<String> = warnings.iter().map(ToString::to_string).collect();
         let lines = c_text(lines.join("\n"));
         // SAFETY: as for this function.
-        unsafe { tell(length, lines.as_bytes().len()) };
+        unsafe { put(length, lines.as_bytes().len()) };
         if !text.is_null() && capacity > 0 {
             let kept = lines.as_bytes().len().min(capacity - 1);
             // SAFETY: no more than the caller has room for.
@@ -611,7 +608,7 @@ pub unsafe extern "C" fn meniscus_mesh_format_warnings(
     })
 }
 
-/// Does something on threads that end with it: those of the process are the caller's.
+/// Does work on temporary threads, because the threads of the process belong to the caller.
 fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Outcome<T> {
     let threads = rayon::ThreadPoolBuilder::new().num_threads(count).build();
     let threads = threads.map_err(|fault| Error::Threads(fault.to_string()))?;

@@ -1,5 +1,5 @@
-//! Options by key: the settings of the library, what the machine gives, and which frames are
-//! converted.
+//! Options by key: the settings of the library, resources of the machine, and the frames to
+//! convert.
 
 use std::ffi::{CString, c_char, c_void};
 use std::fmt::Debug;
@@ -27,8 +27,8 @@ use crate::text::{array, optional, optional_path, path};
 /// An option that is not set has the program's default, except that stages run on the CPU unless
 /// "backend" or "device" is set. NULL instead of options sets none.
 ///
-/// A call copies the options when it begins, so that they may be changed or freed as soon as it
-/// returns. Several threads may use the same options at once, as long as none changes or frees
+/// A call copies the options when it starts, so they may be changed or freed as soon as it returns.
+/// Several threads may use the same options at the same time, as long as none changes or frees
 /// them.
 #[derive(Clone, Default)]
 pub struct MeniscusOptions {
@@ -40,7 +40,7 @@ pub struct MeniscusOptions {
     cancel: Option<Cancel>,
 }
 
-/// Defines options that are no settings of the library: their key, type, help, and the function
+/// Defines options that are not settings of the library: their key, type, help, and the function
 /// that reads a value.
 macro_rules! options {
     ($(#[$about:meta])* $options:ident: $($(#[doc = $help:literal])* $key:ident: $type:ty = $read:expr,)*) => {
@@ -54,7 +54,7 @@ macro_rules! options {
             /// The keys, each with its help.
             const KEYS: &[(&str, &str)] = &[$((stringify!($key), concat!($($help),*))),*];
 
-            /// Sets the option of a key, to its default without a value; `false` if no option has
+            /// Sets the option with a key, or resets it without a value; `false` if no option has
             /// the key.
             fn set<S: Source<Error = String>>(&mut self, key: &str, value: Option<&S>) -> Result<bool, String> {
                 match key {
@@ -74,24 +74,24 @@ macro_rules! options {
 }
 
 options! {
-    /// Options of the machine: where a call runs and how much it may take.
+    /// Options of the machine: backend and resources.
     Machine:
-    /// Where the stages run, auto, cpu or vulkan; the mesh is the same [default: cpu, or vulkan if
-    /// a device is set].
+    /// Backend for the computation, auto, cpu or vulkan; the mesh is the same [default: cpu, or
+    /// vulkan if a device is set].
     backend: Backend = Backend::read,
-    /// The Vulkan device, by its number, its UUID or a part of its name [default: the best].
+    /// Vulkan device, by its number, its UUID or a part of its name [default: the best].
     device: String = |device| device.text().or_else(|_| device.count::<u32>().map(|number| number.to_string())),
     /// Threads to use, at most 1024 [default: all cores].
     threads: usize = Source::count,
     /// Memory to use besides particles and mesh, in bytes or as 512MiB [default: three quarters of
-    /// what is available].
+    /// the available memory].
     memory: u64 = bytes,
     /// Folder for scratch files [default: the system's temporary folder, or a conversion's output].
     scratch: PathBuf = |folder| folder.text().map(PathBuf::from),
 }
 
 options! {
-    /// The frames that a conversion makes.
+    /// The frames of a conversion.
     Frames:
     /// The first frame of the simulation, for meniscus_convert.
     start: i64 = frame,
@@ -99,20 +99,20 @@ options! {
     end: i64 = frame,
     /// Every Nth frame, for meniscus_convert.
     step: u64 = step,
-    /// Convert these frames of the simulation only, such as 100..199, as one of several jobs, for
+    /// Convert only these frames of the simulation, such as 100..199, as one of several jobs, for
     /// meniscus_convert.
     frames: (i64, i64) = range,
-    /// Resume an interrupted conversion: skip finished frames. Other settings are refused, unless
-    /// outputs may be overwritten, for meniscus_convert.
+    /// Resume an interrupted conversion: keeps finished frames. Changed settings are an error,
+    /// unless outputs may be overwritten, for meniscus_convert.
     resume: bool = Source::switch,
-    /// Replace outputs that exist, for meniscus_convert.
+    /// Replace existing outputs, for meniscus_convert.
     overwrite: bool = Source::switch,
-    /// Follow a running simulation until its last frame, or until no frame has come for this many
-    /// seconds, for meniscus_convert.
+    /// Follow a running simulation until its last frame, or until no new frame has appeared for
+    /// this many seconds, for meniscus_convert.
     watch: f64 = Source::number,
-    /// Frames per second, for times where the files have none, for meniscus_convert.
+    /// Frames per second, if the files have no times, for meniscus_convert.
     fps: f64 = Source::number,
-    /// Make one surface of the frames of one number of all inputs, such as several fluids, for
+    /// Join the frames with the same number from all inputs, such as several fluids, for
     /// meniscus_convert.
     together: bool = Source::switch,
 }
@@ -144,9 +144,9 @@ fn step<S: Source<Error = String>>(value: &S) -> Result<u64, String> {
         .ok_or_else(|| "expected a whole number from 1".into())
 }
 
-/// The number of a frame, which is negative before frame 0.
+/// The number of a frame, which may be negative.
 fn frame<S: Source<Error = String>>(value: &S) -> Result<i64, String> {
-    // f64 holds all whole numbers up to here.
+    // f64 represents all integers up to here.
     const LARGEST: f64 = 9_007_199_254_740_992.0;
     let is_whole = |number: &f64| number.fract() == 0.0 && number.abs() <= LARGEST;
     let number = match value.text() {
@@ -196,7 +196,7 @@ impl Frames {
 }
 
 impl MeniscusOptions {
-    /// Sets the option of a key, to its default without a value; `false` if no option has the key.
+    /// Sets the option with a key, or resets it without a value; `false` if no option has the key.
     fn set<S: Source<Error = String>>(
         &mut self,
         key: &str,
@@ -211,7 +211,7 @@ impl MeniscusOptions {
         }
     }
 
-    /// Sets the option of a key, or says what is wrong with the key or the value.
+    /// Sets the option with a key, or describes an invalid key or value.
     fn set_or_refuse<S: Source<Error = String> + Debug>(
         &mut self,
         key: &str,
@@ -231,10 +231,10 @@ impl MeniscusOptions {
     }
 }
 
-/// Characters of a refused value that a message repeats.
+/// Maximum number of characters of an invalid value in a message.
 const LONGEST_VALUE: usize = 100;
 
-/// A request by options, on a machine that is still to be chosen.
+/// A request without a backend yet.
 pub struct Asked {
     pub request: Reconstruction,
     pub control: Control,
@@ -246,8 +246,8 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// Takes the options of a call that makes one frame at a time. Options of conversions are
-    /// refused.
+    /// Reads the options of a call that makes one frame at a time. Options of conversions are
+    /// errors.
     ///
     /// # Safety
     /// `options` is NULL, or not freed yet.
@@ -262,7 +262,7 @@ impl Asked {
         }
     }
 
-    /// Takes the options of a conversion.
+    /// Reads the options of a conversion.
     ///
     /// # Safety
     /// As for [`Asked::new`].
@@ -272,7 +272,7 @@ impl Asked {
         let MeniscusOptions { settings, machine, frames, progress, event, cancel } = options;
         let control = Control::new(progress, cancel);
         let memory = machine.memory.map_or_else(default_memory, MemoryBudget);
-        let mut request = control.of(Reconstruction::by(settings)).memory(memory);
+        let mut request = control.of(Reconstruction::new().with_settings(settings)).memory(memory);
         if let Some(threads) = machine.threads {
             request = request.threads(threads);
         }
@@ -283,13 +283,13 @@ impl Asked {
         Self { request, control, event, memory, backend, device, frames }
     }
 
-    /// Asks for the frames of a simulation by this request.
+    /// The request for a conversion.
     pub fn simulation(&self, inputs: Vec<PathBuf>, output: PathBuf) -> Simulation {
         self.frames.of(Simulation::of_files(inputs, output)).reconstruction(self.request.clone())
     }
 
-    /// Chooses where it runs, for an input of as many bytes as is told where it matters, if that is
-    /// known.
+    /// Chooses the backend for an input whose size `input_bytes` returns, if it is known; called
+    /// only if it matters.
     pub fn on_machine(
         mut self,
         input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>,
@@ -311,13 +311,13 @@ impl Asked {
         Ok(self)
     }
 
-    /// Chooses where a file is surfaced.
+    /// Chooses the backend for a file.
     pub fn for_file(self, file: &Path) -> Outcome<Self> {
         self.on_machine(|_| bytes_of([file]))
     }
 }
 
-/// Whether a file that is there may be replaced.
+/// Converts the argument `overwrite`.
 pub fn replacing(overwrite: i32) -> Replace {
     if overwrite == 0 { Replace::Refuse } else { Replace::Allow }
 }
@@ -340,14 +340,14 @@ unsafe fn key<'a>(key: *const c_char) -> Outcome<&'a str> {
     unsafe { optional(key, "key") }?.ok_or_else(|| Failure::request("key is NULL"))
 }
 
-/// Makes options of which none is set, to be freed by meniscus_options_free.
+/// Creates options without values, to be freed by meniscus_options_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
     ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
 /// Copies options, with their callbacks and their cancel handle, to be freed by
-/// meniscus_options_free. A copy of NULL has none set.
+/// meniscus_options_free. A copy of NULL has no values.
 ///
 /// `options` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -371,13 +371,13 @@ pub unsafe extern "C" fn meniscus_options_free(options: *mut MeniscusOptions) {
 /// Sets an option from text, as on the command line: `meniscus_options_set(options, "domain",
 /// "0,0,-,1,2,-")`.
 ///
-/// Numbers have a '.' whatever the locale is. Numbers of a list are separated by commas or blanks,
-/// names by commas. Switches such as "normals" are "true" or "false". `value`: NULL returns the
-/// option to its default.
+/// Numbers have a '.' in every locale. Numbers in a list are separated by commas or blanks, names
+/// by commas. Switches such as "normals" are "true" or "false". `value`: NULL resets the option to
+/// its default.
 ///
 /// MENISCUS_STATUS_REQUEST for an unknown key and for a value of another type: the message names
-/// the key, the value and the type that is expected, and the option keeps its value. A call that
-/// uses the options refuses numbers out of range, and options that exclude each other.
+/// the key, the value and the expected type, and the option keeps its value. Numbers out of range
+/// and conflicting options are errors of the call that uses the options.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -401,7 +401,7 @@ pub unsafe extern "C" fn meniscus_options_set(
     })
 }
 
-/// Sets an option from a number. A switch is 0 or 1. Otherwise as meniscus_options_set.
+/// Sets an option from a number. A switch is 0 or 1. Otherwise like meniscus_options_set.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -417,8 +417,8 @@ pub unsafe extern "C" fn meniscus_options_set_number(
     })
 }
 
-/// Sets an option from several numbers: 3 for a point, 6 for a box, its lowest corner first.
-/// -INFINITY and INFINITY leave an axis of a box open. Otherwise as meniscus_options_set.
+/// Sets an option from several numbers: 3 for a point, 6 for a box, with its lowest corner first.
+/// -INFINITY and INFINITY leave an axis of a box open. Otherwise like meniscus_options_set.
 ///
 /// Pointers are NULL or valid as described; `values` points to `count` numbers.
 #[unsafe(no_mangle)]
@@ -437,8 +437,8 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
     })
 }
 
-/// Sets the function that is called with the progress of a frame, and the pointer that it is given;
-/// a conversion calls none. NULL for no function.
+/// Sets the function that is called with the progress of a frame, and its argument; a conversion
+/// does not call it. NULL for no function.
 ///
 /// A simulation of meniscus_simulation_new calls it until that simulation is freed, any other call
 /// until the call returns.
@@ -457,8 +457,8 @@ pub unsafe extern "C" fn meniscus_options_on_progress(
     })
 }
 
-/// Sets the function that meniscus_convert calls with the events of a conversion, and the pointer
-/// that it is given. NULL for no function.
+/// Sets the function that meniscus_convert calls with the events of a conversion, and its argument.
+/// NULL for no function.
 ///
 /// `options` is NULL, or a handle that is not freed yet.
 #[unsafe(no_mangle)]
@@ -474,8 +474,8 @@ pub unsafe extern "C" fn meniscus_options_on_event(
     })
 }
 
-/// Sets the handle by which any thread can end the work early; NULL for none. The handle may be
-/// freed before the options are.
+/// Sets the handle with which any thread can cancel the work; NULL for none. The handle may be
+/// freed before the options.
 ///
 /// If a callback ends the work, the handle counts as cancelled.
 ///
@@ -493,7 +493,7 @@ pub unsafe extern "C" fn meniscus_options_cancel_by(
     })
 }
 
-/// All keys, each with its help, as text for C.
+/// All keys with their help, as C text.
 static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
     let settings = Settings::ALL.iter().map(|setting| (setting.key(), setting.help()));
     let others = [Machine::KEYS, Frames::KEYS].into_iter().flatten();
@@ -501,25 +501,23 @@ static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
     settings.chain(others).map(|(key, help)| (c_text(key), c_text(help))).collect()
 });
 
-/// Returns the key of an option by its number from 0; NULL where there is no such option. The text
-/// lives for ever.
+/// Returns the key of an option by its index; NULL if there is no such option. The text is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_key(index: usize) -> *const c_char {
     ask(null(), || KEYS.get(index).map_or(null(), |(key, _)| key.as_ptr()))
 }
 
-/// Returns one line of help on an option by its number from 0; NULL where there is no such option.
-/// The text lives for ever.
+/// Returns one line of help on an option by its index; NULL if there is no such option. The text is
+/// static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_help(index: usize) -> *const c_char {
     ask(null(), || KEYS.get(index).map_or(null(), |(_, help)| help.as_ptr()))
 }
 
-/// Makes sure, before the work, that a mesh could be written to `path`, whose extension says the
-/// format, and that the format can hold what is asked for. Leaves nothing there.
+/// Checks before the work that a mesh can be written to `path`, whose extension selects the format,
+/// and that the format can store the requested data. Creates no file.
 ///
-/// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be
-/// replaced.
+/// `options` may be NULL for all defaults. `overwrite`: not 0 if an existing file may be replaced.
 ///
 /// Pointers are NULL or valid as described.
 #[unsafe(no_mangle)]

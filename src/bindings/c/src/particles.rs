@@ -1,4 +1,4 @@
-//! Particles in the caller's memory, read where they are.
+//! Particles in the caller's memory, read in place.
 
 use std::ffi::c_char;
 use std::slice::from_raw_parts;
@@ -25,7 +25,7 @@ pub enum MeniscusType {
 }
 
 impl MeniscusType {
-    /// The type that a number of a structure stands for: callers may write any number there.
+    /// The type for a number in a structure, where callers may write any number.
     fn of(number: i32, what: &str) -> Outcome<Self> {
         match number {
             0 => Ok(Self::F32),
@@ -37,38 +37,36 @@ impl MeniscusType {
     }
 }
 
-/// A value that every particle carries: one number, or several. To be filled with zeros but for
-/// what is said.
+/// A value of every particle, with one or several components. Fill it with zeros before you set
+/// fields.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusAttribute {
     /// sizeof(MeniscusAttribute).
     pub size: usize,
-    /// The name, by which it is asked for and the vertices have it. "velocity" of three components,
-    /// or another usual name of it such as "v" or "vel", is carried to the vertices where nothing
-    /// else is asked for.
+    /// The name, by which the attribute is requested, and which it has on the vertices. By default,
+    /// "velocity" with three components, or another usual name such as "v" or "vel", is
+    /// interpolated to the vertices.
     pub name: *const c_char,
     /// The first number of the first particle; need not be aligned.
     pub values: *const std::ffi::c_void,
-    /// Bytes from a particle's first number to the next particle's; 0 where values lie side by
-    /// side. May be negative.
+    /// Bytes from a particle to the next; 0 if values are contiguous. May be negative.
     pub stride: isize,
-    /// Bytes from one number of a particle to its next; 0 where they lie side by side. May be
+    /// Bytes from one component of a particle to the next; 0 if they are contiguous. May be
     /// negative.
     pub component_stride: isize,
     /// Numbers per particle, from 1 to 65536.
     pub components: u32,
-    /// The type of the numbers, one of MeniscusType. F32 and F64 are carried as float: a double that
-    /// is not finite as such counts as none. I32 and U32, such as identifiers, are carried as they
-    /// are: a vertex has those of the particle nearest to it, for meniscus_mesh_attribute_whole.
+    /// The type of the numbers, one of MeniscusType. F32 and F64 are converted to float; values
+    /// that are not finite as float count as missing. I32 and U32, such as identifiers, keep their
+    /// values: a vertex has those of the nearest particle, for meniscus_mesh_attribute_whole.
     pub number: i32,
 }
 
-/// Particles in memory. To be filled with zeros but for what is said.
+/// Particles in memory. Fill it with zeros before you set fields.
 ///
-/// They are read where they are, several times and by several threads, while the call lasts that is
-/// given them, and must stay as they are meanwhile. Positions are in any unit, the same for all
-/// lengths.
+/// They are read in place, several times and by several threads, during the call, and must not
+/// change meanwhile. Positions are in any unit, which also applies to all other lengths.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusParticles {
@@ -78,14 +76,14 @@ pub struct MeniscusParticles {
     pub count: u64,
     /// The first particle's x; need not be aligned.
     pub positions: *const std::ffi::c_void,
-    /// Bytes from a particle's x to the next particle's; 0 where positions lie side by side. May be
+    /// Bytes from a particle's x to the next particle's; 0 if positions are contiguous. May be
     /// negative.
     pub stride: isize,
-    /// Bytes from x to y, and from y to z; 0 where they lie side by side. May be negative.
+    /// Bytes from x to y, and from y to z; 0 if they are contiguous. May be negative.
     pub component_stride: isize,
-    /// Further values of the particles, side by side; NULL for none.
+    /// An array of attributes of the particles; NULL for none.
     pub attributes: *const MeniscusAttribute,
-    /// How many attributes there are.
+    /// Number of attributes.
     pub attribute_count: usize,
     /// The type of the coordinates, MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64.
     pub number: i32,
@@ -103,13 +101,13 @@ unsafe impl Growing for MeniscusParticles {
     const NAME: &str = "MeniscusParticles";
 }
 
-/// More components than any simulator has.
+/// Maximum number of components, more than any simulator has.
 const MOST_COMPONENTS: u32 = 1 << 16;
 
-/// Attributes are numbered by few: more are a slip.
+/// Maximum number of attributes; more are a mistake.
 const MOST_ATTRIBUTES: usize = 1 << 16;
 
-/// Numbers of particles at equal distances.
+/// Numbers of particles with constant strides.
 #[derive(Debug, Clone, Copy)]
 struct Numbers {
     at: *const u8,
@@ -120,15 +118,14 @@ struct Numbers {
 }
 
 impl Numbers {
-    /// Refuses what cannot be in memory: all numbers of `count` particles must have addresses.
+    /// Rejects numbers that cannot be in memory: all numbers of `count` particles must have
+    /// addresses.
     fn refuse_unaddressable(&self, count: usize, what: &str) -> Outcome {
         if count == 0 {
             return Ok(());
         }
         if self.at.is_null() {
-            return Err(Failure::request(format!(
-                "{what} is NULL, and {count} particles are said to be there"
-            )));
+            return Err(Failure::request(format!("{what} is NULL, but count is {count}")));
         }
         let far =
             |steps: usize, stride: isize| isize::try_from(steps - 1).ok()?.checked_mul(stride);
@@ -153,7 +150,7 @@ impl Numbers {
         })
     }
 
-    /// Whether numbers lie side by side, where their type may lie.
+    /// Whether numbers are contiguous and aligned.
     fn is_packed<T>(&self) -> bool {
         let number = self.number.bytes();
         self.component_stride == number
@@ -161,10 +158,10 @@ impl Numbers {
             && self.at.cast::<T>().is_aligned()
     }
 
-    /// Number `component` of a particle.
+    /// Component `component` of a particle.
     ///
     /// # Safety
-    /// There is such a particle, and its memory is valid.
+    /// The particle exists, and its memory is valid.
     unsafe fn get(&self, particle: usize, component: usize) -> f64 {
         let offset = particle as isize * self.stride + component as isize * self.component_stride;
         // SAFETY: within what the caller has said is there; no offset overflows, as was looked at.
@@ -192,7 +189,7 @@ impl MeniscusType {
         matches!(self, Self::I32 | Self::U32)
     }
 
-    /// The meaning of an attribute of these numbers: as of one in a file that stores such.
+    /// The kind of an attribute with this type of numbers, as in a file with this type.
     fn meaning(self, info: &AttributeInfo) -> AttributeKind {
         match self {
             Self::F32 | Self::F64 => info.kind,
@@ -204,7 +201,7 @@ impl MeniscusType {
     }
 }
 
-/// Particles of the caller's, of whom everything that can be checked is.
+/// The caller's particles, checked as far as possible.
 #[derive(Debug)]
 pub struct Borrowed {
     count: usize,
@@ -219,50 +216,50 @@ unsafe impl Sync for Borrowed {}
 unsafe impl Send for Borrowed {}
 
 impl Borrowed {
-    /// Takes what a caller says of its particles.
+    /// Reads the caller's structure.
     ///
     /// # Safety
-    /// `at` is NULL or points to a structure of the size that it says, and so do its attributes;
-    /// what these point to is there and stays as it is as long as this lives.
+    /// `at` is NULL or points to a structure with its size in its first field, and so do its
+    /// attributes; their data exist and stay unchanged as long as this lives.
     pub unsafe fn new(at: *const MeniscusParticles) -> Outcome<Self> {
         // SAFETY: as for this function.
-        let said = unsafe { read(at, "particles") }?;
-        let number = MeniscusType::of(said.number, "particles.number")?;
+        let given = unsafe { read(at, "particles") }?;
+        let number = MeniscusType::of(given.number, "particles.number")?;
         if number.is_whole() {
             return Err(Failure::request(format!(
                 "particles.number is {}: coordinates are MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64",
-                said.number
+                given.number
             )));
         }
-        if said.reserved != 0 {
+        if given.reserved != 0 {
             return Err(Failure::request(format!(
                 "particles.reserved is {}, and must be 0",
-                said.reserved
+                given.reserved
             )));
         }
-        let Ok(count) = usize::try_from(said.count) else {
+        let Ok(count) = usize::try_from(given.count) else {
             return Err(Failure::request(format!(
                 "particles.count is {}: too many for this machine",
-                said.count
+                given.count
             )));
         };
         let positions = Numbers {
-            at: said.positions.cast(),
+            at: given.positions.cast(),
             number,
-            stride: said.stride,
-            component_stride: said.component_stride,
+            stride: given.stride,
+            component_stride: given.component_stride,
             components: 3,
         }
         .with_strides();
         positions.refuse_unaddressable(count, "particles.positions")?;
         let mut particles = Self { count, positions, attributes: Vec::new(), values: Vec::new() };
         // SAFETY: as for this function.
-        unsafe { particles.take(said.attributes, said.attribute_count) }?;
+        unsafe { particles.take(given.attributes, given.attribute_count) }?;
         Ok(particles)
     }
 
-    /// Takes attributes; an older caller's structures are smaller, and lie as far apart as they
-    /// say.
+    /// Reads attributes. The structures of an older caller are smaller, and their size is their
+    /// stride.
     ///
     /// # Safety
     /// As for [`new`](Self::new).
@@ -272,7 +269,7 @@ impl Borrowed {
         }
         if at.is_null() {
             return Err(Failure::request(format!(
-                "particles.attributes is NULL, and {count} are said to be there"
+                "particles.attributes is NULL, but attribute_count is {count}"
             )));
         }
         if count > MOST_ATTRIBUTES {
@@ -284,14 +281,14 @@ impl Borrowed {
         for index in 0..count {
             let what = format!("particles.attributes[{index}]");
             // SAFETY: as for this function; all before were of this size.
-            let said = unsafe { read(at.byte_add(index * size), &what) }?;
-            if index > 0 && said.size != size {
-                let sizes = format!("its size is {}, and that of those before {size}", said.size);
+            let given = unsafe { read(at.byte_add(index * size), &what) }?;
+            if index > 0 && given.size != size {
+                let sizes = format!("its size is {}, and that of those before {size}", given.size);
                 return Err(Failure::request(format!("{what}: {sizes}")));
             }
-            size = said.size;
+            size = given.size;
             // SAFETY: as for this function.
-            let name = unsafe { optional(said.name, &format!("{what}.name")) }?;
+            let name = unsafe { optional(given.name, &format!("{what}.name")) }?;
             let name = name.filter(|name| !name.is_empty());
             let name =
                 name.ok_or_else(|| Failure::request(format!("{what}.name is NULL, or empty")))?;
@@ -300,16 +297,16 @@ impl Borrowed {
                     "{what}.name: another attribute is called {name:?}"
                 )));
             }
-            if !(1..=MOST_COMPONENTS).contains(&said.components) {
-                let range = format!("is {}, and must be 1 to {MOST_COMPONENTS}", said.components);
+            if !(1..=MOST_COMPONENTS).contains(&given.components) {
+                let range = format!("is {}, and must be 1 to {MOST_COMPONENTS}", given.components);
                 return Err(Failure::request(format!("{what}.components {range}")));
             }
             let numbers = Numbers {
-                at: said.values.cast(),
-                number: MeniscusType::of(said.number, &format!("{what}.number"))?,
-                stride: said.stride,
-                component_stride: said.component_stride,
-                components: said.components as usize,
+                at: given.values.cast(),
+                number: MeniscusType::of(given.number, &format!("{what}.number"))?,
+                stride: given.stride,
+                component_stride: given.component_stride,
+                components: given.components as usize,
             }
             .with_strides();
             numbers.refuse_unaddressable(self.count, &format!("{what}.values"))?;
@@ -321,14 +318,14 @@ impl Borrowed {
         Ok(())
     }
 
-    /// Bytes of the positions, by which a device is worth while or not.
+    /// Bytes of the positions, which decide whether a device is worthwhile.
     pub fn bytes(&self) -> u64 {
         (self.count as u64).saturating_mul(3 * self.positions.number.bytes() as u64)
     }
 }
 
 impl Numbers {
-    /// Fills in the strides of what lies side by side.
+    /// Replaces strides of 0.
     fn with_strides(mut self) -> Self {
         if self.component_stride == 0 {
             self.component_stride = self.number.bytes();
@@ -348,7 +345,7 @@ impl Particles for Borrowed {
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         assert!(first + out.len() <= self.count, "particles beyond the last");
         let from = &self.positions;
-        // The fast ways of the library, for what lies as it has it itself.
+        // The library's fast paths for contiguous positions.
         if from.number == MeniscusType::F32 && from.is_packed::<f32>() {
             // SAFETY: there and aligned; the caller leaves it as it is meanwhile.
             unsafe { from_raw_parts(from.at.cast::<[f32; 3]>(), self.count) }.positions(first, out);
@@ -404,7 +401,7 @@ mod tests {
     use super::*;
     use std::ptr::null;
 
-    fn said() -> MeniscusParticles {
+    fn given() -> MeniscusParticles {
         MeniscusParticles {
             size: size_of::<MeniscusParticles>(),
             count: 2,
@@ -437,31 +434,31 @@ mod tests {
                 positions: by_axis.as_ptr().cast(),
                 stride: 8,
                 component_stride: 16,
-                ..said()
+                ..given()
             },
             MeniscusParticles {
                 positions: odd[1..].as_ptr().cast(),
                 stride: 8,
                 component_stride: 16,
-                ..said()
+                ..given()
             },
             MeniscusParticles {
                 positions: backwards[5..].as_ptr().cast(),
                 stride: -24,
                 component_stride: -8,
-                ..said()
+                ..given()
             },
             MeniscusParticles {
                 positions: narrow[1..].as_ptr().cast(),
                 stride: 16,
                 number: 0,
-                ..said()
+                ..given()
             },
         ];
-        for said in all {
+        for given in all {
             // SAFETY: the arrays are there.
-            let particles = unsafe { Borrowed::new(&raw const said) }.unwrap();
-            assert_eq!(read_all(&particles), expected, "{said:?}");
+            let particles = unsafe { Borrowed::new(&raw const given) }.unwrap();
+            assert_eq!(read_all(&particles), expected, "{given:?}");
         }
     }
 
@@ -469,17 +466,17 @@ mod tests {
     fn what_no_memory_can_hold_is_refused() {
         let one = [0.0_f64; 3];
         let positions = one.as_ptr().cast();
-        for said in [
-            MeniscusParticles { positions, count: u64::MAX, ..said() },
-            MeniscusParticles { positions, count: u64::MAX / 2, stride: 1, ..said() },
-            MeniscusParticles { positions, count: 1 << 62, ..said() },
-            MeniscusParticles { positions, stride: isize::MAX, ..said() },
-            MeniscusParticles { positions, stride: isize::MIN, ..said() },
-            MeniscusParticles { positions, component_stride: isize::MIN / 2, ..said() },
-            MeniscusParticles { positions: null(), ..said() },
+        for given in [
+            MeniscusParticles { positions, count: u64::MAX, ..given() },
+            MeniscusParticles { positions, count: u64::MAX / 2, stride: 1, ..given() },
+            MeniscusParticles { positions, count: 1 << 62, ..given() },
+            MeniscusParticles { positions, stride: isize::MAX, ..given() },
+            MeniscusParticles { positions, stride: isize::MIN, ..given() },
+            MeniscusParticles { positions, component_stride: isize::MIN / 2, ..given() },
+            MeniscusParticles { positions: null(), ..given() },
         ] {
             // SAFETY: nothing is read of it.
-            let message = unsafe { Borrowed::new(&raw const said) }.unwrap_err().message;
+            let message = unsafe { Borrowed::new(&raw const given) }.unwrap_err().message;
             assert!(message.starts_with("particles."), "{message}");
         }
     }

@@ -1,25 +1,25 @@
-//! Figures on a mesh: how it was made, and whether it is whole.
+//! Reports and checks of a mesh.
 
 use meniscus::mesh::{CheckReport, Measures};
 use meniscus::{Report, SpacingSource};
 
 use crate::sized::Growing;
 
-/// Where a spacing comes from.
+/// The source of a spacing.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusSpacingSource {
-    /// Not known: the frame was packed, or is one of a simulation.
+    /// Unknown: the frame was packed, or belongs to a simulation.
     Unknown = 0,
     /// The options.
     Given = 1,
     /// The particles' file.
     File = 2,
-    /// A scene beside it.
+    /// A scene file beside the particles' file.
     Scene = 3,
-    /// The particles themselves.
+    /// An estimate from the particles.
     Estimated = 4,
-    /// The smallest of the particles' sizes, which an attribute gives.
+    /// The smallest size in an attribute of the particles.
     Sizes = 5,
 }
 
@@ -30,37 +30,37 @@ pub enum MeniscusSpacingSource {
 pub struct MeniscusReport {
     /// sizeof(MeniscusReport).
     pub size: usize,
-    /// Distance between neighbouring particles; 0 where it is not known.
+    /// Distance between neighbouring particles; 0 if unknown.
     pub spacing: f64,
     /// Edge of a cell.
     pub cell_size: f64,
     /// A corner of the grid's cells.
     pub origin: [f64; 3],
-    /// Width of smoothing in spacings, for clouds; else 0.
+    /// Smoothing width in spacings, for clouds; else 0.
     pub smooth: f64,
-    /// Width of the Gaussian in cells, for the paper's indicators; else 0.
+    /// Standard deviation of the Gaussian in cells, for counting and symmetry; else 0.
     pub sigma: f64,
-    /// The isovalue, where the surface is drawn by one; else 0.
+    /// The isovalue, if the surface has one; else 0.
     pub isovalue: f64,
-    /// Seconds that the stages took, without writing.
+    /// Seconds of all stages, without writing.
     pub seconds: f64,
-    /// Particles that are in the field.
+    /// Particles that were used.
     pub particles: u64,
-    /// Particles that were left out, for a coordinate is not finite.
+    /// Particles that were skipped because a coordinate is not finite.
     pub not_finite: u64,
-    /// Particles that were left out, for they are too far away.
+    /// Particles that were skipped because they are too far away.
     pub too_far: u64,
-    /// Particles that do not count, for they are outside of the tank.
+    /// Particles outside of the tank, which were left out.
     pub outside: u64,
-    /// Particles that are in no surface, at the least.
+    /// Lower bound of the particles that are missing from the surface.
     pub lost: u64,
-    /// Components that were left out by smallest_component.
+    /// Components that smallest_component left out.
     pub small_components: u64,
-    /// Drops that were left out by smallest_drop.
+    /// Drops that smallest_drop left out.
     pub small_drops: u64,
-    /// Triangles before simplifying and leaving out.
+    /// Triangles before simplifying and the removal of components.
     pub whole_triangles: u64,
-    /// Threads that made it.
+    /// Number of threads.
     pub threads: u32,
     /// One of MeniscusSpacingSource.
     pub spacing_source: i32,
@@ -110,7 +110,7 @@ impl From<&Report> for MeniscusReport {
     }
 }
 
-/// Findings of `meniscus check` on a mesh. The caller sets `size`, and the library fills the rest.
+/// Results of `meniscus check` for a mesh. The caller sets `size`, and the library fills the rest.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusCheck {
@@ -118,25 +118,26 @@ pub struct MeniscusCheck {
     pub size: usize,
     /// The area of all triangles, in the square of the unit of the positions.
     pub area: f64,
-    /// The volume inside, in the cube of the unit of the positions; NaN unless closed and oriented.
+    /// The enclosed volume, in the cube of the unit of the positions; NaN unless closed and
+    /// oriented.
     pub volume: f64,
-    /// The lowest corner of the box around the vertices; 0 of an empty mesh.
+    /// The lowest corner of the bounding box of the vertices; 0 for an empty mesh.
     pub lowest: [f64; 3],
-    /// The highest corner of the box around the vertices; 0 of an empty mesh.
+    /// The highest corner of the bounding box of the vertices; 0 for an empty mesh.
     pub highest: [f64; 3],
-    /// Pieces that share no vertex.
+    /// Number of connected components.
     pub components: u64,
-    /// Handles, of all components together; -1 unless closed, oriented and 2-manifold.
+    /// Number of handles of all components; -1 unless closed, oriented and 2-manifold.
     pub genus: i64,
-    /// Edges with one triangle only.
+    /// Edges with only one triangle.
     pub boundary_edges: u64,
-    /// Edges whose two triangles run along them the same way.
+    /// Edges whose two triangles have the same direction there.
     pub misoriented_edges: u64,
     /// Edges with more than two triangles.
     pub crowded_edges: u64,
     /// Vertices whose triangles form more than one fan.
     pub pinched_vertices: u64,
-    /// Triangles that name one vertex twice.
+    /// Triangles with a repeated vertex.
     pub degenerate_triangles: u64,
     /// Vertices with a coordinate that is not finite.
     pub non_finite_vertices: u64,

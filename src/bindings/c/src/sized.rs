@@ -1,26 +1,26 @@
-//! Structures that say their own size first, so that they can grow: a caller that was compiled with
-//! an older header gives a smaller one, and one with a newer header a larger one.
+//! Structures with their size as the first field, so that they can grow: a caller that was compiled
+//! with an older header passes a smaller one, and one with a newer header a larger one.
 
 use crate::status::{Failure, Outcome};
 
-/// Larger than any structure will be: what says more says nonsense.
+/// Upper bound of the size of any structure: larger values are invalid.
 const LARGEST: usize = 4096;
 
-/// A structure of C whose first field is its size in bytes, of type `usize`.
+/// A C structure whose first field is its size in bytes, of type `usize`.
 ///
 /// # Safety
-/// All fields are numbers, nullable pointers or nullable callbacks: zeros are valid, and so is
-/// whatever a caller may write.
+/// All fields are numbers, nullable pointers or nullable callbacks: zeros are valid, and so is any
+/// value that a caller may write.
 pub unsafe trait Growing: Copy {
     /// The name in C.
     const NAME: &str;
 }
 
-/// The size that a structure says.
+/// The size in a structure.
 ///
 /// # Safety
 /// `at` is NULL or points to a structure.
-unsafe fn said<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
+unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL")));
     }
@@ -35,13 +35,13 @@ unsafe fn said<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     Ok(size)
 }
 
-/// Copies a structure: what a smaller one lacks is 0, and what a larger one has besides must be.
+/// Copies a structure: fields beyond a smaller one become 0, and fields beyond this type must be 0.
 ///
 /// # Safety
-/// `at` is NULL or points to as many bytes as the structure there says.
+/// `at` is NULL or points to as many bytes as the structure's size field.
 pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
     // SAFETY: as for this function.
-    let size = unsafe { said(at, what) }?;
+    let size = unsafe { announced(at, what) }?;
     // SAFETY: of `size` bytes, says the caller.
     let bytes = unsafe { std::slice::from_raw_parts(at.cast::<u8>(), size) };
     let (known, unknown) = bytes.split_at(size.min(size_of::<T>()));
@@ -57,23 +57,23 @@ pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
     Ok(value)
 }
 
-/// Makes sure that a structure can be filled later.
+/// Checks that a structure can be filled later.
 ///
 /// # Safety
 /// As for [`read`].
 pub unsafe fn check<T: Growing>(at: *mut T, what: &str) -> Outcome {
     // SAFETY: as for this function.
-    unsafe { said(at.cast_const(), what) }.map(drop)
+    unsafe { announced(at.cast_const(), what) }.map(drop)
 }
 
-/// Fills as much of a structure as the caller knows of; what a larger one has besides becomes 0.
+/// Fills the fields that the caller knows; additional fields of a larger structure become 0.
 ///
 /// # Safety
-/// As for [`read`], and nobody else reads or writes the structure.
+/// As for [`read`], and no other thread reads or writes the structure.
 pub unsafe fn fill<T: Growing>(at: *mut T, value: T, what: &str) -> Outcome {
     let own = size_of::<usize>();
     // SAFETY: as for this function.
-    let size = unsafe { said(at.cast_const(), what) }?;
+    let size = unsafe { announced(at.cast_const(), what) }?;
     let known = size.min(size_of::<T>());
     let (from, to) = ((&raw const value).cast::<u8>(), at.cast::<u8>());
     // SAFETY: no more bytes than there are on either side; the size stays what it was.

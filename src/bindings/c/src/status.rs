@@ -1,4 +1,4 @@
-//! Outcomes of calls: a code that every function returns, and a message that the calling thread
+//! Results of calls: a code that every function returns, and a message that the calling thread
 //! keeps.
 
 use std::any::Any;
@@ -9,31 +9,29 @@ use std::ptr::null;
 
 use meniscus::{Cause, Error};
 
-/// Outcome of a call: whose fault it is if it failed. The numbers are those that the program
-/// `meniscus` exits with.
+/// Result of a call. The numbers are the exit codes of the program `meniscus`.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusStatus {
-    /// Done.
+    /// Success.
     Ok = 0,
-    /// Some frames of a conversion failed or are missing; the others are done.
+    /// Some frames of a conversion failed or are missing; the others are finished.
     Incomplete = 1,
-    /// An argument or an option is wrong, or options exclude each other; nothing was done.
+    /// An invalid argument or option, or conflicting options; nothing was done.
     Request = 2,
-    /// The particles, or a file that was to be read, are bad.
+    /// Invalid particles, or an input file that cannot be read.
     Input = 3,
     /// A file cannot be written, or scratch files fail.
     Output = 4,
-    /// The Vulkan device that was asked for cannot be used.
+    /// The requested Vulkan device cannot be used.
     Device = 5,
-    /// A bug of the library: please report it. The handles that the call was given are fit for
-    /// nothing but to be freed.
+    /// A bug in the library: please report it. The handles of the call can only be freed.
     Internal = 70,
-    /// A callback or another thread asked for an early end.
+    /// A callback or another thread cancelled the work.
     Cancelled = 130,
 }
 
-/// A call that failed.
+/// An error of a call.
 #[derive(Debug)]
 pub struct Failure {
     pub status: MeniscusStatus,
@@ -44,7 +42,7 @@ pub struct Failure {
 pub type Outcome<T = ()> = Result<T, Failure>;
 
 impl Failure {
-    /// A call with an argument that is wrong.
+    /// An error for an invalid argument.
     pub fn request(message: impl Into<String>) -> Self {
         Self { status: MeniscusStatus::Request, message: message.into() }
     }
@@ -68,7 +66,7 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// Text for C: up to a NUL, if it has one.
+/// C text, which ends at the first NUL.
 pub fn c_text(text: impl Into<Vec<u8>>) -> CString {
     let mut bytes = text.into();
     bytes.retain(|&byte| byte != 0);
@@ -76,7 +74,7 @@ pub fn c_text(text: impl Into<Vec<u8>>) -> CString {
 }
 
 fn keep(message: String) {
-    // A thread that ends has none any more.
+    // A thread that is ending has no message any more.
     let _ = LAST.try_with(|last| *last.borrow_mut() = c_text(message));
 }
 
@@ -87,14 +85,14 @@ fn panicked(payload: &(dyn Any + Send)) -> Failure {
     Failure { status: MeniscusStatus::Internal, message }
 }
 
-/// Drops what a panic carries, which could panic again: that is forgotten.
+/// Drops the payload of a panic. If that panics again, it is ignored.
 fn dropped(payload: Box<dyn Any + Send>) {
     if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(another);
     }
 }
 
-/// Does the work of a call: what fails is a code and a message, and a panic goes no farther.
+/// Does the work of a call. Errors become a code and a message, and panics do not propagate.
 pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         let failure = panicked(&*payload);
@@ -110,8 +108,8 @@ pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     }
 }
 
-/// Asks something that cannot fail; a panic, which would be a bug, is told of as any message, and
-/// `otherwise` is the answer.
+/// Runs a query that cannot fail. A panic, which would be a bug, becomes a message, and the result
+/// is `otherwise`.
 pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         keep(panicked(&*payload).message);
@@ -121,10 +119,10 @@ pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
 }
 
 /// Returns the message of the last call of this thread that did not return MENISCUS_STATUS_OK: what
-/// is wrong, and where. Empty where there was none.
+/// is wrong, and where. Empty if there was none.
 ///
-/// Each thread has its own, so that threads do not see each other's. The text is the library's: it
-/// is valid until the next call on this thread fails, or the thread ends.
+/// Each thread has its own message. The text belongs to the library, and is valid until the next
+/// call on this thread fails, or the thread ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_last_error() -> *const c_char {
     LAST.try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr()))

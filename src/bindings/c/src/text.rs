@@ -1,4 +1,4 @@
-//! Texts and arrays that a caller gives, and buffers that it lets be filled.
+//! Texts and arrays from the caller, and buffers that the library fills.
 
 use std::ffi::{CStr, c_char};
 use std::mem::MaybeUninit;
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use crate::status::{Failure, Outcome};
 
-/// A text, if there is one.
+/// A text, or `None` for NULL.
 ///
 /// # Safety
 /// `at` is NULL or points to a text that ends in NUL and lives as long as the call.
@@ -19,7 +19,7 @@ pub unsafe fn optional<'a>(at: *const c_char, what: &str) -> Outcome<Option<&'a 
     text.map(Some).map_err(|_| Failure::request(format!("{what} is not UTF-8")))
 }
 
-/// A path, if there is one.
+/// A path, or `None` for NULL.
 ///
 /// # Safety
 /// As for [`optional`].
@@ -39,7 +39,7 @@ pub unsafe fn optional_path(at: *const c_char, what: &str) -> Outcome<Option<Pat
     }
 }
 
-/// A path that has to be there.
+/// A path that must not be NULL.
 ///
 /// # Safety
 /// As for [`optional`].
@@ -49,7 +49,7 @@ pub unsafe fn path(at: *const c_char, what: &str) -> Outcome<PathBuf> {
     path.ok_or_else(|| Failure::request(format!("{what} is NULL")))
 }
 
-/// Texts side by side.
+/// An array of texts.
 ///
 /// # Safety
 /// `at` is NULL or points to `count` pointers, each as for [`optional`].
@@ -69,7 +69,7 @@ pub unsafe fn pointers<'a>(
 /// An array that may be empty.
 ///
 /// # Safety
-/// `at` is NULL or points to `count` values that live, and stay as they are, as long as the call.
+/// `at` is NULL or points to `count` values that live, and stay unchanged, as long as the call.
 pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'a [T]> {
     if count == 0 {
         return Ok(&[]);
@@ -79,10 +79,10 @@ pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'
     Ok(unsafe { std::slice::from_raw_parts(at, count) })
 }
 
-/// Refuses an address at which there is no array of so many.
+/// Rejects an address that cannot have an array of `count` values.
 fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     if at.is_null() {
-        return Err(Failure::request(format!("{what} is NULL, and {count} are said to be there")));
+        return Err(Failure::request(format!("{what} is NULL, but its count is {count}")));
     }
     if !at.is_aligned() {
         return Err(Failure::request(format!(
@@ -97,10 +97,10 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     Ok(())
 }
 
-/// The buffer of a caller who says how many numbers it holds; it must hold `needed`.
+/// The caller's buffer of `capacity` numbers, which must suffice for `needed`.
 ///
 /// # Safety
-/// `at` is NULL or points to memory for `capacity` values that nobody else reads or writes
+/// `at` is NULL or points to memory for `capacity` values that no other thread reads or writes
 /// meanwhile.
 pub unsafe fn buffer<'a, T>(
     at: *mut T,
@@ -125,11 +125,11 @@ pub unsafe fn buffer<'a, T>(
     Ok(unsafe { std::slice::from_raw_parts_mut(at.cast(), needed) })
 }
 
-/// Writes a value for a caller who wants it.
+/// Writes a value, unless the address is NULL.
 ///
 /// # Safety
-/// `at` is NULL or points to a value, however aligned.
-pub unsafe fn tell<T>(at: *mut T, value: T) {
+/// `at` is NULL or points to a value with any alignment.
+pub unsafe fn put<T>(at: *mut T, value: T) {
     if !at.is_null() {
         // SAFETY: as for this function.
         unsafe { at.write_unaligned(value) };

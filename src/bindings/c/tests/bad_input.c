@@ -3,7 +3,7 @@
 
 static float positions[COUNT][3];
 
-/// What a call said of the failure of another.
+/// Checks the code and the message of a failed call.
 static void refused(MeniscusStatus status, MeniscusStatus expected, const char *message, const void *made, int line) {
   if (status != expected || made || !strstr(meniscus_last_error(), message)) {
     fprintf(stderr, "line %d: %d, not %d: %s\n  does not say: %s\n", line, status, expected, meniscus_last_error(), message);
@@ -18,7 +18,7 @@ static void refused(MeniscusStatus status, MeniscusStatus expected, const char *
     refused(status, MENISCUS_STATUS_##kind, message, mesh, __LINE__);                                          \
   } while (0)
 
-/// Refuses options, either when one of them is set or when particles are reconstructed by them.
+/// Expects a failure when an option is set, or when particles are reconstructed with the options.
 static void refuse_options(const char *message, const char *const *said, int line) {
   MeniscusOptions *options = meniscus_options_new();
   MeniscusStatus status = MENISCUS_STATUS_OK;
@@ -146,12 +146,12 @@ static void keys_and_values_are_refused(void) {
   SET("origin: expected 3 numbers: x, y, z, got [NaN, 0.0]",
       meniscus_options_set_numbers(options, "origin", numbers, 2));
   SET("origin: expected 3 numbers", meniscus_options_set_numbers(options, "origin", NULL, 0));
-  SET("origin is NULL, and 3 are said to be there",
+  SET("origin is NULL, but its count is 3",
       meniscus_options_set_numbers(options, "origin", NULL, 3));
   SET("origin: ", meniscus_options_set_numbers(options, "origin", numbers, SIZE_MAX));
   SET("spacing: expected a number, got [NaN, 0.0]",
       meniscus_options_set_numbers(options, "spacing", numbers, 2));
-  // Whatever was refused has changed nothing, and NULL returns an option to its default.
+  // Rejected values have changed nothing, and NULL resets an option to its default.
   MeniscusMesh *mesh;
   OK(meniscus_options_set_numbers(options, "origin", numbers, 3));
   OK(meniscus_options_set_number(options, "watch", INFINITY));
@@ -178,7 +178,7 @@ static void particles_are_refused(void) {
   REFUSED(INPUT, "particle 5 ", meniscus_reconstruct(&far, near, &mesh));
   meniscus_options_free(near);
   PARTICLES(INPUT, "no particles", .count = 0);
-  PARTICLES(REQUEST, "particles.positions is NULL, and 1005 particles are said to be there", .positions = NULL);
+  PARTICLES(REQUEST, "particles.positions is NULL, but count is 1005", .positions = NULL);
   PARTICLES(REQUEST, "particles.positions: ", .count = UINT64_MAX);
   PARTICLES(REQUEST, "particles.positions: ", .stride = PTRDIFF_MAX);
   PARTICLES(REQUEST, "particles.positions: ", .component_stride = PTRDIFF_MIN);
@@ -186,7 +186,7 @@ static void particles_are_refused(void) {
   PARTICLES(REQUEST, "particles.number is 2: coordinates are MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64", .number = MENISCUS_TYPE_I32);
   PARTICLES(REQUEST, "particles.reserved is 1, and must be 0", .reserved = 1);
   PARTICLES(REQUEST, "particles: its size is 7;", .size = 7);
-  PARTICLES(REQUEST, "particles.attributes is NULL, and 2 are said to be there", .attribute_count = 2);
+  PARTICLES(REQUEST, "particles.attributes is NULL, but attribute_count is 2", .attribute_count = 2);
   ATTRIBUTE("particles.attributes[0]: its size is 1;", .size = 1);
   ATTRIBUTE("particles.attributes[0].name is NULL, or empty", .name = NULL);
   ATTRIBUTE("particles.attributes[0].name is NULL, or empty", .name = "");
@@ -200,7 +200,7 @@ static void particles_are_refused(void) {
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1},
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1}};
   PARTICLES(REQUEST, "another attribute is called \"heat\"", .attributes = twins, .attribute_count = 2);
-  // All are left out, or all lie in one place.
+  // All are left out, or all have the same position.
   static float nowhere[COUNT][3];
   MeniscusParticles same = particles_of(nowhere);
   REFUSED(INPUT, "spacing", meniscus_reconstruct(&same, NULL, &mesh));
@@ -234,7 +234,7 @@ static void files_are_refused(const char *folder) {
   WRITE(REQUEST, "path is NULL", meniscus_mesh_write(made, NULL, 0, NULL));
   WRITE(REQUEST, "mesh is NULL", meniscus_mesh_write(NULL, path, 0, NULL));
   WRITE(REQUEST, "mesh.doc", meniscus_mesh_write(made, "mesh.doc", 0, NULL));
-  // A folder that is missing is made, but not in the place of a file.
+  // A missing folder is created, but not in place of a file.
   char below[sizeof path + 32];
   snprintf(below, sizeof below, "%s/none/mesh.ply", path);
   WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, below, 0, NULL));
@@ -280,7 +280,7 @@ static void files_are_refused(const char *folder) {
   meniscus_options_free(kernels);
   WRITE(REQUEST, "method needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
   meniscus_frame_free(frame);
-  // NULL is no handle, and nothing to ask or to free.
+  // All queries and frees accept NULL.
   CHECK(!meniscus_mesh_vertex_count(NULL) && !meniscus_mesh_triangle_count(NULL) && !meniscus_mesh_has_normals(NULL));
   CHECK(!meniscus_mesh_attribute_count(NULL) && !meniscus_mesh_attribute_name(NULL, 0) && !meniscus_mesh_warning(NULL, 0));
   CHECK(!meniscus_mesh_warning_count(NULL) && !meniscus_frame_warning_count(NULL) && !meniscus_frame_warning(NULL, 0));
@@ -300,7 +300,7 @@ static void conversions_are_refused(const char *folder) {
     WRITE(kind, message, meniscus_convert(inputs, count, output, options, NULL)); \
     meniscus_options_free(options); \
   } while (0)
-  CONVERT(INPUT, "no frames found", inputs, 1, output, "start", "0");
+  CONVERT(INPUT, "no file matches this pattern", inputs, 1, output, "start", "0");
   CONVERT(REQUEST, "input_count is 0", inputs, 0, output, "start", "0");
   CONVERT(REQUEST, "inputs is NULL", NULL, 1, output, "start", "0");
   CONVERT(REQUEST, "inputs[1] is NULL", inputs, 2, output, "start", "0");

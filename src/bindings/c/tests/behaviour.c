@@ -1,9 +1,9 @@
-// Everything that the interface promises besides the bytes: `behaviour FOLDER`.
+// Tests of all guarantees of the interface besides the bytes: `behaviour FOLDER`.
 #include "water.h"
 
 static float positions[COUNT][3];
 
-/// What is lent, and what is copied to the caller's memory, in both widths, is the same mesh.
+/// Lent arrays and copies, in both widths, are the same mesh.
 static void copies_are_what_is_lent(void) {
   static float velocity[COUNT][3], heat[COUNT];
   for (int i = 0; i < COUNT; i++) {
@@ -53,7 +53,7 @@ static void copies_are_what_is_lent(void) {
   CHECK(values[vertices / 2] > 1 && values[vertices / 2] < COUNT);
   CHECK(meniscus_mesh_attribute_name(mesh, 2) == NULL && meniscus_mesh_attribute_components(mesh, 2) == 0);
   CHECK(meniscus_mesh_attribute(mesh, 2, values, vertices) == MENISCUS_STATUS_REQUEST);
-  // A buffer that is too small stays as it is.
+  // A buffer that is too small stays unchanged.
   narrow[0] = 77;
   CHECK(meniscus_mesh_positions_f32(mesh, narrow, 3 * vertices - 1) == MENISCUS_STATUS_REQUEST && narrow[0] == 77);
   CHECK(strstr(meniscus_last_error(), "numbers, and"));
@@ -71,7 +71,7 @@ static void copies_are_what_is_lent(void) {
   meniscus_mesh_free(mesh);
 }
 
-/// Whole numbers come to the vertices as they are, also such as float does not hold.
+/// Integers reach the vertices exactly, even if float cannot represent them.
 static void whole_numbers_are_those_of_particles(void) {
   static int32_t below[COUNT];
   static uint32_t above[COUNT][2];
@@ -100,7 +100,7 @@ static void whole_numbers_are_those_of_particles(void) {
   MeniscusArrays arrays = {.size = sizeof arrays};
   OK(meniscus_mesh_arrays(mesh, &arrays));
   for (uint64_t i = 0; i < vertices; i++) {
-    // All of one particle.
+    // All values are of one particle.
     const int64_t particle = pairs[2 * i + 1];
     CHECK(particle >= 0 && particle < COUNT);
     CHECK(whole[i] == -16777217 - 2 * particle && pairs[2 * i] == (int64_t)UINT32_MAX - particle);
@@ -114,7 +114,7 @@ static void whole_numbers_are_those_of_particles(void) {
   meniscus_mesh_free(mesh);
 }
 
-/// Positions anywhere in memory are the same water.
+/// Positions with any layout in memory give the same mesh.
 static void positions_may_lie_anywhere(void) {
   static double axes[3][COUNT];
   static char odd[1 + COUNT * 20];
@@ -170,7 +170,7 @@ static void progress_is_told_and_can_end_the_work(const char *folder) {
   MeniscusMesh *mesh;
   OK(meniscus_reconstruct(&particles, options, &mesh));
   CHECK(told.stages[MENISCUS_STAGE_COUNTING] && told.stages[MENISCUS_STAGE_MESHING] && told.stages[MENISCUS_STAGE_SIMPLIFYING]);
-  // The call is over, and so is what its callback may use.
+  // The call has returned, so its callback must not be called any more.
   int calls = told.calls;
   char path[512];
   snprintf(path, sizeof path, "%s/told.obj", folder);
@@ -182,7 +182,7 @@ static void progress_is_told_and_can_end_the_work(const char *folder) {
     CHECK(meniscus_reconstruct(&particles, options, &mesh) == MENISCUS_STATUS_CANCELLED && mesh == NULL);
     CHECK(strcmp(meniscus_last_error(), "cancelled") == 0);
   }
-  // A frame that a callback ends leaves those to come.
+  // A frame that a callback cancels does not affect later frames.
   MeniscusSimulation *simulation;
   OK(meniscus_simulation_new(options, &simulation));
   meniscus_options_free(options);
@@ -243,7 +243,7 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
   CHECK(bytes > 100);
   CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
   meniscus_frame_free(frame);
-  // Its doubts take a look at all cells, by threads that end with it.
+  // Its warnings need a pass over all cells, on temporary threads.
   MeniscusOptions *symmetry = OPTIONS("spacing", "0.05", "indicator", "symmetry");
   OK(meniscus_sample(&particles, symmetry, &frame));
   meniscus_options_free(symmetry);
@@ -256,7 +256,7 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
 }
 
 static void a_simulation_settles_and_its_frames_are_alike(void) {
-  // Deeper than the filters reach.
+  // Deeper than the reach of the filters.
   enum { DEEP = 16 };
   static float moved[DEEP * DEEP * DEEP][3];
   MeniscusOptions *options = OPTIONS("smooth", "0.8");
@@ -266,7 +266,7 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
   CHECK(meniscus_simulation_is_settled(simulation) == 0);
   double cell = 0;
   for (int i = 0; i < 3; i++) {
-    // Fewer particles would be estimated to lie farther apart.
+    // With fewer particles, the estimated spacing would be larger.
     pour_cube(moved, DEEP, -0.01f * (float)i);
     MeniscusParticles particles = particles_of(moved);
     particles.count = sizeof moved / sizeof *moved - 1000 * (unsigned)i;
@@ -279,7 +279,7 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
     meniscus_mesh_free(mesh);
   }
   CHECK(meniscus_simulation_is_settled(simulation) == 1);
-  // A tank may be dry at times; a frame alone is not.
+  // A tank may be temporarily empty; a single frame may not.
   MeniscusParticles none = {.size = sizeof none};
   MeniscusMesh *dry;
   MeniscusArrays arrays = {.size = sizeof arrays};
@@ -300,10 +300,10 @@ static int32_t note(void *user, const MeniscusEvent *event) {
   return 0;
 }
 
-/// Before the first frame: after the first that is done, the others may be done as well.
+/// Cancels before the first frame: after the first, all others may be finished as well.
 static int32_t stop(void *user, const MeniscusEvent *event) {
   (void)user;
-  return event->kind == MENISCUS_EVENT_KIND_BEGINS;
+  return event->kind == MENISCUS_EVENT_KIND_STARTED;
 }
 
 static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *folder) {
@@ -314,7 +314,7 @@ static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *fold
     snprintf(inputs[i], sizeof inputs[i], "%s/water_%d.xyz", folder, i);
     FILE *file = fopen(inputs[i], "wb");
     CHECK(file && fwrite(positions, sizeof positions[0], COUNT, file) == COUNT);
-    // Bytes that are no particle.
+    // Bytes that are not a particle.
     CHECK(i != 2 || fwrite("bad", 1, 3, file) == 3);
     CHECK(fclose(file) == 0);
   }
@@ -325,7 +325,7 @@ static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *fold
   CHECK(meniscus_convert(names, 4, output, options, &summary) == MENISCUS_STATUS_INCOMPLETE);
   CHECK(summary.made == 3 && summary.failed == 1 && strstr(meniscus_last_error(), "water_2.xyz"));
   CHECK(events[MENISCUS_EVENT_KIND_DONE] == 3 && events[MENISCUS_EVENT_KIND_FAILED] == 1);
-  CHECK(events[MENISCUS_EVENT_KIND_BEGINS] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
+  CHECK(events[MENISCUS_EVENT_KIND_STARTED] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
   CHECK(events[MENISCUS_EVENT_KIND_STAGE] > 3 && events[MENISCUS_EVENT_KIND_OTHER] == 0);
   OK(meniscus_options_on_event(options, stop, NULL));
   CHECK(meniscus_convert(names, 4, output, options, NULL) == MENISCUS_STATUS_CANCELLED);
@@ -345,7 +345,7 @@ static int32_t note_frame(void *user, const MeniscusEvent *event) {
   return 0;
 }
 
-/// Frames have negative numbers before the first, and those of one number of several inputs are one.
+/// Frames may have negative numbers, and frames of several inputs with the same number are joined.
 static void frames_before_the_first_are_joined(const char *folder) {
   char path[512], output[512], inputs[2][512];
   const char *names[] = {inputs[0], inputs[1]};
@@ -383,7 +383,7 @@ static void *work(void *threads) {
     OK(meniscus_reconstruct(&particles, options, &mesh));
     sum += meniscus_mesh_vertex_count(mesh);
     meniscus_mesh_free(mesh);
-    // The message of this thread, whatever the other fails by meanwhile.
+    // The message of this thread does not change if the other thread fails.
     MeniscusOptions *wrong = meniscus_options_new();
     OK(meniscus_options_set_number(wrong, "spacing", -1.0 - count));
     char expected[16];
@@ -409,7 +409,7 @@ static void two_threads_do_not_disturb_each_other(void) {
   CHECK(sums[0] == sums[1] && sums[0] != NULL);
 }
 
-/// Every key is one that can be set, and has a line of help.
+/// Every key can be set, and has a line of help.
 static void keys_are_listed(void) {
   MeniscusOptions *options = meniscus_options_new();
   size_t count = 0;

@@ -1,6 +1,7 @@
-// Calls of random arguments, right and wrong, in random order: none crashes, none fails without a code and a message, and meshes are
-// closed. `random FOLDER CALLS SEED` prints how many calls returned which code. With FUZZED it is a function instead, whose bytes say
-// what is called and with what: target `c` of `tools/fuzz`.
+// Calls with random arguments, valid and invalid, in random order: none crashes, none fails without
+// a code and a message, and meshes are closed. `random FOLDER CALLS SEED` prints the number of
+// calls for each code. With FUZZED it is a function instead, whose bytes determine the calls and
+// their arguments: target `c` of `tools/fuzz`.
 #include "water.h"
 
 #include <time.h>
@@ -12,7 +13,8 @@ static bool more_to_pick(void) {
   return said < said_end;
 }
 
-/// A number below another, as the next bytes say; after the last of them the highest, which is nothing rare.
+/// A number below `among`, from the next bytes; after the last byte always the highest, which
+/// selects nothing rare.
 static uint32_t pick(uint32_t among) {
   uint32_t number = 0;
   for (uint32_t most = among - 1; among > 0 && most > 0; most >>= 8) {
@@ -28,7 +30,7 @@ static bool more_to_pick(void) {
   return true;
 }
 
-/// A number below another.
+/// A random number below `among`.
 static uint32_t pick(uint32_t among) {
   return (uint32_t)(next(&state) * among);
 }
@@ -39,12 +41,12 @@ static double share(void) {
   return pick(256) / 256.0;
 }
 
-/// One time in so many.
+/// True once in `times` calls.
 static bool rarely(uint32_t times) {
   return pick(times) == 0;
 }
 
-/// A number as callers have them, and as they do not.
+/// A plausible or implausible number.
 static double number(double usual) {
   const double odd[] = {0, -1, 1, NAN, INFINITY, -INFINITY, 1e-300, 1e300, -0.0, 5e-324, 1e15, 0.5, 1e-9, 3, 65536};
   return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + share());
@@ -56,7 +58,7 @@ static size_t size_of(size_t right) {
 }
 
 #ifdef FUZZED
-// Little water, so that there is time for many calls.
+// Few particles, so that there is time for many calls.
 enum { MOST = 30 };
 static const double EXTENT = 0.12;
 #else
@@ -64,7 +66,7 @@ enum { MOST = 200 };
 static const double EXTENT = 0.4;
 #endif
 
-// As small as what is said to be there, so that valgrind sees whoever looks beyond.
+// Exactly as large as announced, so that valgrind detects reads beyond it.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
 static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
@@ -81,7 +83,7 @@ static void put(unsigned char *at, int32_t type, double wide) {
   memcpy(at, type == MENISCUS_TYPE_F32 ? (void *)&narrow : (void *)&wide, type == MENISCUS_TYPE_F32 ? 4 : 8);
 }
 
-/// Particles that lie somewhere in what was allocated for them, or are said to and refused.
+/// Particles within their allocated memory, or announced particles beyond it that must be rejected.
 static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   memset(particles, 0, sizeof *particles);
   int32_t type = (int32_t)pick(2);
@@ -100,7 +102,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   if (count > 0 && rarely(8)) {
     particles->positions = at, particles->stride = (ptrdiff_t)width, particles->component_stride = (ptrdiff_t)(count * width);
   }
-  // What an older caller does not say is not so.
+  // Fields that an older caller does not have are 0.
   if (particles->size != sizeof *particles) {
     particles->positions = at, particles->stride = particles->component_stride = 0;
   }
@@ -123,20 +125,20 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
       one->name = words[rarely(6) ? pick(8) : (uint32_t)i];
       one->values = rarely(15) ? NULL : particles->positions;
       one->components = rarely(12) ? pick(5) * 65535u : 1 + pick(3);
-      // Numbers of as many bytes.
+      // Numbers with the same size.
       one->number = type == MENISCUS_TYPE_F32 && rarely(3) ? MENISCUS_TYPE_I32 + (int32_t)pick(2) : type;
       one->stride = particles->stride, one->component_stride = particles->component_stride;
       if (one->components > 3 && one->components <= 65536) {
         one->stride = one->component_stride = 0, one->values = NULL;
       }
     }
-    // What says less than a whole attribute lies less far from the next: no more than one then.
+    // A structure that is smaller than an attribute is also the stride, so there can be only one.
     if (attributes[0].size != sizeof *attributes || attributes[1].size != sizeof *attributes) {
       particles->attribute_count = particles->attribute_count > 0;
     }
   }
   if (particles->size == sizeof *particles && rarely(25)) {
-    // Refused before anything is read there.
+    // Must be rejected before anything is read there.
     const ptrdiff_t far[] = {PTRDIFF_MAX, PTRDIFF_MIN, PTRDIFF_MAX / 2};
     particles->count = count + 4, particles->stride = far[pick(3)];
   }
@@ -148,14 +150,14 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
 
 static int32_t end_sometimes(void *user, const MeniscusProgress *progress) {
   CHECK(progress->done >= 0 && progress->done <= 1);
-  // An older caller says nothing of it.
+  // An older caller does not have this field.
   return user && --*(int *)user == 0;
 }
 
 static int left;
 static MeniscusCancel *cancel;
 
-/// Looks at the outcome of a call that sets an option: values are taken, or refused with a message.
+/// Checks the result of a call that sets an option: success, or an error with a message.
 static void taken_or_refused(MeniscusStatus status) {
   CHECK(status == MENISCUS_STATUS_OK || status == MENISCUS_STATUS_REQUEST);
   CHECK(status == MENISCUS_STATUS_OK || strlen(meniscus_last_error()) > 5);
@@ -183,8 +185,8 @@ static void set_box(MeniscusOptions *options, const char *key) {
   if (rarely(4)) set_numbers(options, key, box, 6);
 }
 
-/// Whether random values of an option do no harm. Others look for devices, which takes most of the
-/// time, wait for frames that never come, write elsewhere, or start too many threads.
+/// Whether random values of an option are harmless. Other options search for devices, which takes
+/// most of the time, wait for frames that never appear, write elsewhere, or start too many threads.
 static bool is_harmless(const char *key) {
   const char *harmful[] = {"backend", "device", "watch", "scratch", "threads"};
   for (size_t i = 0; i < sizeof harmful / sizeof *harmful; i++) {
@@ -193,7 +195,7 @@ static bool is_harmless(const char *key) {
   return true;
 }
 
-/// Sets any option from anything.
+/// Sets any option to any value.
 static void set_anything(MeniscusOptions *options) {
   const char *odd[] = {
       "",     "0",    "1", "-1", "nan", "1e999", "true",        "false",       "auto",
@@ -211,7 +213,7 @@ static void set_anything(MeniscusOptions *options) {
   }
 }
 
-/// Options, right and wrong, to be freed.
+/// Options with valid and invalid values, to be freed.
 static MeniscusOptions *some_options(const char *folder) {
   MeniscusOptions *options = rarely(20) ? meniscus_options_copy(NULL) : meniscus_options_new();
   set_number(options, "spacing", rarely(2) ? 0.05 : rarely(8) ? number(0.05) : 0.05);
@@ -278,7 +280,7 @@ static MeniscusStatus note(MeniscusStatus status) {
   return status;
 }
 
-/// Everything that a mesh can be asked for, some of it.
+/// Some of the queries of a mesh.
 static void ask(const MeniscusMesh *mesh, const char *folder) {
   uint64_t vertices = meniscus_mesh_vertex_count(mesh), triangles = meniscus_mesh_triangle_count(mesh);
   uint64_t room = rarely(4) ? pick(100) : 3 * (vertices > triangles ? vertices : triangles);
@@ -287,7 +289,7 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
   MeniscusArrays arrays = {.size = size_of(sizeof arrays)};
   MeniscusReport report = {.size = size_of(sizeof report)};
   MeniscusCheck check = {.size = size_of(sizeof check)};
-  // What says more than it is must not be written to.
+  // A structure whose announced size exceeds its memory must not be written to.
   if (arrays.size > sizeof arrays && arrays.size <= 4096) arrays.size = 8;
   if (report.size > sizeof report && report.size <= 4096) report.size = 8;
   if (check.size > sizeof check && check.size <= 4096) check.size = 8;
@@ -331,7 +333,7 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
   free(out);
 }
 
-/// Some frames of a few particles, for conversions; their name with {} for the number.
+/// Some frames of a few particles, for conversions; returns their name with {} for the number.
 static const char *frames_in(const char *folder) {
   static char name[512];
   char path[512];
@@ -366,7 +368,7 @@ static void convert(const char *folder, const char *frames) {
     if (rarely(3)) set(some, "frames", range);
     if (rarely(2)) set_number(some, "step", pick(3));
     if (rarely(3)) set_number(some, "fps", number(25));
-    // Nobody waits for what never comes.
+    // Do not wait for frames that never appear.
     if (rarely(9)) set_number(some, "watch", rarely(2) ? 1e-9 : -fabs(number(1)));
     set_number(some, "overwrite", rarely(2)), set_number(some, "resume", rarely(2));
     if (rarely(2)) {
@@ -382,7 +384,7 @@ static void convert(const char *folder, const char *frames) {
   meniscus_options_free(some);
 }
 
-/// Keeps a mesh that was made instead of another: it is closed, whatever it was made of.
+/// Replaces a mesh by a new one, which must be closed.
 static void keep(MeniscusMesh **mesh, MeniscusMesh *made) {
   MeniscusCheck check = {.size = sizeof check};
   OK(meniscus_mesh_check(made, &check));
@@ -391,7 +393,7 @@ static void keep(MeniscusMesh **mesh, MeniscusMesh *made) {
   calls += 2;
 }
 
-/// Makes so many calls, or as many as there is something to pick by.
+/// Makes this many calls, or fewer if the bytes end.
 static void make_calls(const char *folder, uint64_t wanted) {
   MeniscusMesh *mesh = NULL;
   MeniscusFrame *frame = NULL;
@@ -435,7 +437,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
     if (made) keep(&mesh, made);
     if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
     if (begun) meniscus_simulation_free(simulation), simulation = begun, calls++;
-    // Handles go in any order: a mesh stays when what it was made of does not.
+    // Handles are freed in any order: a mesh stays valid when its frame is freed.
     if (rarely(200)) meniscus_mesh_free(mesh), mesh = NULL, calls++;
     if (rarely(200)) meniscus_frame_free(frame), frame = NULL, calls++;
     if (rarely(200)) meniscus_simulation_free(simulation), simulation = NULL, calls++;
@@ -446,7 +448,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
 }
 
 #ifdef FUZZED
-/// Makes the calls that bytes say, in a folder that is empty.
+/// Makes the calls that bytes determine, in an empty folder.
 void meniscus_calls_of_bytes(const char *folder, const unsigned char *bytes, size_t size) {
   said = bytes, said_end = bytes + size;
   make_calls(folder, 40);
@@ -463,7 +465,7 @@ static int test(int count, char **arguments) {
     if (codes[i]) printf(" %llu returned %d,", (unsigned long long)codes[i], i);
   }
   puts(" none crashed");
-  // Otherwise it is calls that do nothing.
+  // Otherwise, most calls would do nothing.
   CHECK(wanted < 2000 || (codes[0] > calls / 5 && codes[MENISCUS_STATUS_REQUEST] > calls / 20 && codes[MENISCUS_STATUS_INPUT] && codes[MENISCUS_STATUS_CANCELLED]));
   return 0;
 }

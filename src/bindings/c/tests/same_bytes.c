@@ -18,7 +18,7 @@ static void run(const char *format, ...) {
   }
 }
 
-/// Compares the meshes, and the files that they name, of the program and the library.
+/// Compares the meshes, and the files that they refer to, of the program and the library.
 static void compare(const char *extension, const MeniscusMesh *mesh, const char *input, const char *options) {
   char path[512];
   run("rm -rf %s/program %s/library && mkdir %s/program %s/library", folder, folder, folder, folder);
@@ -63,7 +63,7 @@ static int test(int count, char **arguments) {
   CHECK(COUNT == 1005);
   save("water.npy", head, sizeof head, wide, sizeof wide);
 
-  // Every format, from numbers of 32 bits and of 64, in memory and in a file.
+  // Every format, from 32-bit and 64-bit numbers, in memory and in a file.
   const char *formats[] = {"ply", "obj", "vtk", "vtp", "pvtp", "vtkhdf", "stl", "usdc", "glb"};
   MeniscusParticles narrow = particles_of(positions);
   MeniscusParticles doubles = {
@@ -81,7 +81,7 @@ static int test(int count, char **arguments) {
   meniscus_mesh_free(of_wide);
   meniscus_mesh_free(of_file);
 
-  // Options by their names, and positions among other numbers.
+  // Options by name, and positions among other numbers.
   struct { const char *said; const char *const options[9]; } all[] = {
       {"--spacing 0.05 --cell 0.3 --smooth 2", {"spacing", "0.05", "cell", "0.3", "smooth", "2"}},
       {"--radius 0.025 --cell-size 0.03 --normals",
@@ -124,7 +124,7 @@ static int test(int count, char **arguments) {
   compare("glb", mesh, wide_file, "--compress --particles-up z");
   meniscus_mesh_free(mesh);
 
-  // A device makes the bytes of the CPU.
+  // A device gives the same bytes as the CPU.
   MeniscusOptions *device = OPTIONS("backend", "vulkan", "normals", "true");
   MeniscusStatus status = meniscus_reconstruct(&strided, device, &mesh);
   meniscus_options_free(device);
@@ -137,7 +137,7 @@ static int test(int count, char **arguments) {
     meniscus_mesh_free(mesh);
   }
 
-  // A frame that is packed is the program's, too, and so is its mesh.
+  // A packed frame has the same bytes as the program's, and so has its mesh.
   char packed[512];
   snprintf(packed, sizeof packed, "%s/library.mnf", folder);
   MeniscusFrame *frame;
@@ -152,7 +152,7 @@ static int test(int count, char **arguments) {
   compare("ply", mesh, wide_file, "--smooth 2");
   meniscus_mesh_free(mesh);
 
-  // A simulation from files to files: all that is written but times.
+  // A conversion of a simulation: all files are equal except for times.
   run("rm -rf %s/frames %s/by_*; mkdir %s/frames", folder, folder, folder);
   for (int number = 1; number <= 3; number++) {
     char name[64];

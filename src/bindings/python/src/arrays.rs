@@ -1,10 +1,10 @@
-//! Arrays of Python's, read where they are: NumPy's own, and others by DLPack, the array interface
-//! or the buffer protocol.
+//! Reads Python's arrays in place: NumPy arrays, and others by DLPack, the array interface or the
+//! buffer protocol.
 //!
-//! Nobody keeps another thread from writing to an array while it is read without the interpreter's
-//! lock. So no slice is ever made of one, which would promise that its numbers stay: every number
-//! is loaded once, by a volatile read through a pointer, and whatever it is then is used. The
-//! library bears positions that differ from one reading to the next, and says so.
+//! Another thread may write to an array while it is read without the interpreter's lock. Therefore
+//! there is never a slice of an array, which would guarantee constant values: every number is
+//! loaded once, by a volatile read through a pointer, and that value is used. The library handles
+//! positions that differ between reads, and reports them.
 
 use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 use numpy::prelude::*;
@@ -14,11 +14,11 @@ use pyo3::prelude::*;
 
 use crate::errors::InputError;
 
-/// Kinds of device, in DLPack's numbers, whose memory the processor reads: its own, and its own
-/// pinned for CUDA and for ROCm.
+/// Device types in DLPack with memory that the CPU can read: the CPU, and pinned memory of CUDA and
+/// ROCm.
 const HOST: [i32; 3] = [1, 3, 11];
 
-/// The numbers of an array: so many rows of so many, at any distances.
+/// The numbers of an array: rows and columns, with any strides.
 #[derive(Debug, Clone, Copy)]
 pub struct Numbers {
     first: *const u8,
@@ -45,7 +45,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// The kind of numbers by NumPy's letter and their bytes.
+    /// The number type of NumPy's letter and size.
     fn of(letter: u8, bytes: usize) -> Option<Self> {
         Some(match (letter, bytes) {
             (b'f', 4) => Self::F32,
@@ -92,11 +92,11 @@ impl Kind {
     }
 }
 
-/// The types of numbers that an array may have.
+/// Allowed number types of an array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Types {
     Floats,
-    /// Or whole numbers.
+    /// Floating-point numbers or integers.
     Numbers,
 }
 
@@ -105,7 +105,7 @@ unsafe impl Send for Numbers {}
 // SAFETY: as above.
 unsafe impl Sync for Numbers {}
 
-/// An array that is held, and where its numbers are: they are there as long as it is.
+/// An array that is kept alive, with the address of its numbers.
 pub struct Held<'py> {
     pub array: Bound<'py, PyUntypedArray>,
     pub numbers: Numbers,
@@ -118,7 +118,7 @@ impl Held<'_> {
     }
 }
 
-/// Loads the number of a type at a place: byte by byte where it is not aligned. A number is there.
+/// Loads a number of some type; byte by byte if it is not aligned. The address is valid.
 macro_rules! loaded {
     ($number:ty, $at:expr, $aligned:expr) => {
         if $aligned {
@@ -138,17 +138,17 @@ impl Numbers {
         self.columns
     }
 
-    /// One column alone.
+    /// A single column.
     ///
     /// # Panics
-    /// If there are not so many columns.
+    /// If there are fewer columns.
     pub fn column(&self, column: usize) -> Self {
         assert!(column < self.columns, "columns of an array");
         let first = self.first.wrapping_offset(column as isize * self.strides[1]);
         Self { first, columns: 1, ..*self }
     }
 
-    /// The meaning of an attribute of these numbers: as of one in a file that stores such.
+    /// The kind of an attribute with this type of numbers, as in a file with this type.
     pub fn meaning(&self, info: &AttributeInfo) -> AttributeKind {
         match self.kind {
             Kind::F32 | Kind::F64 => info.kind,
@@ -161,26 +161,26 @@ impl Numbers {
         }
     }
 
-    /// Hands out the numbers of rows from `first` on, row by row.
+    /// Passes on the numbers of rows from `first` on, row by row.
     ///
     /// # Panics
-    /// If there are not so many rows.
+    /// If there are fewer rows.
     pub fn read(&self, first: usize, rows: usize, put: impl FnMut(usize, f64)) {
         // SAFETY: it is called with places of numbers only.
         self.each(first, rows, |at| unsafe { self.load(at) }, put);
     }
 
-    /// Hands out the numbers as [`read`](Self::read) does, as whole ones, which f64 need not hold.
-    /// Greater ones than an i64 holds become the greatest.
+    /// Like [`read`](Self::read) for integers that f64 cannot represent. Values beyond i64 become
+    /// the maximum i64.
     ///
     /// # Panics
-    /// If there are not so many rows.
+    /// If there are fewer rows.
     pub fn read_whole(&self, first: usize, rows: usize, put: impl FnMut(usize, i64)) {
         // SAFETY: it is called with places of numbers only.
         self.each(first, rows, |at| unsafe { self.load_whole(at) }, put);
     }
 
-    /// Loads the numbers of rows from `first` on, and hands them out.
+    /// Loads the numbers of rows from `first` on, and passes them on.
     fn each<T>(
         &self,
         first: usize,
@@ -204,7 +204,7 @@ impl Numbers {
     /// Loads the number at a place.
     ///
     /// # Safety
-    /// One of the array's numbers is there.
+    /// `at` is the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load(&self, at: *const u8) -> f64 {
         // SAFETY: as for this function.
@@ -217,10 +217,10 @@ impl Numbers {
         }
     }
 
-    /// Loads the whole number at a place.
+    /// Loads the integer at an address.
     ///
     /// # Safety
-    /// One of the array's numbers is there.
+    /// `at` is the address of one of the array's numbers.
     #[inline(always)]
     unsafe fn load_whole(&self, at: *const u8) -> i64 {
         // SAFETY: as for this function.
@@ -241,7 +241,7 @@ impl Numbers {
     }
 }
 
-/// Takes positions or velocities: an array of N x 3.
+/// Reads positions or velocities: an array of N x 3.
 pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
     let held = held(name, object, Types::Floats)?;
     let shape = held.array.shape();
@@ -255,7 +255,7 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py
     Ok(held)
 }
 
-/// Takes a value or several for each particle: an array of N, or of N x K, also of whole numbers.
+/// Reads one or several values per particle: an array of N, or of N x K, which may have integers.
 pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
     let held = held(name, object, Types::Numbers)?;
     let shape = held.array.shape();
@@ -268,7 +268,7 @@ pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py
     Ok(held)
 }
 
-/// Refuses an array of another length than the positions'.
+/// Rejects an array whose length differs from the positions'.
 pub fn refuse_length(name: &str, held: &Held<'_>, particles: usize) -> PyResult<()> {
     if held.numbers.rows == particles {
         return Ok(());
@@ -295,7 +295,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
         None => {
             let way = match dtype.kind() {
                 b'V' => "numpy.lib.recfunctions.structured_to_unstructured",
-                // As of torch's tensors.
+                // For example torch's tensors.
                 _ if !object.hasattr("astype")? && object.hasattr("float")? => ".float()",
                 _ => ".astype(\"float32\")",
             };
@@ -328,7 +328,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
     Ok(Held { array, numbers })
 }
 
-/// The array that an object is, or shares its memory with: nothing is copied.
+/// The array of an object, or an array that shares its memory, without copying.
 fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {
@@ -361,7 +361,7 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
     } else {
         let view = py.import("builtins")?.call_method1("memoryview", (object,));
         let view = view.map_err(|_| {
-            // As of Taichi's fields.
+            // For example Taichi's fields.
             let has_way = object.hasattr("to_numpy").unwrap_or(false);
             let way = if has_way { ".to_numpy()" } else { "numpy.asarray" };
             PyTypeError::new_err(format!(
@@ -380,7 +380,7 @@ fn type_of(object: &Bound<'_, PyAny>) -> String {
     object.get_type().name().map_or_else(|_| "an object".into(), |name| name.to_string())
 }
 
-/// Refuses an array whose numbers are where the processor does not read them.
+/// Rejects an array in memory that the CPU cannot read.
 fn refuse_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -> PyResult<()> {
     if HOST.contains(&kind) {
         return Ok(());

@@ -1,5 +1,5 @@
-//! Where work runs, as the keywords `backend` and `device` say it: a device is opened once, and
-//! kept for the calls that follow.
+//! The backend in the keywords `backend` and `device`: a device is opened once, and kept for later
+//! calls.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 use crate::errors::{InputError, exception};
 use crate::values::Given;
 
-/// The processor or a device, as it is asked for.
+/// The CPU or a device, as requested.
 #[derive(Default)]
 pub struct Device {
     backend: Option<Name>,
@@ -27,8 +27,8 @@ enum Name {
     Vulkan,
 }
 
-/// Devices that are open, by the process that opened them, by whether one was asked for, and by
-/// their names. A child that was forked cannot use its parent's.
+/// Open devices by process, by whether they were requested, and by name. A forked child cannot use
+/// its parent's devices.
 type Open = HashMap<(u32, bool, Option<String>), Backend>;
 
 static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
@@ -44,7 +44,7 @@ impl Device {
         self.device = Some(device);
     }
 
-    /// Refuses a device for the processor.
+    /// Rejects a device for the CPU.
     pub fn check(&self) -> PyResult<()> {
         if self.backend == Some(Name::Cpu) && self.device.is_some() {
             return Err(InputError::new_err("device: the backend is the processor"));
@@ -52,7 +52,7 @@ impl Device {
         Ok(())
     }
 
-    /// Whether a device is asked for, and not only welcome.
+    /// Whether a device is required.
     fn is_wanted(&self) -> bool {
         match (self.backend, &self.device) {
             (Some(Name::Cpu), _) | (None | Some(Name::Auto), None) => false,
@@ -60,7 +60,7 @@ impl Device {
         }
     }
 
-    /// Refuses a device that was asked for.
+    /// Returns an error if a device is required.
     pub fn refuse(&self, why: &str) -> PyResult<()> {
         if self.is_wanted() {
             return Err(InputError::new_err(format!("backend: {why}")));
@@ -68,7 +68,7 @@ impl Device {
         Ok(())
     }
 
-    /// Opens it; `None` for the processor.
+    /// Opens the device; `None` for the CPU.
     pub fn open(
         &self,
         budget: MemoryBudget,

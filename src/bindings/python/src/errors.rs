@@ -1,4 +1,4 @@
-//! Errors of the library as exceptions: by kind, with the library's sentence.
+//! Converts errors of the library to exceptions with the same message.
 
 use meniscus::error::{FrameError, WholeMeshError, WriteError, WriteFault};
 use meniscus::{Cause, Error};
@@ -14,7 +14,7 @@ mod base {
     pyo3::import_exception!(meniscus._errors, Error);
 }
 
-/// Whether an error is of a file, and not of what is asked for.
+/// Whether an error is about a file rather than the request.
 fn is_of_file(error: &Error) -> bool {
     let exists = |error: &WriteError| {
         matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation)
@@ -27,9 +27,9 @@ fn is_of_file(error: &Error) -> bool {
     }
 }
 
-/// The exception that an error is.
+/// The exception for an error.
 pub fn exception(error: Error) -> PyErr {
-    let text = error.told(&|setting| setting.name().to_owned());
+    let text = error.message_with(&|setting| setting.name().to_owned());
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
         _ if matches!(
@@ -51,7 +51,7 @@ pub fn other(text: impl Into<String>) -> PyErr {
     base::Error::new_err(text.into())
 }
 
-/// Warns as Python does: an exception where whoever runs this wants warnings to be such.
+/// Issues Python warnings, which may be configured to raise exceptions.
 pub fn warn(py: Python<'_>, texts: impl IntoIterator<Item = String>) -> PyResult<()> {
     let mut texts = texts.into_iter().peekable();
     if texts.peek().is_none() {

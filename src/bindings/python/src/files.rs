@@ -15,25 +15,26 @@ use crate::mesh::column;
 use crate::options::{Keywords, Known};
 use crate::work::Work;
 
-/// The particles of a file: what ``read_particles`` returns.
+/// The particles of a file, as ``read_particles`` returns them.
 ///
 /// Attributes
 /// ----------
 /// positions : float64 array of shape (N, 3)
 ///     In the file's unit of length.
 /// velocity : float32 array of shape (N, 3) or None
-///     The attribute that the file calls so, or ``v``, or the like.
+///     The attribute with this name, or with another usual name such as ``v``.
 /// attributes : dict from names to arrays of shape (N,) or (N, K)
-///     All attributes, under the names that the file gives them: float32, and of whole numbers int32, uint32 or, where the file stores 64
-///     bits, int64.
+///     All attributes, with the names in the file: float32, and for integers int32, uint32 or, if
+///     the file stores 64 bits, int64.
 /// spacing : float or None
-///     Distance between neighbouring particles, by the file or a scene beside it.
+///     Distance between neighbouring particles, from the file or a scene file beside it.
 /// time : float or None
-///     The simulation's time in seconds, by the file.
+///     The simulation's time in seconds, from the file.
 /// up : str
-///     "y" or "z": the axis that points up in such files, for the keyword ``particles_up``.
+///     "y" or "z": the axis that usually points up in this format, for the keyword
+///     ``particles_up``.
 /// format : str
-///     The kind of file.
+///     Name of the file format.
 #[pyclass(frozen, get_all, name = "Particles", module = "meniscus")]
 pub struct ParticleData {
     positions: Py<PyArray2<f64>>,
@@ -56,7 +57,7 @@ impl ParticleData {
     }
 }
 
-/// All values of an attribute, in the type that holds them.
+/// All values of an attribute, in a type that can represent them.
 enum Values {
     Floats(Vec<f32>),
     Signed(Vec<i32>),
@@ -95,18 +96,18 @@ impl Values {
     }
 }
 
-/// Reads the particles of a file: .bgeo, .bgeo.sc, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm, .ply, .npy, .npz,
-/// .csv, .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
+/// Reads the particles of a file: .bgeo, .bgeo.sc, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm, .ply,
+/// .npy, .npz, .csv, .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
 ///
 /// Parameters
 /// ----------
 /// path : str or os.PathLike
-///     The file; ``sim.h5part#12`` is a step of one that holds several.
+///     The file; ``sim.h5part#12`` is a step of a file with several.
 /// format : str, optional
-///     The format, whatever the extension says, such as "csv".
+///     The format, such as "csv"; by default that of the extension.
 /// where : str or list of str, optional
-///     Conditions on attributes of the particles that are used, such as "Type=1" or "age<2.5";
-///     ``type`` is the type of particles, of a file that holds several.
+///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
+///     ``type`` selects one of several types of particles in a file.
 ///
 /// Returns
 /// -------
@@ -115,7 +116,7 @@ impl Values {
 /// Raises
 /// ------
 /// meniscus.FileError
-///     For a file that is not there, or damaged; an OSError.
+///     For a missing or damaged file; an OSError.
 /// meniscus.InputError
 ///     For an unknown extension; a ValueError.
 #[pyfunction]
@@ -165,23 +166,24 @@ pub fn read_particles(
     })
 }
 
-/// Lists the frames of a simulation as ``Simulation`` takes them: their numbers, and their files.
+/// Lists the frames of a simulation with their numbers and files, as ``Simulation`` finds them.
 ///
 /// Parameters
 /// ----------
 /// inputs : path or list of paths
-///     A name with ``{}`` for the number, a folder, a glob, a file of several steps, or files one by one.
+///     A name with ``{}`` for the number, a folder, a glob, a file with several steps, or a list of
+///     files.
 ///
 /// Returns
 /// -------
 /// list of pairs of int and pathlib.Path
-///     In the order of the numbers, which are negative before frame 0; ``sim.h5part#12`` is a step of a file of several. Of a frame that
-///     is in several files, the first.
+///     In the order of the numbers, which may be negative; ``sim.h5part#12`` is a step of a file
+///     with several. For a frame in several files, the first file.
 ///
 /// Raises
 /// ------
 /// meniscus.InputError, meniscus.FileError
-///     Where there are none, or those of several simulations, or the folder cannot be read.
+///     If there are no frames, or those of several simulations, or the folder cannot be read.
 #[pyfunction]
 pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(i64, PathBuf)>> {
     let inputs = paths("inputs", inputs)?;

@@ -1,4 +1,4 @@
-//! A frame that is sampled once, to be drawn as often as one likes, or packed.
+//! A frame that is sampled once, for several surfaces or for packing.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,12 +15,12 @@ use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
-/// A frame that was sampled: its field, and whatever its surface has to know of the particles,
-/// which are not needed any more.
+/// A sampled frame: its field, and the data of the particles that surfaces need. The particles
+/// themselves are not needed any more.
 ///
-/// ``Frame(positions, ...)`` takes what ``reconstruct`` takes, and samples; ``surface()`` draws, as
-/// asked here or otherwise, as often as one likes. It keeps threads, and is of the process that
-/// made it.
+/// ``Frame(positions, ...)`` has the keywords of ``reconstruct``, and samples the particles;
+/// ``surface()`` makes a surface with the same or other settings, repeatedly. It has its own
+/// threads, and can be used only in the process that made it.
 ///
 /// Raises
 /// ------
@@ -28,14 +28,14 @@ use crate::work::{Work, with_progress};
 #[pyclass(frozen, module = "meniscus")]
 pub struct Frame {
     sampled: Arc<Sampled>,
-    /// The keywords by which it was made.
+    /// The keywords of the constructor.
     asked: Py<PyDict>,
     named: Option<Vec<String>>,
     process: u32,
 }
 
 impl Frame {
-    /// The request by keywords that go before those by which it was made.
+    /// The request with these keywords, which override those of the constructor.
     fn request(
         &self,
         function: &str,
@@ -44,7 +44,7 @@ impl Frame {
     ) -> PyResult<Reconstruction> {
         let all = self.asked.bind(py).copy()?;
         if let Some(keywords) = keywords {
-            // By what may be said, and then with all that was.
+            // First only the allowed keywords, to reject others, then all.
             Keywords::of(function, Some(keywords), &[Known::Surface])?;
             all.update(keywords.as_mapping())?;
         }
@@ -118,24 +118,24 @@ impl Frame {
         })
     }
 
-    /// Opens a frame that was saved, by this or by the program's ``pack``, or samples the particles
-    /// of a file, which never become arrays.
+    /// Opens a packed frame, written by ``save`` or by the program's ``pack``, or samples the
+    /// particles of a file without making arrays.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike, or list of them
-    ///     The file: .mnf, or one of particles. Of several files, such as of several fluids, the particles make one surface, with the
-    ///     attributes that all of them have.
+    ///     The file: .mnf, or a particle file. The particles of several files, such as several
+    ///     fluids, make one surface, with the attributes that all of them have.
     /// attributes : list of str, optional
-    ///     The attributes of the particles that vertices carry; their velocity by default.
+    ///     Attributes for the vertices; by default, the velocity.
     /// format : str, optional
-    ///     The format, whatever the extension says, such as "csv".
+    ///     The format, such as "csv"; by default that of the extension.
     /// where : str or list of str, optional
-    ///     Conditions on attributes of the particles that are used, such as "Type=1" or "age<2.5";
-    ///     ``type`` is the type of particles, of a file that holds several.
+    ///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
+    ///     ``type`` selects one of several types of particles in a file.
     ///
-    /// Further keywords are those of ``reconstruct``. Of a frame that was saved, those that say how
-    /// particles are sampled are refused.
+    /// Other keywords are those of ``reconstruct``. For a packed frame, keywords of the sampling
+    /// are errors.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
@@ -178,11 +178,10 @@ impl Frame {
         })
     }
 
-    /// Draws the surface, by the keywords that are given here, and where none is as was said when
-    /// it was sampled.
+    /// Makes a surface with these keywords; others have the values of the constructor.
     ///
-    /// Keywords are those of ``reconstruct`` that do not need the particles again; threads and
-    /// memory stay the frame's.
+    /// Keywords are those of ``reconstruct`` that do not need the particles. Threads and memory
+    /// remain those of the frame.
     ///
     /// Returns
     /// -------
@@ -211,15 +210,15 @@ impl Frame {
         self.sampled.particles_up().to_string().to_lowercase()
     }
 
-    /// Packs it into a file, of which surfaces can be drawn later, by this or by the program.
-    /// Attributes stay behind.
+    /// Packs the frame into a file, from which this module or the program can make surfaces.
+    /// Attributes are not included.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike
     ///     The file: .mnf.
     /// overwrite : bool
-    ///     Whether a file that is there may be replaced.
+    ///     Whether an existing file may be replaced.
     ///
     /// Returns
     /// -------

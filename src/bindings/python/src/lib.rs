@@ -1,9 +1,8 @@
-//! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays in and out, and
-//! nothing of its own.
+//! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays.
 //!
-//! Arrays are read where they are ([`arrays`]), work runs without the interpreter's lock and ends
-//! on Ctrl-C ([`work`]), keywords are those of the program's options ([`options`]), and errors are
-//! exceptions with the library's sentences ([`errors`]).
+//! Arrays are read in place ([`arrays`]), work runs without the interpreter's lock and ends on
+//! Ctrl-C ([`work`]), keywords are the program's options ([`options`]), and errors are exceptions
+//! with the library's messages ([`errors`]).
 
 mod arrays;
 mod backends;

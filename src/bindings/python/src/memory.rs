@@ -1,18 +1,18 @@
-//! Memory that is given back to the system after each call.
+//! Returns memory to the system after each call.
 
-/// Gives back what the C library's allocator keeps of what was freed: the process is another's, who
-/// does not expect to hold the memory of a frame for good.
+/// Returns freed memory from the C library's allocator to the system, because the process belongs
+/// to the caller and should not keep the memory of a frame.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn give_back() {
     // SAFETY: takes a number, and may be called by any thread at any time.
     unsafe { libc::malloc_trim(0) };
 }
 
-/// Others give back by themselves.
+/// Other allocators do this themselves.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn give_back() {}
 
-/// Gives back what was freed before it, as the last of its fellows.
+/// Returns memory when it is dropped. Must be the last field of a structure.
 pub struct GiveBack;
 
 impl Drop for GiveBack {

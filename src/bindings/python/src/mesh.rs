@@ -1,4 +1,4 @@
-//! A mesh as NumPy's arrays, and the surface that it was made of, which writes files.
+//! A mesh as NumPy arrays, with its surface for writing files.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -18,19 +18,18 @@ use crate::memory::{GiveBack, give_back};
 use crate::report::{Check, Report};
 use crate::work::{Work, with_progress};
 
-/// A closed, oriented, 2-manifold triangle mesh around the fluid, which is what ``reconstruct`` and
-/// its kin return.
+/// A closed, oriented, 2-manifold triangle mesh around the fluid, the result of ``reconstruct`` and
+/// similar functions.
 ///
-/// Its arrays are made when one is first asked for, are the caller's to write to, and stay the same
-/// objects. What is written to them does not show in files: ``write`` writes the surface as it was
-/// made.
+/// Its arrays are created on first access, may be modified by the caller, and stay the same
+/// objects. Modifications do not affect ``write``, which writes the original surface.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Mesh {
     surface: Surface,
     request: Reconstruction,
     arrays: PyOnceLock<Arrays>,
     measures: OnceLock<Measures>,
-    /// After all others.
+    /// Must be the last field.
     _emptied: GiveBack,
 }
 
@@ -45,7 +44,7 @@ struct Arrays {
 }
 
 impl Mesh {
-    /// Takes a surface by the request for it, and warns of what is doubtful.
+    /// Combines a surface with its request, and issues its warnings.
     pub fn new(py: Python<'_>, surface: Surface, request: Reconstruction) -> PyResult<Self> {
         warn(py, surface.report().warnings.iter().map(ToString::to_string))?;
         Ok(Self {
@@ -103,7 +102,7 @@ impl Mesh {
     }
 }
 
-/// An array of N, or of N x K for K components, that takes the numbers over as they are.
+/// An array of N, or of N x K for K components, that takes ownership of the numbers.
 pub fn column<T: Element>(
     py: Python<'_>,
     values: Vec<T>,
@@ -117,7 +116,7 @@ pub fn column<T: Element>(
     })
 }
 
-/// An array of N x 3 that takes the numbers over as they are.
+/// An array of N x 3 that takes ownership of the numbers.
 fn threes<T: Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Py<PyArray2<T>>> {
     let count = rows.len();
     Ok(PyArray1::from_vec(py, rows.into_flattened()).reshape([count, 3])?.unbind())
@@ -138,28 +137,28 @@ impl Mesh {
         Ok(self.arrays(py)?.triangles.clone_ref(py))
     }
 
-    /// Triangles as uint64 of shape (T, 3), for programs that want such: made anew each time.
+    /// Triangles as uint64 of shape (T, 3), for programs that need them; created on each access.
     #[getter]
     fn triangles_u64(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u64>>> {
         Ok(self.arrays(py)?.triangles.bind(py).cast_array::<u64>(false)?.unbind())
     }
 
-    /// Unit vertex normals, outward: float32 of shape (V, 3), or None unless ``normals=True`` asked
-    /// for them.
+    /// Outward unit normals of the vertices: float32 of shape (V, 3), or None without
+    /// ``normals=True``.
     #[getter]
     fn normals(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray2<f32>>>> {
         Ok(self.arrays(py)?.normals.as_ref().map(|normals| normals.clone_ref(py)))
     }
 
-    /// Further values on the vertices by their names: float32 of shape (V,), or (V, K) for K
-    /// numbers a vertex. Whole numbers of the particles, such as identifiers, are int32 or uint32:
-    /// a vertex has those of the particle nearest to it.
+    /// Attributes of the vertices by name: float32 of shape (V,), or (V, K) for K components.
+    /// Integers of the particles, such as identifiers, are int32 or uint32: a vertex has those of
+    /// the nearest particle.
     #[getter]
     fn attributes(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
         Ok(self.arrays(py)?.attributes.clone_ref(py))
     }
 
-    /// The volume inside, in the cube of the unit of length; 0 for an empty mesh.
+    /// The enclosed volume, in the cube of the unit of length; 0 for an empty mesh.
     #[getter]
     fn volume(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.measures(py)?.volume.unwrap_or(f64::NAN))
@@ -171,20 +170,20 @@ impl Mesh {
         Ok(self.measures(py)?.area)
     }
 
-    /// The lowest and the highest corner of the box around it, or None for an empty mesh.
+    /// The lowest and highest corner of the bounding box, or None for an empty mesh.
     #[getter]
     fn bounds(&self, py: Python<'_>) -> PyResult<Option<(Point, Point)>> {
         Ok(self.measures(py)?.bounds.map(|[low, high]| (low.into(), high.into())))
     }
 
-    /// How it was made.
+    /// The report on the reconstruction.
     #[getter]
     fn report(&self) -> Report {
         self.surface.report().into()
     }
 
-    /// Checks that it is closed, oriented and 2-manifold, and measures it: what the program's
-    /// ``check`` says of a file.
+    /// Checks that the mesh is closed, oriented and 2-manifold, and measures it, like the program's
+    /// ``check`` for a file.
     fn check(&self, py: Python<'_>) -> PyResult<Check> {
         let measures = self.measures(py)?;
         let mesh = self.whole(py)?;
@@ -197,20 +196,20 @@ impl Mesh {
         Ok(Check::of(&found, measures))
     }
 
-    /// Writes it to a file whose extension says the format: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf,
-    /// .stl, .usdc, .glb or .bgeo.sc.
+    /// Writes the mesh to a file whose extension selects the format: .ply, .obj, .vtk, .vtp, .pvtp,
+    /// .vtkhdf, .stl, .usdc, .glb or .bgeo.sc.
     ///
-    /// The file appears whole or not at all, and is, byte for byte, what the program writes for the
-    /// same particles and options.
+    /// The file appears completely or not at all, and is byte for byte the file that the program
+    /// writes for the same particles and options.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike
     ///     The file.
     /// overwrite : bool
-    ///     Whether a file that is there may be replaced.
+    ///     Whether an existing file may be replaced.
     /// preview : bool
-    ///     Draw a picture beside it, too: under its name, as .png.
+    ///     Also draw a picture beside it, with its name and .png.
     ///
     /// Returns
     /// -------
@@ -220,9 +219,9 @@ impl Mesh {
     /// Raises
     /// ------
     /// meniscus.FileError
-    ///     Where it is there already, or cannot be written; an OSError.
+    ///     If it exists already, or cannot be written; an OSError.
     /// meniscus.InputError
-    ///     For an unknown extension, or what the format cannot hold; a ValueError.
+    ///     For an unknown extension, or data that the format cannot store; a ValueError.
     #[pyo3(signature = (path, *, overwrite=false, preview=false))]
     fn write(
         &self,
@@ -256,7 +255,7 @@ impl Mesh {
         keywords.set_item("faces", &arrays.triangles)?;
         keywords.set_item("vertex_normals", &arrays.normals)?;
         keywords.set_item("vertex_attributes", &arrays.attributes)?;
-        // It would merge vertices that lie close, which are two on purpose.
+        // trimesh would merge nearby vertices, which are separate on purpose.
         keywords.set_item("process", false)?;
         Ok(keywords)
     }

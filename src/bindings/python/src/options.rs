@@ -1,4 +1,5 @@
-//! Keywords, which are the program's options in snake case, and what they mean to the library.
+//! Keywords, which are the program's options in snake case, and their conversion to settings of the
+//! library.
 
 use meniscus::{MemoryBudget, Reconstruction, Settings, default_memory};
 use pyo3::exceptions::PyTypeError;
@@ -13,17 +14,17 @@ use crate::values::Given;
 /// Keywords of a function.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Known {
-    /// Keywords that say how particles are sampled.
+    /// Keywords of the sampling.
     Sampling,
-    /// Keywords of a surface, for which the particles are not needed again.
+    /// Keywords of a surface, which do not need the particles.
     Surface,
-    /// Keywords of what the machine gives.
+    /// Keywords of resources.
     Machine,
-    /// Keywords of files of particles.
+    /// Keywords of particle files.
     Files,
-    /// The conditions that particles have to satisfy.
+    /// Conditions on particles.
     Where,
-    /// The names of attributes to carry.
+    /// Names of attributes for the vertices.
     Attributes,
     /// Keywords of simulations.
     Simulation,
@@ -51,13 +52,13 @@ impl Known {
     }
 }
 
-/// The keywords of what the machine gives.
+/// The keywords of resources.
 const MACHINE: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
 
-/// The keywords of files of particles.
+/// The keywords of particle files.
 const FILES: [&str; 1] = ["format"];
 
-/// A request by its keywords, but for the backend, which depends on how large the input is.
+/// A request without a backend, whose choice depends on the size of the input.
 pub struct Keywords {
     pub request: Reconstruction,
     device: Device,
@@ -65,8 +66,7 @@ pub struct Keywords {
 }
 
 impl Keywords {
-    /// Reads the keywords of a function, which are all of those in `known`; what is None is not
-    /// said.
+    /// Reads the keywords of a function, which must all be in `known`. None counts as not given.
     pub fn of(
         function: &str,
         keywords: Option<&Bound<'_, PyDict>>,
@@ -126,7 +126,7 @@ impl Keywords {
         Ok(())
     }
 
-    /// The request, on a backend that suits inputs of so many bytes, if that is known.
+    /// The request, with a backend for inputs of this size, if it is known.
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
         if !request.uses_backend() {

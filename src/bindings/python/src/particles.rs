@@ -1,4 +1,4 @@
-//! Particles as arrays hold them: positions, and what else each carries.
+//! Particles in arrays: positions and attributes.
 
 use meniscus::Particles;
 use meniscus::files::AttributeInfo;
@@ -8,13 +8,13 @@ use pyo3::types::PyMapping;
 
 use crate::arrays::{Held, Numbers, columns, refuse_length, vectors};
 
-/// Arrays that are held while they are read.
+/// Arrays that are kept alive while they are read.
 pub struct Arrays<'py> {
     pub positions: Held<'py>,
     others: Vec<(String, Held<'py>)>,
 }
 
-/// The particles that arrays hold.
+/// The particles in arrays.
 #[derive(Debug)]
 pub struct Water {
     positions: Numbers,
@@ -23,7 +23,7 @@ pub struct Water {
 }
 
 impl<'py> Arrays<'py> {
-    /// Takes positions, a velocity for each if one is given, and further attributes by their names.
+    /// Takes positions, optional velocities, and other attributes by name.
     pub fn take(
         positions: &Bound<'py, PyAny>,
         velocity: Option<&Bound<'py, PyAny>>,
@@ -57,7 +57,7 @@ impl<'py> Arrays<'py> {
         Ok(Self { positions, others })
     }
 
-    /// The particles, to be read as long as the arrays are held.
+    /// The particles, which can be read as long as the arrays live.
     pub fn water(&self) -> Water {
         let info = |(name, held): &(String, Held<'_>)| {
             let info = AttributeInfo::new(name, held.numbers.columns());
@@ -75,8 +75,8 @@ impl<'py> Arrays<'py> {
         self.others.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The names of all attributes, if there are others than the velocity, which goes along
-    /// unasked.
+    /// The names of all attributes, if there are others than the velocity, which is included by
+    /// default.
     pub fn named(&self) -> Option<Vec<String>> {
         let names: Vec<_> = self.others.iter().map(|(name, _)| name.clone()).collect();
         names.iter().any(|name| name != "velocity").then_some(names)

@@ -4,8 +4,8 @@ use std::ffi::OsString;
 
 use pyo3::prelude::*;
 
-/// Runs a command line of the program, whose first word is the program's name, and returns the exit
-/// code. Signals of the process are the program's from then on.
+/// Runs a command line of the program, with the program's name as its first word, and returns the
+/// exit code. From then on, the program handles signals of the process.
 #[pyfunction]
 pub fn program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| meniscus::program::run(arguments))

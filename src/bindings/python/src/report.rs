@@ -1,4 +1,4 @@
-//! Reports on a mesh, beside its numbers.
+//! Reports and checks of a mesh.
 
 use std::collections::BTreeMap;
 
@@ -6,14 +6,15 @@ use meniscus::mesh::{CheckReport, Measures};
 use meniscus::{Report as Found, SpacingSource};
 use pyo3::prelude::*;
 
-/// How a surface was made: lengths are in the unit of the positions.
+/// How a surface was made. Lengths are in the unit of the positions.
 ///
 /// Attributes
 /// ----------
 /// spacing : float or None
-///     Distance between neighbouring particles; None where cells have a size of their own and nothing tells it.
+///     Distance between neighbouring particles; None if it is unknown because a cell size was
+///     given.
 /// spacing_source : str or None
-///     Where the spacing comes from, in words; None for frames of a simulation and packed ones.
+///     Source of the spacing, as text; None for packed frames and frames of a simulation.
 /// cell_size : float
 ///     Edge of a cell.
 /// origin : tuple of three floats
@@ -21,25 +22,27 @@ use pyo3::prelude::*;
 /// indicator : str or None
 ///     The indicator that made the field; None for kernel methods.
 /// smooth, sigma, iso : float or None
-///     The width of smoothing in spacings, that of the Gaussian in cells, and the isovalue, where there is one.
+///     Smoothing width in spacings, standard deviation of the Gaussian in cells, and isovalue; None
+///     if they do not apply.
 /// particles : int
-///     Particles that the surface was made of.
+///     Particles that were used.
 /// not_finite, too_far, outside : int
-///     Particles that were left out: with a coordinate that is not finite, beyond the grid, outside of the domain.
+///     Particles that were skipped: with a coordinate that is not finite, too far away, or outside
+///     of the domain.
 /// lost : int
-///     Particles that are in no surface, at the least.
+///     Lower bound of the particles that are missing from the surface.
 /// too_small : int
-///     Drops and bubbles that were left out as too small.
+///     Drops and bubbles that were left out because they are too small.
 /// whole_triangles : int
-///     Triangles before simplifying and leaving out.
+///     Triangles before simplifying and the removal of components.
 /// backend : str
-///     The processor, or the device by its name.
+///     The CPU, or the name of the device.
 /// threads : int
-///     Threads that made it.
+///     Number of threads.
 /// seconds : dict
-///     How long each stage took.
+///     Seconds of each stage.
 /// warnings : list of str
-///     Doubts about the surface, which were warned of as ``meniscus.MeshWarning``, too.
+///     Warnings about the surface, which were also issued as ``meniscus.MeshWarning``.
 #[pyclass(frozen, get_all, module = "meniscus")]
 pub struct Report {
     spacing: Option<f64>,
@@ -108,22 +111,22 @@ impl Report {
     }
 }
 
-/// Whether a mesh is closed, oriented and 2-manifold, and what it measures. True where it is all
-/// three.
+/// Whether a mesh is closed, oriented and 2-manifold, and its measures. True if it is all three.
 ///
 /// Attributes
 /// ----------
 /// closed, oriented, manifold : bool
-///     No edge on a boundary; no edge run along twice the same way; no edge of more than two triangles and no vertex of several fans.
+///     Whether no edge is on a boundary; no two triangles have the same direction at an edge; no
+///     edge has more than two triangles and no vertex several fans.
 /// boundary_edges, misoriented_edges, crowded_edges, pinched_vertices, degenerate_triangles,
 /// non_finite_positions : int
-///     How often each defect occurs.
+///     Number of occurrences of each defect.
 /// vertices, triangles, components : int
 ///     Counts; components share no vertex.
 /// euler_characteristic : int
 ///     Vertices - edges + triangles.
 /// genus : int or None
-///     Handles of all components together; None unless closed, oriented and 2-manifold.
+///     Number of handles of all components; None unless closed, oriented and 2-manifold.
 /// area : float
 ///     In the square of the unit of length.
 /// volume : float or None

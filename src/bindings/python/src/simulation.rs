@@ -16,9 +16,9 @@ use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
 use crate::summary::{Event, Summary};
 use crate::values::Given;
-use crate::work::{News, Work, with_progress};
+use crate::work::{Message, Work, with_progress};
 
-/// The keywords of which frames are made, and how it goes.
+/// The keywords of a conversion.
 pub const SIMULATION: [&str; 10] = [
     "start",
     "end",
@@ -32,68 +32,72 @@ pub const SIMULATION: [&str; 10] = [
     "preview",
 ];
 
-/// The frames of a simulation, all alike: cells, grid and calibration are measured once, and
-/// frozen.
+/// The frames of a simulation with one calibration: cells, grid and calibration are measured once,
+/// and kept.
 ///
-/// While a simulation runs, make one without inputs, and call ``frame(positions)`` for each: it is
-/// measured on the first frame with fluid deeper than the filters reach (see ``settled``). A frame
-/// without particles is an empty mesh. It keeps threads, and is of the process that made it.
+/// For a running simulation, create one without inputs, and call ``frame(positions)`` for each
+/// frame. The calibration is measured on the first frame with fluid deeper than the reach of the
+/// filters (see ``settled``). A frame without particles is an empty mesh. It has its own threads,
+/// and can be used only in the process that made it.
 ///
-/// With inputs and an output, ``run()`` makes the meshes of files, as the program does.
+/// With inputs and an output, ``run()`` converts files to mesh files, like the program.
 ///
 /// Parameters
 /// ----------
 /// inputs : path or list of paths, optional
-///     A name with ``{}`` for the number, a folder, a glob, a file of several steps, or files one by one.
+///     A name with ``{}`` for the number, a folder, a glob, a file with several steps, or a list of
+///     files.
 /// output : path, optional
 ///     A name with ``{}`` or ``{:04}`` for the number, or a folder.
 /// start, end, step : int, optional
-///     The first and the last frame of the simulation, and every how many. Frames before 0 have negative numbers.
+///     The first and last frame of the simulation, and the step between frames. Numbers may be
+///     negative.
 /// frames : pair of int, optional
-///     Convert these frames only, both ends included, as one of several jobs.
+///     Convert only these frames, both ends included, as one of several jobs.
 /// resume : bool, optional
-///     Go on with a conversion that was begun.
+///     Resume an interrupted conversion.
 /// overwrite : bool, optional
-///     Replace outputs that exist.
+///     Replace existing outputs.
 /// watch : float, optional
-///     Follow a simulation that runs, until nothing has come for so many seconds.
+///     Follow a running simulation, until no new frame has appeared for this many seconds.
 /// fps : float, optional
-///     Frames a second, for times where the files have none.
+///     Frames per second, if the files have no times.
 /// together : bool, optional
-///     Make one surface of the frames of one number of all inputs, such as several fluids, each a name with ``{}``, a folder or a glob.
+///     Join the frames with the same number from all inputs, such as several fluids. Each input is
+///     a name with ``{}``, a folder or a glob.
 /// preview : bool, optional
-///     Draw a sheet of the frames beside their meshes, as .png.
+///     Draw a contact sheet of the frames beside the meshes, as .png.
 /// attributes : list of str, optional
-///     The attributes that vertices carry; their velocity by default.
+///     Attributes for the vertices; by default, the velocity.
 /// format : str, optional
-///     The format of the files, whatever their extension says, such as "csv".
+///     The format of the files, such as "csv"; by default that of their extension.
 /// where : str or list of str, optional
-///     Conditions on attributes of the particles that are used, such as "Type=1" or "age<2.5";
-///     ``type`` is the type of particles, of a file that holds several.
+///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
+///     ``type`` selects one of several types of particles in a file.
 ///
-/// Further keywords are those of ``reconstruct``.
+/// Other keywords are those of ``reconstruct``.
 ///
 /// Raises
 /// ------
 /// TypeError, meniscus.InputError, meniscus.FileError, meniscus.DeviceError
-///     As ``reconstruct``.
+///     Like ``reconstruct``.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Simulation {
     kind: Kind,
     request: Reconstruction,
-    /// Attributes by their names, where some were named.
+    /// Names of the attributes, if any were given.
     names: Option<Vec<String>>,
     process: u32,
 }
 
 enum Kind {
     Live(Mutex<LiveSimulation>),
-    /// And whether a sheet of the frames is drawn.
+    /// And whether to draw a contact sheet.
     Files(Box<Files>, bool),
 }
 
 impl Simulation {
-    /// Refuses arrays that no vertex would carry.
+    /// Rejects arrays that would not reach the vertices.
     fn refuse_unnamed(&self, arrays: &Arrays<'_>) -> PyResult<()> {
         let unnamed = arrays.names().find(|name| match &self.names {
             Some(names) => !names.iter().any(|known| known == name),
@@ -164,13 +168,13 @@ impl Simulation {
     /// Parameters
     /// ----------
     /// positions : array of shape (N, 3), float32 or float64
-    ///     Read where it is, as by ``reconstruct``. N may be 0: an empty mesh.
+    ///     Read in place, like in ``reconstruct``. If N is 0, the mesh is empty.
     /// velocity : array of shape (N, 3), optional
-    ///     Velocities, which the vertices carry.
+    ///     Velocities, which are interpolated to the vertices.
     /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
     ///     Values of the attributes that the simulation was made with.
     /// progress : callable, optional
-    ///     Is called with the name of a stage and the share of it that is done.
+    ///     Called with the name of a stage and its progress from 0 to 1.
     ///
     /// Returns
     /// -------
@@ -193,7 +197,7 @@ impl Simulation {
         }
         let arrays = Arrays::take(positions, velocity, attributes)?;
         self.refuse_unnamed(&arrays)?;
-        // Whoever waited for it here would keep the interpreter's lock from whoever works.
+        // Waiting here would keep the interpreter's lock, which the working thread may need.
         let mut live = match live.try_lock() {
             Ok(live) => live,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -204,14 +208,13 @@ impl Simulation {
         let live = &mut *live;
         let work = Work::new();
         let request = work.holds(self.request.clone(), progress.is_some());
-        live.controlled_by(&request);
+        live.set_control(&request);
         let water = arrays.water();
         let surface = with_progress(py, progress, work, || live.frame(&water))?;
         Mesh::new(py, surface, request)
     }
 
-    /// Whether all that frames have in common is frozen; always so for files, which are measured
-    /// first.
+    /// Whether the calibration is fixed; always True for files, which are measured first.
     #[getter]
     fn settled(&self) -> PyResult<bool> {
         match &self.kind {
@@ -226,27 +229,27 @@ impl Simulation {
         }
     }
 
-    /// Makes the meshes of all frames, files to files.
+    /// Converts all frames from files to files.
     ///
-    /// A frame that cannot be made is an event, and the others are made all the same: see
+    /// A frame that fails is an event, and the others are still converted: see
     /// ``Summary.complete``.
     ///
     /// Parameters
     /// ----------
     /// progress : callable, optional
-    ///     Is called with each ``Event``, on the caller's thread. What it raises ends the work.
+    ///     Called with each ``Event``, on the caller's thread. An exception cancels the work.
     ///
     /// Returns
     /// -------
     /// list of Summary
-    ///     One for each simulation that there is.
+    ///     One for each simulation in the inputs.
     #[pyo3(signature = (*, progress=None))]
     fn run(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Summary>> {
         let preview = matches!(self.kind, Kind::Files(_, true));
-        let (ended, undrawn) = self.on_files(py, progress, |files, tell| {
+        let (ended, undrawn) = self.on_files(py, progress, |files, report| {
             let mut files = files.clone();
             let sheet = preview.then(|| files.sheet()).transpose()?;
-            let ended = files.run(tell)?;
+            let ended = files.run(report)?;
             let undrawn = sheet.map(|sheet| sheet.draw()).transpose()?;
             Ok((ended, undrawn.and_then(|sheet| sheet.warning())))
         })?;
@@ -254,15 +257,15 @@ impl Simulation {
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
-    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers
-    /// of the frames: for several jobs, each of which converts some.
+    /// Calibrates all frames, stores the calibration beside the outputs, and returns the frame
+    /// numbers: for several jobs, each of which converts some frames.
     ///
     /// Returns
     /// -------
     /// list of int
     #[pyo3(signature = (*, progress=None))]
     fn plan(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<i64>> {
-        self.on_files(py, progress, |files, tell| files.plan(tell))
+        self.on_files(py, progress, |files, report| files.plan(report))
     }
 }
 
@@ -281,21 +284,21 @@ impl Simulation {
         let work = Work::<(Event, Vec<String>)>::new();
         let files =
             files.as_ref().clone().reconstruction(self.request.clone().cancel(work.cancel.clone()));
-        let teller = work.teller.clone();
+        let sender = work.sender.clone();
         let hear = |(event, warnings): (Event, Vec<String>)| {
             warn(py, warnings)?;
             progress.map_or(Ok(()), |callback| callback.call1((event,)).map(drop))
         };
         work.run(py, hear, || {
             act(&files, &|event| {
-                // The caller waits for the end, and hears of everything before.
-                let _ = teller.send(News::Told(Event::of(&event)));
+                // The caller waits for the end, and receives all earlier events.
+                let _ = sender.send(Message::Event(Event::of(&event)));
             })
         })
     }
 }
 
-/// Refuses what has no meaning for frames from memory.
+/// Rejects keywords that do not apply to frames from memory.
 fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;

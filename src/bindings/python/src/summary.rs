@@ -1,29 +1,31 @@
-//! News of a conversion, and its end, for Python.
+//! Events of a conversion, and its summary, for Python.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use meniscus::{Event as News, Summary as Ended, Tallied};
+use meniscus::{Event as ConversionEvent, FrameCounts, Summary as Ended};
 use pyo3::prelude::*;
 
-/// News of a conversion. ``str(event)`` is a line for people.
+/// An event of a conversion. ``str(event)`` is a line of text.
 ///
 /// Attributes
 /// ----------
 /// kind : str
-///     "waiting", "doubted", "anew", "goes_on", "measured", "begins", "came", "stage", "done", "failed", "simulation_failed" or "ended".
+///     "waiting", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
+///     "stage", "done", "failed", "simulation_failed" or "ended".
 /// message : str
-///     A line for people.
+///     The event as a line of text.
 /// frame : int or None
 ///     The frame's number; negative before frame 0.
 /// output : pathlib.Path or None
-///     The mesh's file, of a frame that is done.
+///     The mesh's file, for a finished frame.
 /// stage : str or None
-///     "reading", "counting", "waiting", "sampling", "meshing", "simplifying" or "writing", of a frame that is at it.
+///     The frame's stage: "reading", "counting", "waiting", "sampling", "meshing", "simplifying" or
+///     "writing".
 /// share : float or None
-///     How much of that stage is done, from 0 to 1.
+///     The finished fraction of that stage, from 0 to 1.
 /// done, total, failed : int or None
-///     Frames that are done or have failed, that are to be made, and that have failed, where that is known.
+///     Frames that have finished or failed, all frames, and frames that have failed, if known.
 #[pyclass(frozen, get_all, module = "meniscus")]
 #[derive(Default)]
 pub struct Event {
@@ -39,36 +41,38 @@ pub struct Event {
 }
 
 impl Event {
-    /// Takes what others are told, and what to warn of.
-    pub fn of(news: &News) -> (Self, Vec<String>) {
-        let counted = |Tallied { done, total, failed, .. }: &Tallied| Self {
+    /// Converts an event, and returns its warnings.
+    pub fn of(event: &ConversionEvent) -> (Self, Vec<String>) {
+        let counted = |FrameCounts { done, total, failed, .. }: &FrameCounts| Self {
             done: Some(*done),
             total: Some(*total),
             failed: Some(*failed),
             ..Self::default()
         };
         let mut warnings = Vec::new();
-        let event = match news {
-            News::Waiting { .. } => Self { kind: "waiting", ..Self::default() },
-            News::Doubted(doubt) => {
-                warnings.push(doubt.to_string());
-                Self { kind: "doubted", ..Self::default() }
+        let converted = match event {
+            ConversionEvent::Waiting { .. } => Self { kind: "waiting", ..Self::default() },
+            ConversionEvent::SpacingWarning(warning) => {
+                warnings.push(warning.to_string());
+                Self { kind: "spacing_warning", ..Self::default() }
             }
-            News::Anew { .. } => Self { kind: "anew", ..Self::default() },
-            News::GoesOn { .. } => Self { kind: "goes_on", ..Self::default() },
-            News::Measured { .. } => Self { kind: "measured", ..Self::default() },
-            News::Begins { frames, done, .. } => {
-                Self { kind: "begins", done: Some(*done), total: Some(*frames), ..Self::default() }
+            ConversionEvent::Restarted { .. } => Self { kind: "restarted", ..Self::default() },
+            ConversionEvent::Resumed { .. } => Self { kind: "resumed", ..Self::default() },
+            ConversionEvent::Measured { .. } => Self { kind: "measured", ..Self::default() },
+            ConversionEvent::Started { frames, done, .. } => {
+                Self { kind: "started", done: Some(*done), total: Some(*frames), ..Self::default() }
             }
-            News::Came { .. } => Self { kind: "came", ..Self::default() },
-            News::Stage { frame, progress, .. } => Self {
+            ConversionEvent::FrameAppeared { .. } => {
+                Self { kind: "frame_appeared", ..Self::default() }
+            }
+            ConversionEvent::Stage { frame, progress, .. } => Self {
                 kind: "stage",
                 frame: Some(*frame),
                 stage: progress.map(|progress| progress.stage.name()),
                 share: progress.map(|progress| progress.done),
                 ..Self::default()
             },
-            News::Done(done) => {
+            ConversionEvent::Done(done) => {
                 warnings.extend(
                     done.warnings
                         .iter()
@@ -77,14 +81,16 @@ impl Event {
                 let (frame, output) = (Some(done.mesh.frame), Some(done.output.clone()));
                 Self { kind: "done", frame, output, ..counted(&done.progress) }
             }
-            News::Failed(failed) => {
+            ConversionEvent::Failed(failed) => {
                 Self { kind: "failed", frame: Some(failed.frame), ..counted(&failed.progress) }
             }
-            News::SimulationFailed(_) => Self { kind: "simulation_failed", ..Self::default() },
-            News::Ended(_) => Self { kind: "ended", ..Self::default() },
+            ConversionEvent::SimulationFailed(_) => {
+                Self { kind: "simulation_failed", ..Self::default() }
+            }
+            ConversionEvent::Ended(_) => Self { kind: "ended", ..Self::default() },
             _ => Self { kind: "other", ..Self::default() },
         };
-        (Self { message: news.to_string(), ..event }, warnings)
+        (Self { message: event.to_string(), ..converted }, warnings)
     }
 }
 
@@ -106,19 +112,19 @@ impl Event {
 /// folder : pathlib.Path
 ///     The folder of the meshes.
 /// made, failed : int
-///     Frames that were made, and that have failed.
+///     Frames that were made, and frames that failed.
 /// failures : dict of int to str
-///     Why each frame that has failed could not be made.
+///     The error of each failed frame.
 /// error : str or None
-///     Why no frame was made, of one of several simulations.
+///     The error that prevented this simulation, one of several.
 /// missing : list of str
-///     Frames that are missing between others, a line each.
+///     Frames that are missing between others, one line each.
 /// complete : bool
-///     Whether every frame is there.
+///     Whether no frame failed or is missing.
 /// lost : int
-///     Particles that are in no surface, of all frames together, at the least.
+///     Lower bound of the particles that are missing from all surfaces.
 /// seconds : float
-///     How long it took.
+///     Duration of the conversion.
 #[pyclass(frozen, get_all, module = "meniscus")]
 pub struct Summary {
     folder: PathBuf,

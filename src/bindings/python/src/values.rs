@@ -1,4 +1,4 @@
-//! Values of keywords: what they may be, and a sentence that names the keyword where they are not.
+//! Values of keywords: conversion, and errors that name the keyword.
 
 use std::path::PathBuf;
 
@@ -10,28 +10,28 @@ use pyo3::types::PyString;
 
 use crate::errors::InputError;
 
-/// A keyword and what it was given.
+/// A keyword with its value.
 pub struct Given<'a, 'py> {
     pub name: &'a str,
     pub value: &'a Bound<'py, PyAny>,
 }
 
 impl<'py> Given<'_, 'py> {
-    /// Refuses a value of another type.
+    /// The error for a value of another type.
     fn wants(&self, what: &str) -> PyErr {
         let kind =
             self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
         PyTypeError::new_err(format!("{}: {what} is needed, not {kind}", self.name))
     }
 
-    /// Takes a whole number that is not negative.
+    /// Takes a non-negative integer.
     pub fn whole<T: TryFrom<u64>>(&self) -> PyResult<T> {
         let number: i128 = self.value.extract().map_err(|_| self.wants("a whole number"))?;
         let count = u64::try_from(number).ok().and_then(|number| T::try_from(number).ok());
         count.ok_or_else(|| InputError::new_err(format!("{}: {number} is out of range", self.name)))
     }
 
-    /// Takes a frame's number, which is below 0 before the first frame.
+    /// Takes a frame number, which may be negative.
     pub fn frame(&self) -> PyResult<i64> {
         self.value.extract().map_err(|fault: PyErr| {
             if fault.is_instance_of::<PyOverflowError>(self.value.py()) {
@@ -42,7 +42,7 @@ impl<'py> Given<'_, 'py> {
         })
     }
 
-    /// Takes a text, or a whole number as its digits.
+    /// Takes a text, or an integer as its digits.
     pub fn text_or_number(&self) -> PyResult<String> {
         match self.value.extract::<u32>() {
             Ok(number) => Ok(number.to_string()),
@@ -54,7 +54,7 @@ impl<'py> Given<'_, 'py> {
         self.value.extract().map_err(|_| self.wants("a str or a path"))
     }
 
-    /// Numbers in sequences, at most one within another; `None` is none.
+    /// Numbers in sequences, nested at most once; `None` stays `None`.
     fn ends(&self) -> PyResult<Vec<Option<f64>>> {
         let wanted = |_| self.wants("a sequence of numbers");
         let mut ends = Vec::new();
@@ -107,7 +107,7 @@ impl Source for Given<'_, '_> {
     }
 
     fn switch(&self) -> PyResult<bool> {
-        // Also those of NumPy's own type.
+        // Including NumPy's own type.
         let is_bool = self.value.extract::<bool>();
         is_bool.map_err(|_| self.wants("True or False"))
     }
@@ -123,7 +123,7 @@ impl Source for Given<'_, '_> {
         })
     }
 
-    /// Takes names, and not one alone, whose letters would each be one.
+    /// Takes a list of names. A single string would be a list of letters, so it is rejected.
     fn names(&self) -> PyResult<Vec<String>> {
         if self.value.is_instance_of::<PyString>() {
             return Err(self.wants("a list of names"));
@@ -141,18 +141,18 @@ impl Source for Given<'_, '_> {
         })
     }
 
-    /// Takes six numbers or two times three, `None` for both ends of an axis that is open.
+    /// Takes six numbers or two times three, with `None` for both ends of an open axis.
     fn faces(&self) -> PyResult<Faces> {
         let refused = |what: String| InputError::new_err(format!("{}: {what}", self.name));
         self.six_ends()?.try_into().map_err(refused)
     }
 
-    /// Takes six numbers or two times three, `None` for an open side.
+    /// Takes six numbers or two times three, with `None` for an open side.
     fn walls(&self) -> PyResult<Walls> {
         self.six_ends().map(Walls::from)
     }
 
-    /// Takes a text, or a list of texts whose conditions all hold.
+    /// Takes a text, or a list of texts whose conditions must all hold.
     fn conditions(&self) -> PyResult<Where> {
         let text = match self.text() {
             Ok(text) => text,

@@ -1,8 +1,8 @@
-//! Long work: without the interpreter's lock, ended by Ctrl-C or by an exception of whoever is told
-//! of its progress.
+//! Long work without the interpreter's lock, which Ctrl-C or an exception of the progress callback
+//! ends.
 //!
-//! Work runs on a thread of its own, and the caller's waits for news: signals and callbacks are
-//! Python's only there, and a callback may do whatever its caller may.
+//! Work runs on a separate thread, and the caller's thread waits for messages: only there can
+//! Python handle signals and callbacks, and a callback may use any API.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -16,57 +16,57 @@ use pyo3::prelude::*;
 use crate::errors::{exception, other};
 use crate::memory::give_back;
 
-/// How long Ctrl-C may go unnoticed.
+/// Maximum delay of Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// News of the work, and none more after the last.
-pub enum News<N> {
-    Told(N),
-    Over,
+/// Messages of the work.
+pub enum Message<N> {
+    Event(N),
+    Done,
 }
 
-/// Tells the caller's thread of news.
-pub type Teller<N> = Sender<News<N>>;
+/// Sends messages to the caller's thread.
+pub type MessageSender<N> = Sender<Message<N>>;
 
-/// Work that can be watched, and ended early.
+/// Work with progress and cancellation.
 pub struct Work<N> {
     pub cancel: Cancel,
-    pub teller: Teller<N>,
-    news: Mutex<Receiver<News<N>>>,
+    pub sender: MessageSender<N>,
+    receiver: Mutex<Receiver<Message<N>>>,
 }
 
 impl<N: Send + 'static> Work<N> {
     pub fn new() -> Self {
-        let (teller, news) = channel();
-        Self { cancel: Cancel::new(), teller, news: Mutex::new(news) }
+        let (sender, receiver) = channel();
+        Self { cancel: Cancel::new(), sender, receiver: Mutex::new(receiver) }
     }
 
-    /// Runs `act` while its caller `hear`s of news.
+    /// Runs `act` while the caller receives messages with `hear`.
     pub fn run<T: Send>(
         self,
         py: Python<'_>,
         mut hear: impl FnMut(N) -> PyResult<()>,
         act: impl FnOnce() -> Result<T, Error> + Send,
     ) -> PyResult<T> {
-        let Self { cancel, teller, news } = self;
+        let Self { cancel, sender, receiver } = self;
         let mut raised = None;
         let ended = thread::scope(|scope| {
             let act = move || {
                 let ended = catch_unwind(AssertUnwindSafe(act));
-                // Whoever waits holds the other end.
-                let _ = teller.send(News::Over);
+                // The receiver exists as long as the caller waits.
+                let _ = sender.send(Message::Done);
                 ended
             };
             let worker = thread::Builder::new().name("meniscus".into()).spawn_scoped(scope, act);
             let worker = worker.map_err(|fault| exception(Error::Threads(fault.to_string())))?;
             loop {
                 let next = py.detach(|| {
-                    news.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(POLL)
+                    receiver.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(POLL)
                 });
                 let heard = match next {
-                    Ok(News::Over) | Err(RecvTimeoutError::Disconnected) => break,
-                    Ok(News::Told(news)) if raised.is_none() => hear(news),
-                    Ok(News::Told(_)) | Err(RecvTimeoutError::Timeout) => Ok(()),
+                    Ok(Message::Done) | Err(RecvTimeoutError::Disconnected) => break,
+                    Ok(Message::Event(receiver)) if raised.is_none() => hear(receiver),
+                    Ok(Message::Event(_)) | Err(RecvTimeoutError::Timeout) => Ok(()),
                 };
                 if raised.is_none()
                     && let Err(error) = heard.and_then(|()| py.check_signals())
@@ -93,31 +93,35 @@ impl<N: Send + 'static> Work<N> {
     }
 }
 
-/// Runs `act` for a caller who hears of the progress of a frame, if he wants to.
+/// Runs `act` with progress of a frame for an optional callback.
 pub fn with_progress<T: Send>(
     py: Python<'_>,
     progress: Option<&Bound<'_, PyAny>>,
     work: Work<Progress>,
     act: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    let hear = |news: Progress| match progress {
-        Some(callback) => callback.call1((news.stage.name(), news.done)).map(drop),
+    let hear = |receiver: Progress| match progress {
+        Some(callback) => callback.call1((receiver.stage.name(), receiver.done)).map(drop),
         None => Ok(()),
     };
     work.run(py, hear, act)
 }
 
 impl Work<Progress> {
-    /// Takes the request's reins.
-    pub fn holds(&self, request: meniscus::Reconstruction, told: bool) -> meniscus::Reconstruction {
+    /// Connects a request to this work.
+    pub fn holds(
+        &self,
+        request: meniscus::Reconstruction,
+        reports: bool,
+    ) -> meniscus::Reconstruction {
         let request = request.cancel(self.cancel.clone());
-        if !told {
+        if !reports {
             return request.progress(|_| ());
         }
-        let teller = self.teller.clone();
+        let sender = self.sender.clone();
         request.progress(move |progress| {
-            // Nobody hears any more of a surface that is written later.
-            let _ = teller.send(News::Told(progress));
+            // There is no receiver when a surface is written later.
+            let _ = sender.send(Message::Event(progress));
         })
     }
 }

@@ -102,7 +102,7 @@ def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dam
     assert done[-1].done == done[-1].total == 3 and done[-1].failed == 0
     assert {event.output for event in done} == {tmp_path / "ours" / f"{number:03}.ply" for number in (1, 10, 20)}
     assert str(done[0]) == done[0].message and "triangles" in done[0].message
-    assert {"measured", "begins", "stage", "ended"} <= {event.kind for event in events}
+    assert {"measured", "started", "stage", "ended"} <= {event.kind for event in events}
     # A second run has nothing to do where it may go on, and refuses to replace where not.
     (again,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True, resume=True).run()
     assert again.made == 0 and again.complete

@@ -1,4 +1,4 @@
-//! The rows that belong to a frame of VTKHDF: its step's, partition after partition.
+//! The rows of a frame of VTKHDF: those of its step, partition by partition.
 
 use hdf5_reader::group::Group;
 
@@ -7,11 +7,11 @@ use crate::io::h5::file::{File, checked, time_of};
 use crate::io::h5::table::{Array, Table};
 use crate::io::{ReadFault, malformed};
 
-/// The rows that belong to a frame.
+/// The rows of a frame.
 pub(super) struct Frame {
-    /// The number of the step, where there are steps.
+    /// The number of the step, if there are steps.
     pub step: Option<u64>,
-    /// The first partition, and the one behind the last.
+    /// The first partition, and the end of the partitions.
     pub parts: [u64; 2],
     /// Row of the first point.
     point: u64,
@@ -42,13 +42,12 @@ impl Frame {
         Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })
     }
 
-    /// Numbers of points of the partitions.
+    /// Numbers of points in the partitions.
     pub fn points(&self, file: &File, root: &Group) -> Result<Vec<u64>, ReadFault> {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
-    /// The entries of a data set for every partition, each with the given number of entries after
-    /// it.
+    /// The entries of a data set for every partition, with `more` additional entries per partition.
     pub fn of_parts(
         &self,
         file: &File,
@@ -105,7 +104,7 @@ pub(super) fn integers(file: &File, group: &Group, name: &str) -> Result<Vec<i64
     Array::named(group, name)?.integers(file)
 }
 
-/// A number that counts something.
+/// Converts a count, which must not be negative.
 pub(super) fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
     u64::try_from(value).map_err(|_| malformed(0, format!("{value} in {name}")))
 }
@@ -115,7 +114,7 @@ pub(super) fn entry(file: &File, group: &Group, name: &str, index: u64) -> Resul
     entries(file, group, name, index, 1).map(|entries| entries[0])
 }
 
-/// The numbers of entry `index` of a data set of counts, of which there are `least` or more.
+/// The numbers of entry `index` of a data set of counts, at least `least` of them.
 pub(super) fn entries(
     file: &File,
     group: &Group,
@@ -133,7 +132,7 @@ pub(super) fn entries(
     entries.into_iter().map(|value| count(value, name)).collect()
 }
 
-/// The number of steps; `None` of a file without.
+/// The number of steps; `None` for a file without steps.
 pub(super) fn step_count(root: &Group) -> Result<Option<u64>, ReadFault> {
     let Some(steps) = sub_group(root, "Steps")? else { return Ok(None) };
     let values = Array::named(&steps, "Values")?;

@@ -1,9 +1,9 @@
-//! Points of VTKHDF that are left out because their cells are flagged.
+//! Finds points of VTKHDF that are left out because their cells are flagged.
 //!
-//! The cells of partitions follow one another in every array, and where there are several kinds, a
+//! The cells of all partitions are consecutive in every array. If there are several kinds, a
 //! partition's vertices come before its lines. `Offsets` has one entry more than cells for each
-//! partition. One with other cells than vertices keeps all of its points. Arrays are read window by
-//! window.
+//! partition. A partition with cells other than vertices keeps all of its points. Arrays are read
+//! in windows.
 
 use std::ops::Range;
 
@@ -17,16 +17,16 @@ use crate::io::{ReadFault, malformed};
 
 use super::frame::{Frame, count, entries, entry, sub_group, sum};
 
-/// How a data set has its cells.
+/// The layout of a data set's cells.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Cells {
-    /// In four groups, of a kind each: PolyData.
+    /// In four groups, one per kind: PolyData.
     ByKind,
     /// With an array of types: UnstructuredGrid.
     Typed,
 }
 
-/// Ranges of the points that are not left out for their cells; `None` where all are to stay.
+/// Ranges of the points that are kept; `None` if all are.
 pub(super) fn left(
     file: &File,
     root: &Group,
@@ -51,7 +51,7 @@ pub(super) fn left(
     };
 
     let points = frame.points(file, root)?;
-    // Reading the points rejects more of them than the file can contain.
+    // The reader of the points rejects a number that exceeds the file.
     if sum(&points)? > file.limit {
         return Ok(None);
     }
@@ -110,7 +110,7 @@ pub(super) fn left(
     Ok(Some(left))
 }
 
-/// The array of a group that has a name, if it is there and of rows of one number.
+/// The array of a group with this name, if it exists and has one number per row.
 fn found(group: &Group, name: &str) -> Result<Option<Array>, ReadFault> {
     let (_, sets) = checked(group.member_names())?;
     if !sets.iter().any(|set| set == name) {
@@ -119,7 +119,7 @@ fn found(group: &Group, name: &str) -> Result<Option<Array>, ReadFault> {
     Ok(Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
 }
 
-/// A fault that is a partition's.
+/// Adds the partition to a fault.
 fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     match fault {
         ReadFault::Malformed { at, what } => {
@@ -129,11 +129,11 @@ fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     }
 }
 
-/// Where the cells of a frame begin.
+/// The first cells of a frame.
 struct First {
     cell: u64,
     corner: u64,
-    /// Row of their data, where an array has no other of its own.
+    /// Row of their data in arrays without their own offset.
     data: u64,
 }
 
@@ -147,7 +147,7 @@ impl First {
         Ok(Self { cell: cells[0], corner: corners[0], data: sum(&cells[..kinds])? })
     }
 
-    /// Partitions whose ends lie in `Offsets` before those of the frame.
+    /// Partitions of earlier frames with entries in `Offsets`.
     fn parts_before(
         &self,
         file: &File,
@@ -165,7 +165,7 @@ impl First {
         if sum(&before)? == self.cell {
             return Ok(first);
         }
-        // Steps share cells, or have none: as many partitions as make up the cells before.
+        // Steps share cells, or have none: counts the partitions of the cells before.
         let mut cells = 0;
         let makes_up = |own: &&u64| {
             let needed = cells < self.cell;
@@ -175,7 +175,7 @@ impl First {
         Ok(before.iter().take_while(makes_up).count() as u64)
     }
 
-    /// Row of the first cell's data in an array of that name.
+    /// Row of the first cell's data in an array with this name.
     fn row_of_data(
         &self,
         file: &File,
@@ -199,13 +199,13 @@ impl First {
 struct Part {
     points: usize,
     vertices: u64,
-    /// Points that these name.
+    /// Number of points in the connectivity.
     ids: u64,
-    /// Cells that come after the vertices.
+    /// Number of cells after the vertices.
     others: u64,
 }
 
-/// The arrays of cells, each at the partition that comes next.
+/// The arrays of cells, at the next partition.
 struct Arrays {
     ends: Numbers,
     types: Option<Numbers>,
@@ -214,7 +214,7 @@ struct Arrays {
 }
 
 impl Arrays {
-    /// Ranges of the points of the next partition that are not left out; `None` where all stay.
+    /// Ranges of the points of the next partition that are kept; `None` if all are.
     fn left(&mut self, part: &Part) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
         let &Part { points, vertices: cells, ids, others } = part;
         let mut all_vertices = cells > 0 && others == 0;
@@ -249,19 +249,19 @@ impl Arrays {
     }
 }
 
-/// The numbers of an array one after the other, of which a window is in memory.
+/// Reads the numbers of an array sequentially, with one window in memory.
 struct Numbers {
     array: Array,
     windows: Windows,
     /// The next row.
     at: u64,
-    /// Rows that are in memory, and their numbers.
+    /// Rows in memory, and their numbers.
     held: Range<u64>,
     numbers: Vec<i64>,
 }
 
 impl Numbers {
-    /// From row `first` on.
+    /// Starts at row `first`.
     fn new(array: Array, first: u64) -> Result<Self, ReadFault> {
         let first = first.min(array.rows);
         let rows = array.rows - first;
@@ -273,7 +273,7 @@ impl Numbers {
         self.at = self.at.saturating_add(rows);
     }
 
-    /// Passes `rows` numbers on, each with its index.
+    /// Passes on `rows` numbers, each with its index.
     fn each(&mut self, rows: u64, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
         let Array { name, rows: all, .. } = &self.array;
         let end = self.at.saturating_add(rows);

@@ -1,7 +1,7 @@
-//! VTKHDF: the points of PolyData and UnstructuredGrid, their partitions one after the other, and
-//! the polygons of PolyData.
+//! Reads VTKHDF: the points of PolyData and UnstructuredGrid, partition by partition, and the
+//! polygons of PolyData.
 //!
-//! Steps lie one after the other in every data set; `Steps` says where each begins.
+//! Steps are consecutive in every data set; `Steps` has the start of each.
 
 mod frame;
 mod ghosts;
@@ -19,11 +19,11 @@ use super::file::{File, checked};
 use frame::{Frame, count, integers, step_count, sub_group, sum};
 use ghosts::Cells;
 
-/// Name of the group that all is in.
+/// Name of the group with all data.
 pub const ROOT: &str = "VTKHDF";
 const POLY_DATA: &str = "PolyData";
 
-/// The group that all is in, and the type of its data set.
+/// The group with all data, and the type of its data set.
 fn opened(file: &File) -> Result<(Group, String), ReadFault> {
     let root = file.group(ROOT)?;
     let kind = checked(root.attribute("Type").and_then(|kind| kind.read_string()))?;
@@ -36,7 +36,7 @@ fn opened(file: &File) -> Result<(Group, String), ReadFault> {
     }
 }
 
-/// The numbers of the steps; none in a file that is one frame.
+/// The numbers of the steps; empty for a file with a single frame.
 pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     let (root, _) = opened(file)?;
     let steps = step_count(&root)?.unwrap_or(0);
@@ -48,8 +48,8 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     Ok((0..steps).collect())
 }
 
-/// Reads the points as particles, where no faces are made of them. Points whose vertices are all
-/// flagged as copies, or hidden, are left out.
+/// Reads the points as particles, if there are no faces. Points whose vertices are all flagged as
+/// copies or as hidden are left out.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
@@ -72,7 +72,7 @@ pub fn read_particles(
     Ok(ParticleFile { time, ..table.read(file, format, wanted)? }.with_points(left))
 }
 
-/// Polygons and strips of all partitions and steps.
+/// Number of polygons and strips of all partitions and steps.
 fn faces(file: &File, root: &Group) -> Result<u64, ReadFault> {
     let mut faces = 0;
     for cells in ["Polygons", "Strips"] {
@@ -84,7 +84,7 @@ fn faces(file: &File, root: &Group) -> Result<u64, ReadFault> {
     Ok(faces)
 }
 
-/// Whether there are polygons or strips, or nothing at all.
+/// Whether there are polygons or strips, or no data at all.
 pub fn has_faces(file: &File) -> Result<bool, ReadFault> {
     let (root, kind) = opened(file)?;
     if kind != POLY_DATA {
@@ -128,8 +128,7 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
     Ok(mesh)
 }
 
-/// Adds the polygons of all partitions, whose corners are numbered in each from its own first
-/// point.
+/// Adds the polygons of all partitions. In each, corners are numbered from its first point.
 fn add_polygons(
     file: &File,
     frame: &Frame,

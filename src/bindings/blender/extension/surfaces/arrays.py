@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 
-class Unfit(Exception):
+class OutOfRange(Exception):
     """A mesh that single precision cannot hold."""
 
 
@@ -32,7 +32,7 @@ class Arrays:
             # Infinities stay in a sum, and one is faster told than each of all.
             is_finite = np.isfinite(vertices.sum(dtype=np.float64))
         if not is_finite:
-            raise Unfit("The surface is larger than single precision holds, which is all that Blender has")
+            raise OutOfRange("The surface is larger than single precision holds, which is all that Blender has")
         return cls(
             vertices=vertices,
             # The same bits, for there are never 2^31 vertices in one of Blender's meshes.

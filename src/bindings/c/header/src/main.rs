@@ -1,4 +1,4 @@
-//! Makes `include/meniscus.h` of the sources: `cargo run -p meniscus-c-header`.
+//! Generates `include/meniscus.h` from the sources: `cargo run -p meniscus-c-header`.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ fn interface() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The header as the sources have it.
+/// The header that the sources define.
 fn header() -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let root = interface();
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml"))?;

@@ -1,4 +1,4 @@
-//! Grid and calibration, measured once and the same for every frame.
+//! Grid and calibration that all frames of a simulation share.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,34 +19,34 @@ use crate::system::timings::Timings;
 
 use super::frame_file::FrameFile;
 
-/// Measured on one frame, the same for all.
+/// Measurements on one frame that all frames share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Frozen {
-    /// The number of the frame that it was measured on.
+pub struct SharedCalibration {
+    /// The number of the calibration frame.
     pub frame: i64,
     /// The stamp of that frame's file.
     pub input: Stamp,
-    /// Distance between neighbouring particles, where it is known.
+    /// Distance between neighbouring particles, if known.
     pub spacing: Option<f64>,
-    /// Where the spacing comes from, for people.
+    /// Source of the spacing, as text.
     pub spacing_source: Option<String>,
     /// Edge of a cell.
     pub cell_size: f64,
     /// Origin of the grid.
     pub origin: [f64; 3],
-    /// The slab that particles in a plane stand for.
+    /// The slab that is meshed if all particles lie in a plane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
-    /// The particles' sizes, where they have several.
+    /// The sizes of the particles, if there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sizes: Option<Sizes>,
-    /// The walls of the tank, where they were to be found.
+    /// The walls of the tank, if they were searched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
-    /// Makes the frames alike; `None` for kernels, which have nothing to measure.
+    /// The calibration; `None` for kernel methods.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,
-    /// The kinds of the attributes that go to the vertices.
+    /// The kinds of the vertex attributes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub kinds: Vec<SettledKind>,
 }
@@ -56,34 +56,34 @@ pub struct Frozen {
 pub enum Origin {
     /// The grid may move by up to half a cell.
     Free,
-    /// The grid stays where it was asked for.
+    /// The grid keeps its given origin.
     Given,
 }
 
-/// Measurements on one frame that hold for all.
+/// Measurements on one frame that hold for all frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measured {
     /// The grid for all frames.
     pub grid: Grid,
-    /// Measured, or given; `None` for kernels, which have nothing to measure.
+    /// The measured or given calibration; `None` for kernel methods.
     pub calibration: Option<Calibration>,
-    /// Whether a later frame would know better.
+    /// How reliable the calibration frame is for the others.
     pub trust: Trust,
 }
 
 /// How reliable a calibration frame is for the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Trust {
-    /// Next to none of the fluid is deeper than the filters reach.
+    /// Almost no fluid is deeper than the reach of the filters.
     Shallow,
-    /// Counts on a lattice are all the same, as they will not be in disorder.
+    /// The particles are on a lattice, where all counts are equal, unlike in later frames.
     Lattice,
-    /// The frame is like all others.
+    /// The frame represents all others.
     Sound,
 }
 
-/// Measures particles for their whole simulation, in cells that were chosen for them, or on the
-/// grid and by the field of a `lattice` that came before.
+/// Measures particles for their whole simulation, in the chosen cells, or on the grid and with the
+/// method of an earlier `lattice`.
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
@@ -106,11 +106,11 @@ pub(super) fn measure_in(
 
 /// Measures a frame for its whole simulation.
 ///
-/// A first frame often is a lattice, and one that falls on the grid in a way that no later frame
-/// will. It is measured, and with a free origin all frames are sampled, on a grid that holds it as
-/// it will hold the fluid in disorder: see
-/// [`sound_origin`](crate::particles::lattice::sound_origin). That does for symmetry; for counting
-/// the isovalue has to come from disorder. Clouds are the same wherever they fall.
+/// The first frame is often a lattice, in a special position relative to the grid. It is measured
+/// on a grid on which it is sampled like disordered fluid, and if the origin is free, all frames
+/// are sampled on this grid: see [`sound_origin`](crate::particles::lattice::sound_origin). This
+/// suffices for symmetry. For counting, the isovalue must come from a disordered frame. Clouds do
+/// not depend on the position of the grid.
 ///
 /// # Errors
 /// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Engine::sample`].
@@ -146,7 +146,8 @@ pub fn measure(
     }
 }
 
-/// Measures a sampled frame for its whole simulation, by whether its particles stand on a lattice.
+/// Measures a sampled frame for its whole simulation. `lattice` is whether its particles are on a
+/// lattice.
 pub fn measure_sampled(
     frame: &SampledDif,
     surfacing: &Surfacing,
@@ -166,9 +167,9 @@ fn measured_of(grid: Grid, measured: &Calibrated, lattice: bool) -> Measured {
     Measured { grid, calibration: Some(measured.calibration), trust }
 }
 
-impl Frozen {
-    /// The frame that was measured, if its file is there and has changed since. A frame at a time may
-    /// have another number by now.
+impl SharedCalibration {
+    /// The calibration frame, if its file exists and has changed since. With times in the names,
+    /// the frame may have a different number now.
     pub(super) fn changed_in<'f>(&self, frames: &'f [FrameFile]) -> Option<&'f FrameFile> {
         let is_same = |frame: &FrameFile| frame.stamp().is_ok_and(|stamp| stamp == self.input);
         let measured = frames.iter().find(|frame| frame.number == self.frame)?;
@@ -180,7 +181,7 @@ impl Frozen {
     /// The grid of all frames.
     ///
     /// # Errors
-    /// [`UnitError`] for numbers that cannot have been measured.
+    /// [`UnitError`] for invalid numbers.
     pub fn grid(&self) -> Result<Grid, UnitError> {
         Grid::new(self.origin.into(), self.cell_size)
     }
