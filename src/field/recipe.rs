@@ -213,7 +213,7 @@ pub fn joined<F: Fields>(
     fields: &mut F,
     wide: WideFields<F::Field>,
 ) -> Result<F::Field, F::Error> {
-    let Distances { level, gate, drops_level, drops, sheets, .. } = distances;
+    let Distances { level, gate, drops_level, drops, .. } = distances;
     fields.look(&wide, *level, gate)?;
     let bulk = fields.refined(wide.bulk, *level)?;
     if !fields.narrowed(&wide.outlying, *level, gate) {
@@ -223,6 +223,14 @@ pub fn joined<F: Fields>(
     if !fields.narrowed(&near, 0, gate) {
         return Ok(bulk);
     }
+    let shares = thin_shares(distances, fields)?;
+    let shares = fields.refined(shares, *drops_level)?;
+    fields.joined(bulk, near, shares, (drops, gate))
+}
+
+/// Shares of drops and sheets, in the cells that those are made in.
+pub fn thin_shares<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F::Field, F::Error> {
+    let Distances { drops_level, drops, sheets, .. } = distances;
     let clouds = fields.samples(*drops_level, distances.drops_halo())?;
     let sheets = sheets.as_ref().filter(|sheets| fields.may_hold(sheets, &clouds));
     let density = sheets.map(|sheets| fields.blur(clouds.clone(), &sheets.around)).transpose()?;
@@ -236,8 +244,7 @@ pub fn joined<F: Fields>(
         let certainty = fields.blur(certainty, &by.average)?;
         shares = fields.blended(shares, Sheeted { shares: of_sheets, certainty })?;
     }
-    let shares = fields.refined(shares, *drops_level)?;
-    fields.joined(bulk, near, shares, (drops, gate))
+    Ok(shares)
 }
 
 /// Where fields are kept, and the filters on them. A clone of a field is the same field.

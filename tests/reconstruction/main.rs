@@ -17,4 +17,5 @@ mod random_frames;
 mod sheets;
 mod solids;
 mod spacing;
+mod spray;
 mod thread_pool;

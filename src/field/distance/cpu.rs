@@ -275,6 +275,9 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
     let mut field = Block::zero(cells);
     let rows = clouds.rows(cells).zip(around.rows(cells));
     for (to, ((_, clouds), (_, around))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+        if greatest_of(clouds) == 0 {
+            continue;
+        }
         quotient_row(to, clouds, around, bits);
     }
     field
@@ -323,6 +326,13 @@ pub fn outlying_part(near: &Block, cells: CellBox, gate: &Gate) -> CellBox {
     part
 }
 
+/// How far from a drop's middle a share is, for drops of such a standard deviation, in its units.
+#[inline(always)]
+pub fn away(share: u16, width: i32) -> i32 {
+    let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
+    ((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12
+}
+
 /// The field: the surface of the bulk, and where particles lie outside of the calm one near by as
 /// much of the drops as they do so. Drops need only be known where they do.
 ///
@@ -346,8 +356,7 @@ fn joined_row(bulk: &mut [u16], near: &[u16], shares: &[u16], drops: &Drops, gat
     let (radius, width, gate) = (drops.radius, drops.width, *gate);
     for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
         let weight = gate.of(near);
-        let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
-        let distance = radius - (((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12);
+        let distance = radius - away(share, width);
         let out = (distance + ZERO - i32::from(*bulk)).max(0);
         let with_drops = sample(i32::from(*bulk) - ZERO + ((out * weight as i32 + 2048) >> 12));
         *bulk = if weight == 0 { *bulk } else { with_drops };

@@ -32,7 +32,7 @@ mod inside;
 mod inverse_normal;
 pub mod vulkan;
 
-pub use cpu::{depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
+pub use cpu::{away, depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
 pub use filters::{BULK_GAIN, Distances};
 pub(in crate::field) use filters::{LEAST_VARIANCE, gaussian};
 pub use inside::{BRICK, Inside};
