@@ -356,6 +356,7 @@ pub use grid::{Domain, Grid, Periodic, PeriodicMesh, Walls};
 pub use io::UpAxis;
 pub use particles::condition::{Comparison, Condition};
 pub use particles::mixture::Mixture;
+pub use particles::sizes::{Meaning as SizeMeaning, Sizes};
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
     Cells, Doubt, Emptiness, FoundWalls, Frame, Mistake, Needs, Opened, PartMade, PartShare,

@@ -18,6 +18,7 @@ use crate::io::input::InputFormat;
 use crate::surface::mesh::up::UpAxis;
 
 pub use crate::particles::condition::Where;
+use crate::particles::sizes::SizeChoice;
 pub use faces::{Faces, Tank};
 use value::Given;
 pub use value::{Iso, MethodName, Source, Taken};
@@ -152,6 +153,15 @@ settings! {
     /// Half of the spacing.
     #[arg(value_name = "LENGTH", allow_negative_numbers = true, help_heading = "Input", hide_short_help = true)]
     radius: Option<f64>,
+
+    /// Attribute with the sizes of the particles, or none [default: pscale or radius].
+    ///
+    /// Particles of several sizes get a surface that follows their own spacings. By the
+    /// attribute's name, its values are radii (half of a particle's spacing), diameters, volumes,
+    /// or masses, which need a density attribute. none treats all particles as one size. For the
+    /// indicator cloud.
+    #[arg(value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input")]
+    size: Option<String>,
 
     /// Edge of a cell.
     #[arg(value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
@@ -320,10 +330,11 @@ pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
 }
 
 /// Settings that need the particles: a sampled frame cannot change them.
-const OF_PARTICLES: [&str; 13] = [
+const OF_PARTICLES: [&str; 14] = [
     "format",
     "spacing",
     "radius",
+    "size",
     "cell_size",
     "cell",
     "origin",
@@ -343,10 +354,11 @@ impl Setting {
         OF_PARTICLES.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames, which store samples and have no kernel method.
+    /// Whether the setting affects packed frames, which store samples of particles of one size, and
+    /// have no kernel method.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
-        self.needs_particles() && self.0 != "method"
+        self.needs_particles() && !["method", "size"].contains(&self.0)
     }
 }
 
@@ -355,6 +367,22 @@ impl Settings {
     #[must_use]
     pub fn spacing_or_radius(&self) -> Option<f64> {
         self.spacing.or(self.radius.map(|radius| 2.0 * radius))
+    }
+
+    /// The attribute with the sizes of the particles.
+    #[must_use]
+    pub fn size_choice(&self) -> SizeChoice {
+        match self.size.as_deref() {
+            None => SizeChoice::Usual,
+            Some("none") => SizeChoice::Ignored,
+            Some(name) => SizeChoice::Named(name.to_owned()),
+        }
+    }
+
+    /// Whether the sizes of the particles are asked for.
+    #[must_use]
+    pub fn asks_for_sizes(&self) -> bool {
+        matches!(self.size_choice(), SizeChoice::Named(_))
     }
 
     /// The normal form of settings that make the same mesh: a spacing instead of a radius, and no
@@ -439,6 +467,7 @@ mod tests {
         Settings {
             spacing: Some(0.5),
             radius: Some(0.25),
+            size: Some("pscale".into()),
             cell_size: Some(0.1),
             cell: Some(0.5),
             origin: Some([1.0, 2.0, 3.0]),

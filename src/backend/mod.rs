@@ -7,7 +7,7 @@ mod vulkan;
 mod wgsl;
 
 pub use choice::Backend;
-pub use cpu::{Cpu, field};
+pub use cpu::{Cpu, SizedField, field};
 pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
 pub use wgsl::wgsl_constants;
 

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::io;
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey};
@@ -229,6 +230,15 @@ pub fn unpack(record: u64) -> ([usize; 3], [u32; 3]) {
     )
 }
 
+/// The record of a particle of `bin` on a grid whose cells are 2^`octaves` times as wide.
+pub fn coarsened(record: u64, bin: IVec3, octaves: u32) -> u64 {
+    let (cell, offset) = unpack(record);
+    pack(std::array::from_fn(|axis| {
+        let cell = i64::from(bin[axis] * BIN) + cell[axis] as i64;
+        (cell << FRACTION_BITS | i64::from(offset[axis])) >> octaves
+    }))
+}
+
 /// The number of a cell in its bin, x fastest.
 #[inline(always)]
 fn cell_index([x, y, z]: [usize; 3]) -> usize {
@@ -238,9 +248,23 @@ fn cell_index([x, y, z]: [usize; 3]) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use glam::IVec3;
-
     use super::*;
+
+    #[test]
+    fn a_coarser_grid_has_a_particle_in_the_same_place() {
+        for octaves in 0..7 {
+            for (bin, cell, offset) in [
+                (IVec3::ZERO, [0, 7, 15], [8191, 0, 5]),
+                (IVec3::new(-3, 5, -1), [3, 15, 0], [1, 2, 3]),
+            ] {
+                let steps: [i64; 3] = std::array::from_fn(|axis| {
+                    i64::from(bin[axis] * BIN + cell[axis]) << FRACTION_BITS | offset[axis]
+                });
+                let expected = pack(steps.map(|step| step.div_euclid(1 << octaves)));
+                assert_eq!(coarsened(pack(steps), bin, octaves), expected);
+            }
+        }
+    }
 
     #[test]
     fn packing_keeps_cell_and_offset_at_both_ends_of_a_bin() {

@@ -28,7 +28,7 @@ use std::sync::atomic;
 use crate::system::memory::zeroed_in_huge_pages;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
-pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, unpack};
+pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, coarsened, equal_steps, unpack};
 pub use block::Block;
 pub use boxes::WithBoxes;
 pub use coarse::{HALVED, HALVED_BITS, halved_box, halved_from, halved_from_box};

@@ -21,6 +21,7 @@ pub use crate::io::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
 pub use crate::particles::kind::KindFault;
 pub use crate::particles::selection::SelectionFault;
+pub use crate::particles::sizes::SizeFault;
 pub use crate::settings::Setting;
 pub use crate::surface::mesh::compare::CompareError;
 #[cfg(feature = "pictures")]
@@ -135,6 +136,15 @@ pub enum Error {
         /// The names of the available attributes.
         known: Vec<String>,
     },
+    /// Sizes of particles that cannot be told by an attribute.
+    #[error("{}{fault}", file(path.as_deref()))]
+    Sizes {
+        /// The file, if the particles come from one.
+        path: Option<PathBuf>,
+        /// The fault.
+        #[source]
+        fault: SizeFault,
+    },
     /// A memory limit that is too small for any frame.
     #[error("{}at least {} of memory is needed", to_simplify(*simplifying), ByteSize(*least))]
     LittleMemory {
@@ -224,6 +234,12 @@ impl From<SelectionFault> for Error {
     }
 }
 
+impl From<SizeFault> for Error {
+    fn from(fault: SizeFault) -> Self {
+        Self::Sizes { path: None, fault }
+    }
+}
+
 impl Error {
     /// The message, with settings named by `name`: options for a program, keywords for a binding.
     #[must_use]
@@ -244,6 +260,7 @@ impl Error {
     pub fn of_file(mut self, file: &Path) -> Self {
         if let Self::Frame { path, .. }
         | Self::NoSpacing { path, .. }
+        | Self::Sizes { path, .. }
         | Self::NoAttribute { path, .. } = &mut self
         {
             path.get_or_insert_with(|| file.to_owned());
@@ -263,6 +280,7 @@ impl Error {
             | Self::Domain(_)
             | Self::Periodic(_)
             | Self::NoAttribute { .. }
+            | Self::Sizes { .. }
             | Self::Selection(_)
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,

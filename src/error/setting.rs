@@ -24,6 +24,8 @@ pub enum Conflict {
     Packed(PathBuf),
     /// Packing a frame, which stores samples and no surface.
     Packing,
+    /// Packing particles of several sizes.
+    PackedSizes,
     /// A frame that was already sampled with another value.
     Sampled,
     /// Particles and a surface on a device.
@@ -100,6 +102,10 @@ impl Unfit {
                          frame"
                 )
             }
+            (Conflict::PackedSizes, _) => format!(
+                "a packed frame holds particles of one size; use {setting} none to pack them as \
+                 such, or make their surface from the particles"
+            ),
             (Conflict::Sampled, _) => {
                 format!(
                     "{setting} cannot change in a frame that is already sampled; sample the \

@@ -14,6 +14,7 @@ pub mod distance;
 pub mod indicator;
 pub mod recipe;
 pub mod sheets;
+pub mod sizes;
 pub mod solid;
 pub mod spacing;
 pub mod walls;

@@ -192,6 +192,15 @@ pub fn bulk<F: Fields>(
     distances: &Distances,
     fields: &mut F,
 ) -> Result<WideFields<F::Field>, F::Error> {
+    let (_, wide) = calm_and_bulk(distances, fields)?;
+    Ok(wide)
+}
+
+/// The calm surface, which outlying particles lie outside of, and what is made of it.
+pub fn calm_and_bulk<F: Fields>(
+    distances: &Distances,
+    fields: &mut F,
+) -> Result<(F::Field, WideFields<F::Field>), F::Error> {
     let Distances { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let filled = fields.filled(&clouds)?;
@@ -203,8 +212,9 @@ pub fn bulk<F: Fields>(
     let outlying = fields.outlying(&calm, clouds, *least)?;
     let apart = fields.blur(apart, &bulk.around)?;
     let outlying = fields.spread(outlying, *near)?;
-    let bulk = fields.mixed(bulk, inside, Depths { calm, fine, apart }, &outlying)?;
-    Ok(WideFields { bulk, outlying })
+    let depths = Depths { calm: calm.clone(), fine, apart };
+    let bulk = fields.mixed(bulk, inside, depths, &outlying)?;
+    Ok((calm, WideFields { bulk, outlying }))
 }
 
 /// The field, of what is known of wide cells, and of drops in cells where any can be seen.
@@ -228,7 +238,8 @@ pub fn joined<F: Fields>(
     fields.joined(bulk, near, shares, (drops, gate))
 }
 
-/// Shares of drops and sheets, in the cells that those are made in.
+/// The shares of drops, and of the sheets that they give way to, in the cells that they are made
+/// in.
 pub fn thin_shares<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F::Field, F::Error> {
     let Distances { drops_level, drops, sheets, .. } = distances;
     let clouds = fields.samples(*drops_level, distances.drops_halo())?;

@@ -282,11 +282,7 @@ impl Column {
 pub fn bounds_held(particles: &(impl Particles + ?Sized), grid: &Grid) -> Option<Bounds> {
     let of_chunk = |chunk: Vec<[f64; 3]>| {
         let held = chunk.into_iter().filter(|&position| grid.place(position).is_ok());
-        held.map(DVec3::from).fold(Bounds::NONE, |b, p| Bounds {
-            lo: b.lo.min(p),
-            hi: b.hi.max(p),
-            finite: b.finite + 1,
-        })
+        Bounds::of(&held.collect::<Vec<_>>())
     };
     let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
     (bounds.finite > 0).then_some(bounds)

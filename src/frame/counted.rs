@@ -144,6 +144,11 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
+            // Clouds of sizes are made of the sorted particles, octave by octave, once of their
+            // volumes and once of their sizes.
+            Method::Indicator { .. } if self.sampling.sizes.is_some() => {
+                Estimate { field: 2 * estimate.field, carried: true, ..estimate }
+            }
             Method::Indicator { .. } => estimate,
             // Kernels are kept until the surface is done, and so are the particles at the most.
             // Images have them as well.
@@ -165,9 +170,10 @@ impl Sampling {
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         stretch: Stretch,
     ) -> Estimate {
-        let Self { grid, method, side, carried, spacing, resources, .. } = self;
+        let Self { grid, method, side, spacing, resources, .. } = self;
         let attributes = particles.attributes();
-        let components = carried.iter().map(|&index| attributes[index].components).collect();
+        let sorted = self.sorted_attributes().into_iter();
+        let components = sorted.map(|index| attributes[index].components).collect();
         let drawing = surfacing.drawing(*method, *spacing, grid, components);
         let shape = method.indicator().map(|kind| kind.shape(*side));
         // Blocks that are meshed have a surface from the bins next to them as well.

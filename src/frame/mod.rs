@@ -20,6 +20,7 @@ pub mod resident;
 mod resources;
 mod shortfall;
 mod sink;
+mod sizes;
 mod surface;
 
 pub use coincident::Coincident;
@@ -27,7 +28,7 @@ pub use counted::Counted;
 pub use error::FrameError;
 pub use lost::{Occupied, OccupiedBin};
 pub use method::Method;
-pub use request::{Sampling, Surfacing};
+pub use request::{Sampling, SizedParticles, Surfacing};
 pub use resources::Resources;
 pub use shortfall::Shortfall;
 pub use surface::CalibratedFrame;
@@ -38,9 +39,9 @@ pub use crate::surface::dual_mc::Normals;
 use std::sync::Arc;
 
 use crate::backend::{Stages, Work};
-use crate::brick::{Bins, FrameFacts};
+use crate::brick::{BinnedParticles, Bins, FrameFacts};
 use crate::field::calibration::{Calibration, indicate};
-use crate::field::indicator::SampledDif;
+use crate::field::indicator::{Indicator, SampledDif};
 use crate::field::spacing::spacing_by_clouds;
 use crate::frame::estimate::Estimate;
 use crate::grid::stretch::Stretch;
@@ -56,6 +57,7 @@ use crate::system::timings::Timings;
 use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
 use sink::FieldSink;
+use sizes::SampledSizes;
 use surface::Drawable;
 
 /// The field of a frame, and what else its surface needs.
@@ -76,6 +78,7 @@ pub struct Engine {
 enum Field {
     Dif { sampled: SampledDif, stages: Box<dyn Stages> },
     Kernels(SampledKernels),
+    Sizes(SampledSizes),
 }
 
 /// The share of sampling that is the sorting of the particles.
@@ -118,9 +121,11 @@ impl Engine {
             carried,
             kinds,
             spacing,
+            sizes,
             resources,
             ..
         } = sampling;
+        let sorted_attributes = sampling.sorted_attributes();
         let resources = Resources { budget, ..resources.clone() };
         let control = &sampling.resources.control;
         let in_scratch = resources.scratch_error();
@@ -141,11 +146,25 @@ impl Engine {
         let sample = || {
             let meter = control.meter(Stage::Sampling, bin_plan.keys().len()).between(SORTING, 1.0);
             particles.begin(Stage::Sampling, SORTING);
-            let binned = binned::sorted(bin_plan, &particles, carried, plan, &resources)?;
+            let binned =
+                binned::sorted(bin_plan, &particles, &sorted_attributes, plan, &resources)?;
             resources.go_on()?;
             particles.check()?;
             let mut occupied = Occupied::among(facts.own_cells());
+            let kept = |binned: BinnedParticles, occupied: &mut Occupied| {
+                let bins = binned
+                    .visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
+                bins.and_then(Bins::sorted).map_err(&in_scratch)
+            };
             Ok::<_, FrameError>(match *method {
+                Method::Indicator { .. } if let Some(sized) = sizes => {
+                    let bins = kept(binned, &mut occupied)?;
+                    timings.done("bin");
+                    let sampled =
+                        SampledSizes::sample(&bins, facts, sized, plan, &estimate, &resources)?;
+                    timings.done("indicate");
+                    (Field::Sizes(sampled), occupied, keep.then(|| Arc::new(bins)))
+                }
                 Method::Indicator { kind, mean } => {
                     timings.done("bin");
                     let stages = resources.backend.executor().start(budget);
@@ -169,9 +188,7 @@ impl Engine {
                     (Field::Dif { sampled, stages }, occupied, bins)
                 }
                 Method::Kernels(kernels) => {
-                    let bins = binned
-                        .visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
-                    let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
+                    let bins = kept(binned, &mut occupied)?;
                     timings.done("bin");
                     let sampled = SampledKernels::sample(&bins, facts, kernels, plan, &resources)?;
                     timings.done("kernels");
@@ -215,7 +232,7 @@ impl Engine {
     pub fn backend(&self) -> String {
         match self.field {
             Field::Dif { .. } => self.resources.backend.name(),
-            Field::Kernels(_) => "CPU".into(),
+            Field::Kernels(_) | Field::Sizes(_) => "CPU".into(),
         }
     }
 
@@ -223,7 +240,7 @@ impl Engine {
     fn stages(&self) -> Option<&dyn Stages> {
         match &self.field {
             Field::Dif { stages, .. } => Some(&**stages),
-            Field::Kernels(_) => None,
+            Field::Kernels(_) | Field::Sizes(_) => None,
         }
     }
 
@@ -255,16 +272,33 @@ impl Engine {
         match &self.field {
             Field::Dif { sampled, .. } => &sampled.facts,
             Field::Kernels(sampled) => &sampled.facts,
+            Field::Sizes(sampled) => &sampled.facts,
         }
     }
 
-    /// The sparse DIF, unless kernels make the field.
+    /// The sparse DIF, unless kernels make the field, or particles of several sizes.
     #[must_use]
     pub fn dif(&self) -> Option<&SampledDif> {
         match &self.field {
             Field::Dif { sampled, .. } => Some(sampled),
+            Field::Kernels(_) | Field::Sizes(_) => None,
+        }
+    }
+
+    /// The indicator of the field, unless kernels make it.
+    #[must_use]
+    pub fn indicator(&self) -> Option<Indicator> {
+        match &self.field {
+            Field::Dif { sampled, .. } => Some(sampled.indicator),
+            Field::Sizes(_) => Some(Indicator::Cloud),
             Field::Kernels(_) => None,
         }
+    }
+
+    /// Whether the particles have several sizes.
+    #[must_use]
+    pub fn has_sizes(&self) -> bool {
+        matches!(self.field, Field::Sizes(_))
     }
 
     /// The method that made the field: an indicator has its mu0, given or measured.
@@ -273,6 +307,7 @@ impl Engine {
         match &self.field {
             Field::Dif { sampled, .. } => sampled.indicator.into(),
             Field::Kernels(sampled) => sampled.method.into(),
+            Field::Sizes(_) => Indicator::Cloud.into(),
         }
     }
 
@@ -333,6 +368,11 @@ impl Engine {
                 )
             }
             Field::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
+            Field::Sizes(sampled) => {
+                let measured = sampled.calibrated();
+                let calibration = known.copied().unwrap_or(measured.calibration);
+                (sampled.drawn(surfacing, &calibration), known.is_none().then_some(measured))
+            }
         };
         Ok(CalibratedFrame {
             facts: self.facts(),
@@ -377,6 +417,10 @@ impl Engine {
     pub fn shortfall(&self, surface: &Stitched) -> Result<Option<Shortfall>, FrameError> {
         let facts = self.facts();
         let Some(spacing) = facts.spacing else { return Ok(None) };
+        // Spacings of several sizes tell no volume.
+        if self.has_sizes() {
+            return Ok(None);
+        }
         let coincident = self.coincident();
         let (own, particles) = (facts.own_cells(), facts.census.binned);
         Shortfall::of(surface, own, particles, coincident.as_ref(), spacing)

@@ -16,13 +16,24 @@ use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
+use crate::particles::Particles;
 use crate::particles::kind::SettledKind;
+use crate::particles::sizes::{Columns, SizeFault, Sizes};
 use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::surface::solid::Solid;
 use crate::system::control::Control;
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Method, Resources};
+
+/// Sizes of particles, and the attributes that tell them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SizedParticles {
+    /// The sizes.
+    pub sizes: Sizes,
+    /// The attributes.
+    pub columns: Columns,
+}
 
 /// How a frame is sampled.
 #[derive(Debug, Clone)]
@@ -44,8 +55,10 @@ pub struct Sampling {
     /// The kinds of attributes that another frame has settled for all.
     pub kinds: Vec<SettledKind>,
     /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know
-    /// it.
+    /// it. Of particles of several sizes the smallest.
     pub spacing: Option<f64>,
+    /// The sizes of the particles, where they have several; of clouds alone.
+    pub sizes: Option<SizedParticles>,
     /// Memory, folders and backend that the frame may use.
     pub resources: Resources,
 }
@@ -60,6 +73,30 @@ impl Sampling {
             }
             Method::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
         }
+    }
+
+    /// Sampling of particles of several sizes, if there are `sizes`.
+    ///
+    /// # Errors
+    /// [`SizeFault`] where an attribute that tells them is missing.
+    pub fn sized(
+        self,
+        sizes: Option<&Sizes>,
+        particles: &(impl Particles + ?Sized),
+    ) -> Result<Self, SizeFault> {
+        let sized = |sizes: &Sizes| {
+            let columns = sizes.columns(particles.attributes())?;
+            Ok(SizedParticles { sizes: sizes.clone(), columns })
+        };
+        Ok(Self { sizes: sizes.map(sized).transpose()?, ..self })
+    }
+
+    /// The numbers of the attributes that are sorted with the particles: those that go to the
+    /// vertices, and then those that tell sizes.
+    #[must_use]
+    pub fn sorted_attributes(&self) -> Vec<usize> {
+        let sizes = self.sizes.iter().flat_map(|sized| sized.columns.numbers());
+        self.carried.iter().copied().chain(sizes).collect()
     }
 
     /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for

@@ -84,16 +84,22 @@ impl FieldSink {
         };
         for first in (0..end).step_by(batch) {
             let pages = stages.indicate(bins, first..(first + batch).min(end), rule, meter)?;
-            match self {
-                Self::Memory { pages: kept, bytes } => {
-                    *bytes += pages.iter().map(|(_, samples)| samples.bytes() as u64).sum::<u64>();
-                    kept.extend(pages);
-                }
-                Self::Whole(_) => unreachable!("no bins come after all"),
-                Self::File { writer, full_cells, .. } => {
-                    *full_cells += full_count(&pages);
-                    writer.push(&pages, |samples| samples.dense(rule.shape()))?;
-                }
+            self.push(pages, rule.shape())?;
+        }
+        Ok(())
+    }
+
+    /// Takes pages, of a frame's after those before.
+    pub(super) fn push(&mut self, pages: Pages, shape: PageShape) -> io::Result<()> {
+        match self {
+            Self::Memory { pages: kept, bytes } => {
+                *bytes += pages.iter().map(|(_, samples)| samples.bytes() as u64).sum::<u64>();
+                kept.extend(pages);
+            }
+            Self::Whole(_) => unreachable!("no pages come after all"),
+            Self::File { writer, full_cells, .. } => {
+                *full_cells += full_count(&pages);
+                writer.push(&pages, |samples| samples.dense(shape))?;
             }
         }
         Ok(())

@@ -162,6 +162,15 @@ impl Domain {
         [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
     }
 
+    /// The walls on a grid whose cells are 2^`octaves` times as wide: its cells are those that hold
+    /// any of these.
+    #[must_use]
+    pub fn in_wider_cells(self, octaves: u32) -> Self {
+        let CellBox { lo, hi } = self.cells;
+        let last = (1 << octaves) - 1;
+        Self { cells: CellBox { lo: lo >> octaves, hi: (hi + last) >> octaves }, ..self }
+    }
+
     /// The walls of both, of which no axis has any in both.
     #[must_use]
     pub(super) fn joined(&self, other: &Self) -> Self {

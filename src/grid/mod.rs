@@ -69,6 +69,12 @@ impl Grid {
         }
     }
 
+    /// The grid with the same corner whose cells are 2^`octaves` times as wide.
+    #[must_use]
+    pub fn in_wider_cells(self, octaves: u32) -> Self {
+        Self { cell: self.cell * f64::from(1_u32 << octaves), ..self }
+    }
+
     /// Edge of a cell, in the particles' unit of length.
     #[must_use]
     pub fn cell_size(&self) -> f64 {

@@ -2,8 +2,8 @@
 //! also as text.
 //!
 //! The format has no vertices that triangles could share, so the reader takes corners for one
-//! vertex whose coordinates are equal to the bit. This is the one place where positions name
-//! vertices: a mesh that touches itself comes back joined there. Coordinates are f32 in binary, and
+//! vertex whose coordinates are equal to the bit. Of the formats it is the only one in which
+//! positions name vertices: a mesh that touches itself comes back joined there. Coordinates are f32 in binary, and
 //! there is no place for anything else.
 //!
 //! For want of vertices it is also the one format whose writer holds more than a few pieces of a

@@ -3,6 +3,7 @@
 use crate::particles::condition::Where;
 use crate::particles::mixture::is_kind;
 use crate::particles::selection::{SelectionFault, select};
+use crate::particles::sizes::{Columns, SizeChoice};
 use crate::particles::{AttributeInfo, Particles, attribute_called, velocity_attribute};
 
 use super::bytes::Unpacking;
@@ -72,6 +73,8 @@ pub enum WantedAttributes<'a> {
         names: Option<&'a [String]>,
         /// Conditions by which particles are selected.
         conditions: &'a [Where],
+        /// The sizes of the particles.
+        sizes: &'a SizeChoice,
     },
 }
 
@@ -98,7 +101,9 @@ impl WantedAttributes<'_> {
     /// Tells for each of an input's attributes whether it is asked for by its name, by a condition,
     /// or as the velocity; `None` where one that is asked for is not there, or all are read.
     pub fn asked_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
-        let Self::Only { names, conditions } = self else { return None };
+        let Self::Only { names, conditions, sizes } = self else { return None };
+        let sizes = sizes.columns(infos).ok()?;
+        let sizes = sizes.iter().flat_map(Columns::numbers);
         let conditions = conditions.iter().flat_map(Where::conditions);
         let selecting = conditions.filter_map(|condition| condition.attribute(infos));
         let carried: Vec<usize> = match names {
@@ -108,7 +113,7 @@ impl WantedAttributes<'_> {
             }
         };
         let mut asked = vec![false; infos.len()];
-        carried.into_iter().chain(selecting).for_each(|number| asked[number] = true);
+        carried.into_iter().chain(selecting).chain(sizes).for_each(|number| asked[number] = true);
         Some(asked)
     }
 }

@@ -10,6 +10,7 @@ pub mod mixture;
 pub mod occurring;
 pub mod selection;
 pub mod sieve;
+pub mod sizes;
 
 use std::io;
 use std::ops::Range;

@@ -156,7 +156,11 @@ pub fn doubted(doubt: &Doubt) -> String {
                 Condition { name: attribute.clone(), comparison: Comparison::Equal, values };
             format!("{doubt}; use --where {} to select the fluid", shell_word(&fluid.to_string()))
         }
-        Doubt::TwoResolutions { .. } => format!("{doubt}; use --spacing to choose another"),
+        Doubt::TwoResolutions { .. } => format!(
+            "{doubt}; if an attribute holds the particles' sizes, use --size, or else --spacing to \
+             choose another"
+        ),
+        Doubt::Sizes { .. } => format!("{doubt}; use --size none to treat all as one size"),
         _ => format!("{doubt}; use --spacing if you know it"),
     }
 }

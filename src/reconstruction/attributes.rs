@@ -4,14 +4,24 @@
 use crate::error::Error;
 use crate::io::output::MeshFormat;
 use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::particles::sizes::SizeChoice;
 use crate::particles::{AttributeInfo, attribute_called, velocity_attribute};
 use crate::settings::{Settings, Where};
 
-impl Settings {
+use super::checked::Checked;
+
+impl Checked {
     /// Particles and attributes that have to be read of an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
+        self.settings.wanted(&self.sampling.size)
+    }
+}
+
+impl Settings {
+    /// Particles and attributes that have to be read of an input.
+    pub(crate) fn wanted<'a>(&'a self, sizes: &'a SizeChoice) -> Wanted<'a> {
         let (names, conditions) = (self.attribute_names(), self.conditions());
-        let attributes = WantedAttributes::Only { names, conditions };
+        let attributes = WantedAttributes::Only { names, conditions, sizes };
         Wanted {
             format: self.format,
             particle_type: Where::particle_type(self.conditions()),

@@ -288,6 +288,14 @@ impl Reconstruction {
         self
     }
 
+    /// Sets the attribute with the sizes of the particles: by its name radii, diameters, volumes, or
+    /// masses, which need a density. `pscale` and `radius` are recognised; `none` treats all
+    /// particles as one size. Sizes apply to clouds.
+    pub fn size(mut self, attribute: impl Into<String>) -> Self {
+        self.settings.size = Some(attribute.into());
+        self
+    }
+
     /// The settings that affect the mesh.
     #[must_use]
     pub fn settings(&self) -> &Settings {

@@ -12,6 +12,7 @@ use crate::field::spacing::Plane;
 use crate::frame::Method;
 use crate::grid::Walls;
 use crate::grid::units::shown;
+use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, finite_chunks};
 
 use super::spacing::{Doubt, SpacingSource};
@@ -63,6 +64,9 @@ pub struct Cells {
     /// The slab around particles of a two-dimensional simulation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
+    /// The particles' sizes, if they have several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sizes: Option<Sizes>,
     /// Walls found by the scene file and the particles, if requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
@@ -161,6 +165,9 @@ impl fmt::Display for Cells {
             }
             None => write!(f, "spacing unknown, assumed to be the cell size; cell size {size}"),
         }?;
+        if let Some(sizes) = &self.sizes {
+            write!(f, ", sizes up to {}", shown(sizes.coarsest))?;
+        }
         match self.origin {
             Some(origin) => write!(f, ", origin {}", origin.map(shown).join(",")),
             None => Ok(()),

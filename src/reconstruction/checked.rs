@@ -23,6 +23,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
 use crate::particles::kind::asks_for_colour;
+use crate::particles::sizes::SizeChoice;
 use crate::settings::{Settings, Tank};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::up::UpAxis;
@@ -150,6 +151,10 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
         ("radius", settings.radius.is_some() && settings.spacing.is_some(), "spacing"),
         ("cell_size", settings.cell_size.is_some() && settings.cell.is_some(), "cell"),
         ("solid", settings.solid.is_some() && settings.periodic.is_some(), "periodic"),
+        ("size", settings.asks_for_sizes() && settings.spacing.is_some(), "spacing"),
+        ("size", settings.asks_for_sizes() && settings.radius.is_some(), "radius"),
+        ("size", settings.asks_for_sizes() && settings.solid.is_some(), "solid"),
+        ("size", settings.asks_for_sizes() && settings.periodic.is_some(), "periodic"),
     ];
     if let Some((setting, _, other)) = exclusive.into_iter().find(|(_, both, _)| *both) {
         let (setting, with) = (Setting::named(setting), Conflict::Setting(Setting::named(other)));
@@ -189,10 +194,21 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
         },
         periodic: settings.periodic.map(|faces| (faces.0, surfacing.clone())),
         spacing: length("spacing", settings.spacing_or_radius())?,
+        size: size(settings),
         cell,
     };
     request.validate()?;
     Ok(request)
+}
+
+/// The sizes of the particles, unless something is asked for that needs one size.
+fn size(settings: &Settings) -> SizeChoice {
+    let has_one = settings.spacing_or_radius().is_some()
+        || settings.solid.is_some()
+        || settings.periodic.is_some()
+        || settings.kernels().is_some()
+        || settings.indicator.unwrap_or_default() != IndicatorKind::Cloud;
+    if has_one { SizeChoice::Ignored } else { settings.size_choice() }
 }
 
 /// Decides the method, and refuses settings that have no meaning for it, but for those of an
@@ -207,8 +223,17 @@ fn method(settings: &Settings) -> Result<Method, Error> {
         return Ok(Method::Indicator { kind, mean });
     };
     let conflict = || Conflict::Method(kernels);
-    let of_indicators =
-        ["indicator", "mu0", "smooth", "sheets", "sigma", "detail", "solid", "solid_offset"];
+    let of_indicators = [
+        "indicator",
+        "mu0",
+        "smooth",
+        "sheets",
+        "size",
+        "sigma",
+        "detail",
+        "solid",
+        "solid_offset",
+    ];
     refuse_named(settings, &of_indicators, conflict)?;
     if kernels == KernelMethod::ZhuBridson && settings.isovalue().is_some() {
         refuse_named(settings, &["iso"], conflict)?;
@@ -256,7 +281,7 @@ impl Settings {
             IndicatorKind::Cloud if self.isovalue().is_some() => &["sigma", "iso", "detail"],
             IndicatorKind::Cloud => &["sigma", "detail"],
             IndicatorKind::Counting | IndicatorKind::Symmetry => {
-                &["smooth", "sheets", "solid", "solid_offset"]
+                &["smooth", "sheets", "size", "solid", "solid_offset"]
             }
         };
         refuse_named(self, meaningless, || Conflict::Indicator(kind))

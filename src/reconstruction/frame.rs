@@ -174,10 +174,14 @@ impl Frame {
     /// Writes the frame's samples to a file, from which surfaces can be made later.
     ///
     /// # Errors
-    /// [`Error::Unfit`] for kernel methods, which have no samples, [`Error::Write`] and
+    /// [`Error::Unfit`] for kernel methods and particles of several sizes, [`Error::Write`] and
     /// [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
         let Started { checked, threads } = &self.ready;
+        if self.sampled.engine.has_sizes() {
+            let setting = Setting::named("size");
+            return Err(Unfit { setting, with: Conflict::PackedSizes }.into());
+        }
         let Some(sampled) = self.sampled.engine.dif() else {
             let with = Conflict::Packed(output.path().to_owned());
             return Err(Unfit { setting: Setting::named("method"), with }.into());

@@ -19,6 +19,7 @@ use crate::io::output::read_mesh;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::occurring::{Occurring, occurring};
+use crate::particles::sizes::SizeChoice;
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::VertexAttribute;
 use crate::surface::mesh::measure::measure;
@@ -215,13 +216,15 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let scratch = std::env::temp_dir();
     let unpacking =
         Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
-    let wanted = Wanted { attributes: WantedAttributes::All, ..settings.wanted() };
+    let wanted =
+        Wanted { attributes: WantedAttributes::All, ..settings.wanted(&SizeChoice::Ignored) };
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);
     let request = SamplingRequest {
         invalid: InvalidParticles::Skip,
         search: Search::Hint,
+        size: SizeChoice::Usual,
         ..SamplingRequest::default()
     };
     let source = Source { path: Some(path), spacing: file.spacing };
@@ -251,6 +254,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         spacing: known.as_ref().map(|(spacing, _)| *spacing),
         spacing_source: known.map(|(_, source)| match source {
             SpacingSource::Scene(scene) => scene.display().to_string(),
+            SpacingSource::Sizes(attribute) => format!("the smallest {attribute}"),
             SpacingSource::Estimated => "an estimate".to_owned(),
             SpacingSource::File
             | SpacingSource::Given
@@ -275,6 +279,7 @@ fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let carried = Settings::default().carried(particles.attributes(), None).ok()?;
     let sampling =
         request.sampling_on(grid, request.method, cells.spacing(), carried, resources).ok()?;
+    let sampling = sampling.sized(cells.sizes.as_ref(), particles).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())
 }

@@ -15,8 +15,8 @@ use crate::brick::{BinError, Census};
 use crate::error::{
     ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, OverBudget,
     PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, SelectionFault, Setting,
-    SimulationError, TooFine, Unfit, UnitError, Unread, Untold, VulkanError, WholeMeshError,
-    WriteError, WriteFault,
+    SimulationError, SizeFault, TooFine, Unfit, UnitError, Unread, Untold, VulkanError,
+    WholeMeshError, WriteError, WriteFault,
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
@@ -102,6 +102,10 @@ fn requests() -> String {
         Picture { path: Some(path("mesh.ply")), fault: PictureError::Size(0, 99) },
         NoAttribute { path: Some(path("frame_1.vtk")), name: "heat".into(), known: names() },
         NoAttribute { path: None, name: "heat".into(), known: Vec::new() },
+        Sizes {
+            path: Some(path("frame_1.vtk")),
+            fault: SizeFault::NoAttribute { name: "size".into(), known: names() },
+        },
         LittleMemory { least: 16 << 20, simplifying: None },
         LittleMemory { least: 72 << 20, simplifying: Some(2) },
         Threads("Resource temporarily unavailable".into()),
@@ -111,6 +115,12 @@ fn requests() -> String {
             why: Untold::TooFew,
             suggested: Some(0.05),
         },
+    );
+    examples!(text, SizeFault:
+        NoAttribute { name: "size".into(), known: names() },
+        Components { name: "velocity".into(), components: 3 },
+        NoDensity { name: "mass".into(), known: names() },
+        NoSize { name: "radius".into() },
     );
     examples!(text, Untold: TooFew, Coincident { places: 3 }, SinglePrecision { step: 0.03 });
     examples!(text, SolidFault:
@@ -153,6 +163,7 @@ fn conflicts(text: &mut String) {
         ("format", Conflict::Packed(path("frame.mnf"))),
         ("cell", Conflict::Packed(path("frame.mnf"))),
         ("smooth", Conflict::Packing),
+        ("size", Conflict::PackedSizes),
         ("cell", Conflict::Sampled),
         ("simplify", Conflict::OnDevice),
         ("compress", Conflict::Format { path: mesh(), format: MeshFormat::Obj }),
@@ -168,6 +179,7 @@ fn conflicts(text: &mut String) {
             Conflict::Method(_) => "Method",
             Conflict::Packed(_) => "Packed",
             Conflict::Packing => "Packing",
+            Conflict::PackedSizes => "PackedSizes",
             Conflict::Sampled => "Sampled",
             Conflict::OnDevice => "OnDevice",
             Conflict::Format { .. } => "Format",
@@ -376,6 +388,8 @@ fn warnings(all: &mut String) {
             boundary: (Value::Number(1.0), 500),
             fluid: (Value::Number(0.0), 1000),
         }),
+        Sizes { attribute: "radius".into(), invalid: 3, usual: 0.1, larger: 0, coarsest: 3.2 },
+        Sizes { attribute: "radius".into(), invalid: 3, usual: 0.1, larger: 2, coarsest: 3.2 },
         SinglePrecision { step: 0.03, spacing: 0.05 },
     );
     section(

@@ -132,7 +132,9 @@ fn forecast(
             None => (expected, None),
         });
     }
-    let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
+    // Blocks need particles from as far away as the largest ones see.
+    let kind = sampling.method.indicator().filter(|_| sampling.sizes.is_none());
+    let Some(kind) = kind else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);
     let wanted = WantedBins { stretch, sight: sampling.sight(kind, &checked.surfacing) };

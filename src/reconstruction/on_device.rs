@@ -11,7 +11,8 @@ use super::builder::Reconstruction;
 use super::checked::refuse_named;
 
 /// Settings that need a host, or a mesh that is simplified or written.
-const OF_HOST: [&str; 15] = [
+const OF_HOST: [&str; 16] = [
+    "size",
     "method",
     "periodic",
     "periodic_mesh",

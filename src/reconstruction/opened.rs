@@ -57,7 +57,7 @@ impl Started {
                 return Ok(Input::Packed(Box::new(sampled)));
             }
             checked.refuse_of_indicator()?;
-            let file = open_joined(paths, checked.settings.wanted(), checked.unpacking())?;
+            let file = open_joined(paths, checked.wanted(), checked.unpacking())?;
             let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };

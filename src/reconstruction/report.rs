@@ -54,7 +54,7 @@ pub struct Report {
 impl Report {
     /// A report on a frame without a surface yet.
     pub(crate) fn of(engine: &Engine, surfacing: &Surfacing) -> Self {
-        let indicator = engine.dif().map(|sampled| sampled.indicator);
+        let indicator = engine.indicator();
         let kernel_iso = match engine.method() {
             Method::Kernels(kernels) => kernels.iso(),
             Method::Indicator { .. } => None,

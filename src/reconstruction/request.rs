@@ -17,8 +17,9 @@ use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
 use crate::io::UpAxis;
 use crate::io::scene::{spacing_beside, tank_beside};
-use crate::particles::Particles;
 use crate::particles::mixture::mixture;
+use crate::particles::sizes::{SizeChoice, SizeFault, Sizes};
+use crate::particles::{Particles, bounds};
 
 use super::cells::{CellSize, Cells, FoundWalls, Slab, Source};
 use super::lattice::on_sound_grid;
@@ -47,6 +48,8 @@ pub struct SamplingRequest {
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The particles' spacing, where the caller knows it.
     pub spacing: Option<f64>,
+    /// The attribute with the particles' sizes, where they have several.
+    pub size: SizeChoice,
     /// Edge of a cell; the [usual one](CellSize::usual) where it is not given.
     pub cell: Option<CellSize>,
 }
@@ -74,6 +77,7 @@ impl Default for SamplingRequest {
             up: None,
             periodic: None,
             spacing: None,
+            size: SizeChoice::Ignored,
             cell: None,
         }
     }
@@ -245,7 +249,10 @@ impl SamplingRequest {
         from: Source<'_>,
         read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
-        let (mut cells, done) = self.cells_by(particles, from, read)?;
+        let (mut cells, done) = match self.sizes(particles)? {
+            Some(sizes) => (self.cells_for_sizes(particles, sizes)?, None),
+            None => self.cells_by(particles, from, read)?,
+        };
         if !cells.doubts.iter().any(|doubt| matches!(doubt, Doubt::Mixed(_))) {
             cells.doubts.extend(mixture(particles).map(Doubt::Mixed));
         }
@@ -261,6 +268,32 @@ impl SamplingRequest {
                 found.filter(|found| self.search == Search::Walls || !found.walls.is_open());
         }
         Ok((cells, done))
+    }
+
+    /// The sizes of the particles, if they have several.
+    fn sizes(&self, particles: &(impl Particles + ?Sized)) -> Result<Option<Sizes>, Error> {
+        let found = self.size.columns(particles.attributes()).and_then(|columns| match columns {
+            Some(columns) => Sizes::found(particles, &columns),
+            None => Ok(None),
+        });
+        match found {
+            // Nobody asked for that attribute.
+            Err(SizeFault::NoSize { .. }) if self.size == SizeChoice::Usual => Ok(None),
+            found => Ok(found?),
+        }
+    }
+
+    /// The cells by the smallest size.
+    fn cells_for_sizes(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        sizes: Sizes,
+    ) -> Result<Cells, Error> {
+        let middle = bounds(particles).map(|bounds| (bounds.lo + bounds.hi) / 2.0);
+        let source = SpacingSource::Sizes(sizes.attribute.clone());
+        let cells = self.cells_of(sizes.finest, source, middle, None)?;
+        let doubts = Doubt::of_sizes(&sizes).into_iter().collect();
+        Ok(Cells { sizes: Some(sizes), doubts, ..cells })
     }
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
@@ -362,6 +395,7 @@ impl SamplingRequest {
             origin: self.origin_for(middle, size),
             slab,
             walls: None,
+            sizes: None,
             doubts: Vec::new(),
         })
     }
@@ -447,8 +481,15 @@ impl SamplingRequest {
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
-                let (slab, walls) = (None, None);
-                return Ok(Cells { size, spacing: None, origin, slab, walls, doubts: Vec::new() });
+                return Ok(Cells {
+                    size,
+                    spacing: None,
+                    origin,
+                    slab: None,
+                    walls: None,
+                    sizes: None,
+                    doubts: Vec::new(),
+                });
             }
         }
         let estimate = estimate.map_err(|why| Error::NoSpacing {
@@ -522,6 +563,7 @@ impl SamplingRequest {
         let request = self.in_walls(cells.found()).in_slab(cells.slab);
         let sampling =
             request.sampling_on(grid, self.method, cells.spacing(), carried, resources)?;
+        let sampling = sampling.sized(cells.sizes.as_ref(), particles)?;
         if self.origin.is_some() {
             return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
         }
@@ -561,6 +603,7 @@ impl SamplingRequest {
             carried,
             kinds: Vec::new(),
             spacing,
+            sizes: None,
             resources,
         };
         if let Some((faces, surfacing)) = &self.periodic {

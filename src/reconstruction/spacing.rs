@@ -9,6 +9,7 @@ use crate::field::spacing::{Estimate, Evidence, Neighbours, evidence, look_at};
 use crate::grid::units::{shown, significant};
 use crate::particles::Particles;
 use crate::particles::mixture::Mixture;
+use crate::particles::sizes::Sizes;
 
 /// Serializes a path as it is displayed, because not every path is Unicode.
 fn as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
@@ -24,6 +25,8 @@ pub enum SpacingSource {
     File,
     /// A scene file beside it.
     Scene(#[serde(serialize_with = "as_text")] PathBuf),
+    /// The smallest size of the particles, by an attribute.
+    Sizes(String),
     /// An estimate from the particles.
     Estimated,
     /// The state file of a simulation.
@@ -38,6 +41,7 @@ impl fmt::Display for SpacingSource {
             Self::Given => f.write_str("as given"),
             Self::File => f.write_str("from the file"),
             Self::Scene(path) => write!(f, "from {}", path.display()),
+            Self::Sizes(attribute) => write!(f, "the smallest size, from attribute {attribute}"),
             Self::Estimated => f.write_str("estimated from the particles"),
             Self::State => f.write_str("from the state file"),
             Self::Packed => f.write_str("from the packed frame"),
@@ -85,6 +89,19 @@ pub enum Doubt {
     },
     /// Some particles surround the others, as a boundary surrounds a fluid.
     Mixed(Mixture),
+    /// Some particles have no valid size, or are far larger than the smallest.
+    Sizes {
+        /// The attribute.
+        attribute: String,
+        /// Number of particles without a valid size.
+        invalid: u64,
+        /// The size that is used for them.
+        usual: f64,
+        /// Number of particles larger than the largest size that is used.
+        larger: u64,
+        /// The largest size that is used.
+        coarsest: f64,
+    },
     /// The single-precision coordinates are too coarse for the spacing.
     SinglePrecision {
         /// The step of the coordinates.
@@ -205,6 +222,19 @@ impl Doubt {
         }
     }
 
+    /// The doubt about sizes, if some are not valid.
+    pub(super) fn of_sizes(sizes: &Sizes) -> Option<Self> {
+        let &Sizes { invalid, usual, larger, coarsest, .. } = sizes;
+        let attribute = sizes.attribute.clone();
+        (invalid + larger > 0).then_some(Self::Sizes {
+            attribute,
+            invalid,
+            usual,
+            larger,
+            coarsest,
+        })
+    }
+
     /// The doubts about an estimate.
     pub(super) fn of_estimate(estimate: &Estimate, evidence: &Evidence) -> Vec<Self> {
         let &Estimate { spacing: taken, two, thin } = estimate;
@@ -304,6 +334,26 @@ impl fmt::Display for Doubt {
                  used as the spacing, and may be larger than that of the fluid",
                 about(*taken)
             ),
+            Self::Sizes { attribute, invalid, usual, larger, coarsest } => {
+                if *invalid > 0 {
+                    write!(
+                        f,
+                        "{invalid} particles have no positive, finite {attribute}: they count as \
+                         size {}",
+                        about(*usual)
+                    )?;
+                }
+                if *larger > 0 {
+                    let and = if *invalid > 0 { "; " } else { "" };
+                    write!(
+                        f,
+                        "{and}{larger} particles are larger than 64 times the smallest: they \
+                         count as size {}",
+                        about(*coarsest)
+                    )?;
+                }
+                Ok(())
+            }
             Self::SinglePrecision { step, spacing } => write!(
                 f,
                 "single-precision coordinates so far from the origin have steps of {}, more \

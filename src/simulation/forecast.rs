@@ -150,7 +150,7 @@ impl Setup<'_> {
             scratch: &resources.scratch,
             control: Some(&resources.control),
         };
-        let file = largest.open(checked.settings.wanted(), unpacking)?;
+        let file = largest.open(checked.wanted(), unpacking)?;
         let carried =
             checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;

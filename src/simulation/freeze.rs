@@ -208,7 +208,7 @@ impl Setup<'_> {
             scratch: &resources.scratch,
             control: Some(&resources.control),
         };
-        frame.open(self.checked.settings.wanted(), unpacking)
+        frame.open(self.checked.wanted(), unpacking)
     }
 
     /// Reports the calibration with its frame, and doubts about its spacing.
@@ -260,6 +260,7 @@ impl Setup<'_> {
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let tank = (cells.slab, cells.walls.clone());
         let mut frozen = frozen(frame.number, input, cells.spacing(), source, tank, measured);
+        frozen.sizes = cells.sizes.clone();
         // A frame without one of these attributes fails by itself.
         let (settings, format) = (&self.checked.settings, self.format(frame).ok());
         let carried = settings.carried(file.particles.attributes(), format).unwrap_or_default();
@@ -289,6 +290,7 @@ fn frozen(
         origin,
         slab,
         walls,
+        sizes: None,
         calibration,
         kinds: Vec::new(),
     }

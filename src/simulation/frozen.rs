@@ -11,6 +11,7 @@ use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
 use crate::particles::kind::SettledKind;
+use crate::particles::sizes::Sizes;
 use crate::reconstruction::{
     Cells, Checked, FoundWalls, Slab, as_numbers, moved, origin_for_lattice,
 };
@@ -36,6 +37,9 @@ pub struct Frozen {
     /// The slab that particles in a plane stand for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slab: Option<Slab>,
+    /// The particles' sizes, where they have several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sizes: Option<Sizes>,
     /// The walls of the tank, where they were to be found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
@@ -94,6 +98,7 @@ pub(super) fn measure_in(
     };
     let in_slab = request.in_walls(cells.found()).in_slab(cells.slab);
     let sampling = in_slab.sampling_on(grid, method, cells.spacing(), Vec::new(), resources)?;
+    let sampling = sampling.sized(cells.sizes.as_ref(), particles)?;
     let is_settled = lattice.is_some() || request.origin.is_some();
     let origin = if is_settled { Origin::Given } else { Origin::Free };
     Ok(measure(particles, &sampling, origin, &checked.surfacing)?)
@@ -134,7 +139,10 @@ pub fn measure(
         Some(sampled) => {
             Ok(Measured { grid, ..measure_sampled(sampled, surfacing, lattice.is_some())? })
         }
-        None => Ok(nothing),
+        None => {
+            let measured = frame.calibrate(surfacing, None, &mut Timings::default())?.measured();
+            Ok(measured.map_or(nothing, |measured| measured_of(grid, &measured, false)))
+        }
     }
 }
 
@@ -144,13 +152,18 @@ pub fn measure_sampled(
     surfacing: &Surfacing,
     lattice: bool,
 ) -> Result<Measured, TooFine> {
-    let Calibrated { calibration, plateau, .. } = surfacing.calibrate(frame)?;
-    let trust = match (plateau, frame.indicator.kind()) {
-        (Plateau::Shallow { .. }, _) => Trust::Shallow,
-        (Plateau::Interior { .. }, IndicatorKind::Counting) if lattice => Trust::Lattice,
-        (Plateau::Interior { .. }, _) => Trust::Sound,
+    let lattice = lattice && frame.indicator.kind() == IndicatorKind::Counting;
+    Ok(measured_of(frame.facts.grid, &surfacing.calibrate(frame)?, lattice))
+}
+
+/// A measurement on a grid, by whether counts on a lattice tell it.
+fn measured_of(grid: Grid, measured: &Calibrated, lattice: bool) -> Measured {
+    let trust = match measured.plateau {
+        Plateau::Shallow { .. } => Trust::Shallow,
+        Plateau::Interior { .. } if lattice => Trust::Lattice,
+        Plateau::Interior { .. } => Trust::Sound,
     };
-    Ok(Measured { grid: frame.facts.grid, calibration: Some(calibration), trust })
+    Measured { grid, calibration: Some(measured.calibration), trust }
 }
 
 impl Frozen {

@@ -9,6 +9,7 @@ use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::{Grid, Walls};
 use crate::io::UpAxis;
 use crate::particles::kind::{SettledKind, known_of, settled_for_all};
+use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
     self, Doubt, Drawn, Reconstruction, Report, SinglePrecision, Slab, Started, Surface, Warning,
@@ -54,6 +55,7 @@ struct Known {
     spacing: Option<f64>,
     slab: Option<Slab>,
     walls: Option<Walls>,
+    sizes: Option<Sizes>,
     calibration: Option<Calibration>,
     trust: Trust,
 }
@@ -138,6 +140,7 @@ impl LiveSimulation {
             spacing,
             slab,
             walls: ref known_walls,
+            ref sizes,
             calibration,
             ref kinds,
             ..
@@ -154,6 +157,7 @@ impl LiveSimulation {
             request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
         let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, method, spacing, carried, resources)?;
+        let sampling = sampling.sized(sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: kinds.clone(), ..sampling };
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn =
@@ -215,5 +219,6 @@ fn measured(
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
     let walls = cells.found().copied();
-    Ok((Known { kinds, grid, method, spacing, slab, walls, calibration, trust }, cells.doubts))
+    let reconstruction::Cells { sizes, doubts, .. } = cells;
+    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, doubts))
 }

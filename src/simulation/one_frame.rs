@@ -129,8 +129,7 @@ impl Conversion<'_> {
                 scratch,
                 control: Some(&checked.resources.control),
             };
-            let file =
-                particles.map_or_else(|| frame.open(checked.settings.wanted(), unpacking), Ok)?;
+            let file = particles.map_or_else(|| frame.open(checked.wanted(), unpacking), Ok)?;
             timings.done("open");
             Ok::<_, Error>(Some(file))
         };
@@ -289,9 +288,9 @@ impl Conversion<'_> {
         let infos = known_of(infos, &frozen.kinds);
         let (mut sampling, past) =
             self.setup.sampling(frozen, &file.particles, carried, opening)?;
-        if let Some(spacing) =
-            frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed))
-        {
+        // Particles of several sizes have no one spacing to check.
+        let known = frozen.spacing.filter(|_| frozen.sizes.is_none());
+        if let Some(spacing) = known.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
             let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
             doubts
                 .iter()

@@ -88,6 +88,7 @@ impl Setup<'_> {
         let slab = frozen.slab.filter(|slab| slab.holds(particles));
         let request = request.in_slab(slab);
         let sampling = request.sampling_on(grid, method, frozen.spacing, carried, resources)?;
+        let sampling = sampling.sized(frozen.sizes.as_ref(), particles)?;
         let sampling = Sampling { kinds: frozen.kinds.clone(), ..sampling };
         Ok((sampling, past.into_iter().map(Warning::PastWall).collect()))
     }

@@ -223,6 +223,7 @@ mod tests {
     use crate::grid::units::{Isovalue, MeanCount};
     use crate::particles::AttributeInfo;
     use crate::particles::kind::{AttributeKind, SettledKind};
+    use crate::particles::sizes::{Meaning, Sizes};
     use crate::simulation::frozen::Stamp;
 
     fn frozen(calibration: Calibration) -> Frozen {
@@ -234,6 +235,17 @@ mod tests {
             cell_size: 0.1 + 0.7,
             slab: None,
             walls: None,
+            sizes: Some(Sizes {
+                attribute: "pscale".into(),
+                meaning: Meaning::Radius,
+                scale: 1.0 / 3.0,
+                finest: 0.1,
+                coarsest: 0.7,
+                usual: 0.2,
+                density: Some(1.0 / 1.1),
+                invalid: 3,
+                larger: 1,
+            }),
             origin: [1e-17, -0.1, 1.0 / 3.0],
             calibration: Some(calibration),
             kinds: vec![SettledKind {

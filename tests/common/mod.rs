@@ -42,6 +42,7 @@ pub fn sampling() -> Sampling {
         side: BrickSide::Eight,
         carried: Vec::new(),
         kinds: Vec::new(),
+        sizes: None,
         spacing: None,
         resources: Resources::new(MemoryBudget(8 << 30), std::env::temp_dir()),
     }

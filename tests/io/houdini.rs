@@ -8,6 +8,7 @@ use meniscus::internals::io::input;
 use meniscus::internals::io::output::MeshFormat;
 use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{CoordinateWidth, LeftOut, ParticleFile, ReadFault, houdini};
+use meniscus::internals::particles::sizes::SizeChoice;
 use meniscus::internals::particles::{AttributeKind, Particles, Unread};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
@@ -203,7 +204,8 @@ fn attributes_that_nobody_wants_are_not_read_and_named() {
         damaged,
     ];
     let bytes = cloud(10, attributes).document(Form::ALL[1]);
-    let wanted = WantedAttributes::Only { names: None, conditions: &[] };
+    let wanted =
+        WantedAttributes::Only { names: None, conditions: &[], sizes: &SizeChoice::Ignored };
     let file = houdini::read_particles(bytes.into(), wanted, Unpacking::in_memory()).unwrap();
     let names = |infos: &[meniscus::internals::particles::AttributeInfo]| -> Vec<String> {
         infos.iter().map(|info| info.name.clone()).collect()

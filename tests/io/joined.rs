@@ -8,6 +8,7 @@ use meniscus::internals::io::input::open_joined;
 use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{ColourScale, ParticleFile, ReadError, ReadFault};
 use meniscus::internals::particles::AttributeKind;
+use meniscus::internals::particles::sizes::SizeChoice;
 use tempfile::TempDir;
 
 use crate::common::particle_files::attribute;
@@ -26,7 +27,11 @@ fn coloured(path: &Path, scalar: &str, colours: [&str; 2]) {
 
 fn join(paths: &[&Path]) -> Result<ParticleFile, ReadError> {
     let names = ["rgb".to_owned()];
-    let attributes = WantedAttributes::Only { names: Some(&names), conditions: &[] };
+    let attributes = WantedAttributes::Only {
+        names: Some(&names),
+        conditions: &[],
+        sizes: &SizeChoice::Ignored,
+    };
     open_joined(paths, Wanted { attributes, ..Wanted::default() }, Unpacking::in_memory())
 }
 

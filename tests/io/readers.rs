@@ -12,6 +12,7 @@ use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{
     ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, text_format, vtk, vtp,
 };
+use meniscus::internals::particles::sizes::SizeChoice;
 use meniscus::internals::particles::{Particles, Unread, velocity_attribute};
 use zip::CompressionMethod;
 
@@ -943,7 +944,11 @@ fn a_cell_is_parsed_only_where_its_column_is_wanted() {
     let table = "x,y,z,p,vx,vy,vz\n1,2,3,1,4,5,6\n1,2,3,,4,5,6\n1,2,3,bad,4,5,6\n,2,3,1,NA,5,6\n";
     let read = |names: &[&str]| {
         let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
-        let wanted = WantedAttributes::Only { names: Some(&names), conditions: &[] };
+        let wanted = WantedAttributes::Only {
+            names: Some(&names),
+            conditions: &[],
+            sizes: &SizeChoice::Ignored,
+        };
         read_text(table.as_bytes().to_vec().into(), InputFormat::Csv, None, wanted)
     };
     let file = read(&["velocity"]).unwrap();

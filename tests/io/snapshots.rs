@@ -12,6 +12,7 @@ use meniscus::internals::io::input::{holds_mesh, open_particles, open_wanted, st
 use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault};
 use meniscus::internals::particles::Particles;
+use meniscus::internals::particles::sizes::SizeChoice;
 use tempfile::TempDir;
 
 use crate::common::files;
@@ -248,7 +249,11 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
     let asked = ["ParticleIDs".to_owned()];
     let wrong = ["nobody".to_owned()];
     let conditions = ["ParticleIDs>=0".parse().unwrap()];
-    let only = |names, conditions| WantedAttributes::Only { names, conditions };
+    let only = |names, conditions| WantedAttributes::Only {
+        names,
+        conditions,
+        sizes: &SizeChoice::Ignored,
+    };
     let mut bytes = Vec::new();
     for (attributes, read, unread) in [
         (only(None, &[][..]), vec!["Velocities"], vec!["ParticleIDs"]),
@@ -278,7 +283,8 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
 #[test]
 fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
     let nowhere = Unpacking { in_memory: 0, scratch: Path::new("nowhere"), control: None };
-    let attributes = WantedAttributes::Only { names: None, conditions: &[] };
+    let attributes =
+        WantedAttributes::Only { names: None, conditions: &[], sizes: &SizeChoice::Ignored };
     let wanted = Wanted { attributes, ..Wanted::default() };
     for name in ["steps.vtkhdf#2", "steps.vtkhdf#1"] {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();

@@ -15,6 +15,7 @@ mod parts_reading;
 mod periodic;
 mod random_frames;
 mod sheets;
+mod sizes;
 mod solids;
 mod spacing;
 mod spray;

@@ -146,6 +146,7 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
         side: kind.brick_side(),
         carried: Vec::new(),
         kinds: Vec::new(),
+        sizes: None,
         spacing,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     }

@@ -102,6 +102,7 @@ fn main() {
         side: BrickSide::Eight,
         carried: Vec::new(),
         kinds: Vec::new(),
+        sizes: None,
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };

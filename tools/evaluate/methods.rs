@@ -196,6 +196,7 @@ pub fn sampling(grid: Grid, spacing: f64, method: impl Into<frame::Method>) -> S
         side: method.brick_side(),
         carried: Vec::new(),
         kinds: Vec::new(),
+        sizes: None,
         spacing: Some(spacing),
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     }

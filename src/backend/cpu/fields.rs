@@ -154,9 +154,14 @@ impl Looking {
     }
 }
 
+/// Gathers a density in cells 2^level times as wide.
+pub(super) type Density<'a> = &'a dyn Fn(u32, CellBox) -> Block;
+
 /// Fields in blocks.
 pub(super) struct Blocks<'a> {
     sampled: &'a SampledDif,
+    /// The density in place of that of `sampled`, if its particles are not all.
+    density: Option<Density<'a>>,
     /// A solid that may be near.
     solid: Option<&'a Solid>,
     /// The shares outside of it, once clouds were continued into it.
@@ -173,12 +178,33 @@ pub(super) struct Blocks<'a> {
 }
 
 impl<'a> Blocks<'a> {
+    /// Fields of an octave on some of its cells, by the density of all particles.
+    pub(super) fn of_density(
+        recipe: &Recipe,
+        sampled: &'a SampledDif,
+        density: Density<'a>,
+        cells: CellBox,
+    ) -> Self {
+        let density = Some(density);
+        Self { density, ..Self::new(recipe, sampled, cells, Looking::Away) }
+    }
+
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, looking: Looking) -> Self {
         // The paper's smoothing is a mean of the DIF, and decides where nothing brings details
         // back.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
-        let (solid, outside) = (None, None);
-        Self { sampled, solid, outside, cells, wanted: cells, looking, decides, few: false }
+        let (density, solid, outside) = (None, None, None);
+        Self {
+            sampled,
+            density,
+            solid,
+            outside,
+            cells,
+            wanted: cells,
+            looking,
+            decides,
+            few: false,
+        }
     }
 
     /// Fields of samples of which next to all are 0.
@@ -221,7 +247,10 @@ impl Fields for Blocks<'_> {
 
     fn samples(&mut self, level: u32, halo: i32) -> Result<Field, Stopped> {
         let cells = wide_cells(level, self.wanted).grown(halo, halo);
-        let block = self.sampled.wide(level).gather_within(cells, self.walls(level));
+        let block = match self.density {
+            Some(density) => density(level, cells),
+            None => self.sampled.wide(level).gather_within(cells, self.walls(level)),
+        };
         let goes_on = if self.decides {
             self.looking.may_cut(&block)
         } else {
@@ -355,11 +384,9 @@ impl Fields for Blocks<'_> {
     }
 
     fn blended(&mut self, drops: Field, sheets: Sheeted<Field>) -> Result<Field, Stopped> {
-        let sheets = Sheeted {
-            shares: Rc::unwrap_or_clone(sheets.shares.block),
-            certainty: Rc::unwrap_or_clone(sheets.certainty.block),
-        };
-        Ok(self.field(blend(&drops.block, &sheets), drops.level))
+        let Sheeted { shares, certainty } = &sheets;
+        let sheets = Sheeted { shares: &*shares.block, certainty: &*certainty.block };
+        Ok(self.field(blend(&drops.block, sheets), drops.level))
     }
 
     fn joined(

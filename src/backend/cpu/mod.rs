@@ -1,9 +1,11 @@
 //! The stages on the processor's cores.
 
 mod fields;
+mod sizes;
 mod spray;
 
 pub use fields::field;
+pub use sizes::SizedField;
 
 use std::io;
 use std::ops::Range;

@@ -260,8 +260,21 @@ fn mean(weights: [u32; 3], taps: [u16; 3], shift: u32) -> u16 {
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
+    if shift >= u16::BITS {
+        return wide_means(to, weights, [below, own, above], shift);
+    }
     for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
         *to = mean(weights, [below, own, above], shift);
+    }
+}
+
+/// The same, where products of samples and weights have more than 32 bits.
+fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
+    let product = |weight: u32, tap: u16| u64::from(weight) * u64::from(tap);
+    for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
+        let [a, b, c] = weights;
+        let sum = product(a, below) + product(b, own) + product(c, above) + (1 << (shift - 1));
+        *to = (sum >> shift) as u16;
     }
 }
 

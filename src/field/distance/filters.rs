@@ -140,9 +140,7 @@ impl Distances {
             deep: gate(DEEP, ZERO),
         };
         let drops_level = wide.level.saturating_sub(1);
-        let (drops, shape) = Drops::new(spacing, drops_level);
-        let in_drops = spacing / f64::from(1 << drops_level);
-        let amount_in_drops = Amount::of_spacing(in_drops).steps();
+        let (drops, sheets) = thin_fluid(sheets, spacing, drops_level, drops_level > 0);
         Self {
             level: wide.level,
             bulk,
@@ -151,7 +149,7 @@ impl Distances {
             gate: gate(STANDS_OUT, ZERO),
             drops_level,
             drops,
-            sheets: Sheets::new(sheets, 1.0 / in_drops, 1.0 / spacing, amount_in_drops, shape),
+            sheets,
             inside_reach: Inside::reach(wide.edge),
             inside: Arc::default(),
         }
@@ -162,6 +160,21 @@ impl Distances {
     pub fn with_plateau(mut self, plateau: u16) -> Self {
         self.bulk.scale = scale(plateau.into());
         self
+    }
+
+    /// For particles `spacing` cells apart and a mesh in finer cells, in which drops and sheets are
+    /// refined from those that they are made in.
+    #[must_use]
+    pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
+        let (drops, sheets) = thin_fluid(sheets, spacing, self.drops_level, true);
+        Self { drops, sheets, ..self }
+    }
+
+    /// For clouds of half the usual [amounts](Amount).
+    #[must_use]
+    pub fn of_half_amounts(self) -> Self {
+        let least = (self.least / 2).max(1);
+        Self { least, sheets: self.sheets.map(Sheets::of_half_amounts), ..self }
     }
 
     /// Leaves out what lies deep inside, where nothing is made from then on.
@@ -266,6 +279,20 @@ impl Distances {
     }
 }
 
+/// Drops and sheets in cells 2^`level` times as wide as those of particles `spacing` cells apart, by
+/// whether splines refine them.
+fn thin_fluid(
+    sheets: SheetStretch,
+    spacing: f64,
+    level: u32,
+    is_refined: bool,
+) -> (Drops, Option<Sheets>) {
+    let in_drops = spacing / f64::from(1 << level);
+    let (drops, shape) = Drops::new(in_drops, is_refined);
+    let amount = Amount::of_spacing(in_drops).steps();
+    (drops, Sheets::new(sheets, 1.0 / in_drops, 1.0 / spacing, amount, shape))
+}
+
 /// The cells that some are made of that are 2^`level` times as wide.
 fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
@@ -300,14 +327,13 @@ impl Drops {
         inside
     }
 
-    /// For particles `spacing` cells apart, in cells 2^`level` times as wide.
-    fn new(spacing: f64, level: u32) -> (Self, DropShape) {
-        let spacing = spacing / f64::from(1 << level);
+    /// For particles `spacing` cells apart, by whether splines make finer cells of these.
+    fn new(spacing: f64, is_refined: bool) -> (Self, DropShape) {
         let cells = DROP_WIDTH * spacing;
         let (weights, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
-        let spline = if level > 0 { SPLINE } else { 0.0 };
+        let spline = if is_refined { SPLINE } else { 0.0 };
         let (spread, _) = gaussian((cells * cells - spline).sqrt(), LEAST_VARIANCE, DROP_CUT);
-        let less = LESS_RADIUS[usize::from(level > 0)];
+        let less = LESS_RADIUS[usize::from(is_refined)];
         let radius = (DROP_RADIUS - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
         let amount = f64::from(Amount::of_spacing(spacing).steps());
         // What is around a particle alone, at its place: about 2048 to 4096 with the gain.

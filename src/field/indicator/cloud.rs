@@ -85,8 +85,14 @@ fn part_of(amount: u32, share: u32) -> u32 {
     (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
 }
 
+/// A share of an amount of up to 48 bits together, rounded.
+#[inline(always)]
+fn wide_part_of(amount: u32, share: u32) -> u32 {
+    ((u64::from(amount) * u64::from(share) + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u32
+}
+
 /// Makes the clouds of a bin's particles, of `amount` each.
-pub(super) struct Clouds {
+pub struct Clouds {
     amount: u16,
     walls: Option<CellBox>,
     shape: PageShape,
@@ -95,6 +101,7 @@ pub(super) struct Clouds {
 }
 
 impl Clouds {
+    /// For clouds of `amount` that end at `walls`.
     pub fn new(Amount(amount): Amount, walls: Option<CellBox>, shape: PageShape) -> Self {
         Self { amount, walls, shape, firsts: shape.firsts() }
     }
@@ -103,6 +110,37 @@ impl Clouds {
     pub fn room(&self) -> Vec<u16> {
         // One more, for the empty share beyond the last row.
         vec![0; self.shape.bin_samples() + 1]
+    }
+
+    /// The page of particles in a bin, each with its own amount, in a `room` of zeros that is zero
+    /// again afterwards; `None` if they leave nothing in it.
+    pub fn page_of_amounts(
+        &self,
+        room: &mut [u16],
+        bin: IVec3,
+        particles: &[(u64, u32)],
+    ) -> Option<(PageInfo, PageSamples)> {
+        let walls = self.walls.and_then(|walls| Walls::of(walls, bin));
+        let edge = self.shape.edge() as usize;
+        for &(record, amount) in particles {
+            let (cell, offset) = unpack(record);
+            let [x, y, z] = [0, 1, 2].map(|axis| {
+                let shares = shares(offset[axis]);
+                walls.map_or(shares, |walls| walls.fold(axis, cell[axis], shares))
+            });
+            let first: usize = (0..3).map(|axis| self.firsts[axis][cell[axis]]).sum();
+            for (plane, z) in z.into_iter().enumerate() {
+                for (row, y) in y.into_iter().enumerate() {
+                    let in_row = wide_part_of(wide_part_of(amount, z), y);
+                    let to = &mut room[first + edge * (edge * plane + row)..][..3];
+                    for (to, x) in to.iter_mut().zip(x) {
+                        let part = wide_part_of(in_row, x).min(u16::MAX.into());
+                        *to = to.saturating_add(part as u16);
+                    }
+                }
+            }
+        }
+        self.take_page(room, bin, particles.iter().map(|&(record, _)| unpack(record).0))
     }
 
     /// The page that a bin's particles make in a `room` of zeros, which it leaves as it was.
@@ -120,18 +158,26 @@ impl Clouds {
         };
         let packed = particles.packed();
         add(self, room, packed, walls);
+        let cells = packed.iter().map(|&particle| unpack(particle).0);
+        self.take_page(room, bin, cells).expect("a bin holds particles")
+    }
+
+    /// Takes the page of particles in some cells of a bin out of a `room`, and leaves zeros.
+    fn take_page(
+        &self,
+        room: &mut [u16],
+        bin: IVec3,
+        cells: impl ExactSizeIterator<Item = [usize; 3]>,
+    ) -> Option<(PageInfo, PageSamples)> {
         let samples = &mut room[..self.shape.bin_samples()];
-        let page =
-            if PageSamples::are_sparse(self.shape.cells_a_particle() * packed.len(), self.shape) {
-                // Most samples were never touched, and need not be looked at.
-                let cells = packed.iter().map(|&particle| unpack(particle).0);
-                PageInfo::take_sparse(bin, samples, cells, self.shape)
-            } else {
-                let page = PageInfo::from_bricks(bin, samples, self.shape);
-                samples.fill(0);
-                page
-            };
-        page.expect("a bin holds particles")
+        if PageSamples::are_sparse(self.shape.cells_a_particle() * cells.len(), self.shape) {
+            // Most samples were never touched, and need not be looked at.
+            PageInfo::take_sparse(bin, samples, cells, self.shape)
+        } else {
+            let page = PageInfo::from_bricks(bin, samples, self.shape);
+            samples.fill(0);
+            page
+        }
     }
 }
 

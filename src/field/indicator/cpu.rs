@@ -10,8 +10,7 @@ use crate::brick::{Bins, CellSums, PageInfo, Pages};
 use crate::grid::units::FULL;
 use crate::grid::{BIN, FRACTIONS};
 
-use super::cloud::Clouds;
-use super::{Amount, IndicatorKind, PageRule};
+use super::{Amount, Clouds, IndicatorKind, PageRule};
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;

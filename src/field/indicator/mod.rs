@@ -26,7 +26,7 @@ mod sampled;
 pub mod vulkan;
 mod wide;
 
-pub use cloud::{Amount, GHOST_LAYER, SHARE_BITS, SQUARE_BITS};
+pub use cloud::{Amount, Clouds, GHOST_LAYER, SHARE_BITS, SQUARE_BITS};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
 pub use sampled::SampledDif;
 pub use wide::WideCells;

@@ -18,6 +18,8 @@ pub struct SampledDif {
     pub dif: Arc<DifField>,
     /// Clouds in cells 2, 4, ... times as wide up to wide ones, from when they are first asked for.
     wide: OnceLock<Vec<Arc<DifField>>>,
+    /// How many levels there are beyond that of the frame's wide cells.
+    more_levels: u32,
     /// The folder for those of them that are not in memory.
     scratch: Option<PathBuf>,
 }
@@ -30,6 +32,7 @@ impl SampledDif {
             indicator,
             dif: Arc::new(indicator.decode(stored)),
             wide: OnceLock::new(),
+            more_levels: 0,
             scratch: None,
         }
     }
@@ -37,6 +40,11 @@ impl SampledDif {
     /// Takes a folder for scratch files, where the samples are not in memory.
     pub fn with_scratch(self, folder: &Path) -> Self {
         Self { scratch: Some(folder.to_owned()), ..self }
+    }
+
+    /// Adds levels to those up to the frame's [wide cells](Self::wide_cells).
+    pub fn with_more_levels(self, more_levels: u32) -> Self {
+        Self { more_levels, ..self }
     }
 
     /// Whether the samples are clouds.
@@ -50,7 +58,8 @@ impl SampledDif {
     }
 
     /// The samples of cells 2^`level` times as wide: the samples themselves at level 0, clouds at
-    /// others, up to that of the frame's [wide cells](Self::wide_cells).
+    /// others, up to that of the frame's [wide cells](Self::wide_cells), and
+    /// [more](Self::with_more_levels).
     ///
     /// # Panics
     /// If the level is greater.
@@ -64,13 +73,12 @@ impl SampledDif {
         let amount =
             |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
         let (mut finer, mut walls) = (Arc::clone(&self.dif), self.facts.walls());
-        let levels = 0..self.wide_cells().level;
+        let levels = 0..self.wide_cells().level + self.more_levels;
         let halved = levels.map(|level| {
-            finer = Arc::new(finer.halved(
-                walls,
-                amount(level + 1) / amount(level),
-                self.scratch.as_deref(),
-            ));
+            // Beyond wide cells, samples deep in the fluid stay what they are.
+            let is_wide = level >= self.wide_cells().level;
+            let factor = if is_wide { 0.125 } else { amount(level + 1) / amount(level) };
+            finer = Arc::new(finer.halved(walls, factor, self.scratch.as_deref()));
             walls = walls.map(crate::brick::halved_box);
             Arc::clone(&finer)
         });

@@ -124,7 +124,7 @@ fn sheets_of_each(numbers: &Numbers, lanes: &Taps<[i32; LANES]>) -> [(u16, u16);
 }
 
 /// Blends shares of drops with those of sheets, by how certain those are.
-pub fn blend(drops: &Block, sheets: &Sheeted<Block>) -> Block {
+pub fn blend(drops: &Block, sheets: Sheeted<&Block>) -> Block {
     let cells = drops.cells().intersection(&sheets.certainty.cells());
     let mut shares = drops.part(cells);
     let width = cells.size().x as usize;

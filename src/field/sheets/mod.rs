@@ -234,6 +234,15 @@ impl Sheets {
         })
     }
 
+    /// For densities of half the usual amounts.
+    #[must_use]
+    pub fn of_half_amounts(mut self) -> Self {
+        self.least /= 2;
+        self.numbers.least -= ONE;
+        self.numbers.plateau -= ONE;
+        self
+    }
+
     /// How far beyond the cells that it is made in those decide a sheet.
     pub fn halo(&self) -> i32 {
         self.around.reach() + self.numbers.step + self.average.reach()

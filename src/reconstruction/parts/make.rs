@@ -105,7 +105,7 @@ impl Parts {
                 PartsError::Changed { input, plan }
             };
             let pieces = WantedPieces::Numbered(&reading.pieces);
-            let wanted_of_input = Wanted { pieces, ..checked.settings.wanted() };
+            let wanted_of_input = Wanted { pieces, ..checked.wanted() };
             let open =
                 || Ok::<_, Error>(open_wanted(&self.input, wanted_of_input, checked.unpacking())?);
             let mut file = control.during(Stage::Reading, open)?;

@@ -28,6 +28,7 @@ use crate::field::indicator::IndicatorKind;
 use crate::frame::Method;
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
+use crate::particles::sizes::SizeChoice;
 use crate::system::timings::Timings;
 
 use super::Cells;
@@ -209,7 +210,12 @@ impl Parts {
 
     /// Checks what can be checked without a plan.
     fn begin(&self) -> Result<Begun, Error> {
-        let checked = self.request.checked()?;
+        let mut checked = self.request.checked()?;
+        if checked.settings.asks_for_sizes() {
+            let with = Conflict::Setting(Setting::named("parts"));
+            return Err(Unfit { setting: Setting::named("size"), with }.into());
+        }
+        checked.sampling.size = SizeChoice::Ignored;
         if !(1..=MOST_PARTS).contains(&self.count) {
             return Err(PartsError::Count { asked: self.count, most: MOST_PARTS }.into());
         }

@@ -108,7 +108,7 @@ impl Parts {
         let before = stamp()?;
         let measured = threads.install(|| {
             let open = || {
-                let file = open_wanted(input, checked.settings.wanted(), checked.unpacking())?;
+                let file = open_wanted(input, checked.wanted(), checked.unpacking())?;
                 let file = file.with_some().map_err(|fault| ReadError::new(input, fault))?;
                 timings.done("open");
                 let source = Source { path: Some(input), spacing: file.spacing };

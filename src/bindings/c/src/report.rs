@@ -19,6 +19,8 @@ pub enum MeniscusSpacingSource {
     Scene = 3,
     /// The particles themselves.
     Estimated = 4,
+    /// The smallest of the particles' sizes, which an attribute gives.
+    Sizes = 5,
 }
 
 /// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the
@@ -100,6 +102,7 @@ impl From<&Report> for MeniscusReport {
                         MeniscusSpacingSource::File
                     }
                     SpacingSource::Scene(_) => MeniscusSpacingSource::Scene,
+                    SpacingSource::Sizes(_) => MeniscusSpacingSource::Sizes,
                     SpacingSource::Estimated => MeniscusSpacingSource::Estimated,
                 },
             ) as i32,

@@ -80,7 +80,7 @@ impl Frame {
     #[new]
     #[pyo3(
         signature = (positions, *, velocity=None, attributes=None, progress=None, **keywords),
-        text_signature = "(positions, *, velocity=None, attributes=None, where=None, spacing=None, radius=None, cell=None, cell_size=None, \
+        text_signature = "(positions, *, velocity=None, attributes=None, where=None, spacing=None, radius=None, size=None, cell=None, cell_size=None, \
             origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sheets=None, solid=None, solid_offset=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
@@ -139,7 +139,7 @@ impl Frame {
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
-        text_signature = "(path, *, attributes=None, format=None, where=None, spacing=None, radius=None, cell=None, cell_size=None, \
+        text_signature = "(path, *, attributes=None, format=None, where=None, spacing=None, radius=None, size=None, cell=None, cell_size=None, \
             origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sheets=None, solid=None, solid_offset=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \

@@ -28,6 +28,9 @@ use crate::work::{Work, with_progress};
 ///     Use only particles whose ``attributes`` satisfy conditions, such as "Type=1" or "age<2.5 and z>0".
 /// spacing, radius : float, optional
 ///     Distance between neighbouring particles, or half of it. Estimated if neither is given.
+/// size : str, optional
+///     Attribute with the sizes of the particles: by its name radii, diameters, volumes, or masses, which need a density. "pscale" and
+///     "radius" are recognised; "none" treats all particles as one size.
 /// cell, cell_size : float, optional
 ///     Edge of a cell in spacings (0.5 by default; use 0.25 for renders), or as a length.
 /// origin : three floats, optional
@@ -98,7 +101,7 @@ use crate::work::{Work, with_progress};
 #[pyfunction]
 #[pyo3(
     signature = (positions, *, velocity=None, attributes=None, progress=None, **keywords),
-    text_signature = "(positions, *, velocity=None, attributes=None, where=None, spacing=None, radius=None, cell=None, cell_size=None, \
+    text_signature = "(positions, *, velocity=None, attributes=None, where=None, spacing=None, radius=None, size=None, cell=None, cell_size=None, \
         origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, skip_invalid=None, \
         smooth=None, sheets=None, solid=None, solid_offset=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, smallest_drop=None, \
         compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, memory=None, scratch=None, \

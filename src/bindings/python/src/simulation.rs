@@ -114,7 +114,7 @@ impl Simulation {
         signature = (inputs=None, output=None, **keywords),
         text_signature = "(inputs=None, output=None, *, start=None, end=None, step=None, frames=None, resume=None, \
             overwrite=None, watch=None, fps=None, together=None, preview=None, attributes=None, format=None, where=None, \
-            spacing=None, radius=None, cell=None, cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
+            spacing=None, radius=None, size=None, cell=None, cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sheets=None, solid=None, solid_offset=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
             memory=None, scratch=None)"

@@ -241,6 +241,23 @@ def test_whole_numbers_that_a_mesh_does_not_hold_are_refused(ball: Any) -> None:
         meniscus.reconstruct(ball, spacing=1.0, attributes={"id": ids})
 
 
+def test_radii_give_particles_of_several_sizes_their_own_volume() -> None:
+    coarse = 4.0 * np.indices((8, 8, 8)).reshape(3, -1).T
+    fine = np.indices((32, 32, 16)).reshape(3, -1).T - [1.5, 1.5, 17.5]
+    positions = np.concatenate([coarse, fine])
+    radii = np.concatenate([np.full(len(coarse), 2.0), np.full(len(fine), 0.5)])
+    volume = float(np.sum((2 * radii) ** 3))
+    mesh = meniscus.reconstruct(positions, attributes={"radius": radii})
+    assert abs(mesh.volume / volume - 1) < 0.03
+    assert mesh.report.spacing == 1.0
+    same_sizes = meniscus.reconstruct(positions, attributes={"width": 2 * radii, "radius": radii}, size="radius")
+    assert np.array_equal(mesh.vertices, same_sizes.vertices)
+    one_size = meniscus.reconstruct(positions, attributes={"radius": radii}, size="none")
+    assert one_size.volume < 0.8 * volume
+    with pytest.raises(ValueError, match="width"):
+        meniscus.reconstruct(positions, attributes={"radius": radii}, size="width")
+
+
 def test_particles_are_selected_by_their_attributes(ball: Any) -> None:
     both = np.concatenate([ball, ball + 100.0])
     kind = np.repeat(np.array([1, 2**24 + 1], np.int32), len(ball))

@@ -43,6 +43,7 @@ class _Sampling(TypedDict, total=False):
 
     spacing: float | None
     radius: float | None
+    size: str | None
     cell: float | None
     cell_size: float | None
     origin: _Point | None

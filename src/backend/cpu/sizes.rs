@@ -1,0 +1,245 @@
+//! The field of particles of several sizes, on blocks in the memory of a thread.
+
+use crate::brick::Block;
+use crate::field::blur::{Weights, blur};
+use crate::field::distance::{Distances, outlying, refined, spread, wide_cells};
+use crate::field::recipe::{Recipe, WideFields, calm_and_bulk, thin_shares, walls_at};
+use crate::field::sizes::{
+    OctaveDrops, SizedClouds, averaging, finer_spacings, growth, mixed, share,
+};
+use crate::grid::CellBox;
+use crate::grid::units::{Isovalue, SheetStretch, Smooth};
+
+use super::fields::Blocks;
+
+/// From clouds of several sizes to their field.
+#[derive(Debug)]
+pub struct SizedField<'a> {
+    clouds: &'a SizedClouds,
+    /// The recipes of the finest octave, and of the others, whose drops are refined.
+    recipes: [(Recipe, Distances); 2],
+    /// Averages sizes, in wide cells of an octave.
+    averaging: Weights,
+    /// By how much the radius of drops grows within an octave.
+    growth: i32,
+}
+
+/// The surface in the wide cells of an octave and in its spacings.
+struct Surface {
+    /// The calm one, which drops stand out of.
+    calm: Block,
+    /// The bulk's.
+    bulk: Block,
+}
+
+impl<'a> SizedField<'a> {
+    /// By the measured plateau of clouds of the usual amounts.
+    #[must_use]
+    pub fn new(
+        clouds: &'a SizedClouds,
+        smooth: Smooth,
+        sheets: SheetStretch,
+        plateau: u16,
+    ) -> Self {
+        let spacing = clouds.octave(0).facts.spacing_cells_or_one();
+        let finest = Distances::new(smooth, sheets, spacing);
+        let coarser = finest.clone().refining(sheets, spacing);
+        let recipes = [finest, coarser].map(|distances| {
+            let distances = distances.of_half_amounts().with_plateau(plateau / 2);
+            (Recipe::of_distances(distances.clone()), distances)
+        });
+        let averaging = averaging(clouds.wide_cells());
+        Self { clouds, recipes, averaging, growth: growth(spacing) }
+    }
+
+    /// The level of the surface.
+    #[must_use]
+    pub fn iso(&self) -> Isovalue {
+        self.recipes[0].0.iso
+    }
+
+    /// The recipe of the finest octave.
+    #[must_use]
+    pub fn recipe(&self) -> &Recipe {
+        &self.recipes[0].0
+    }
+
+    /// How far from a particle there can be a surface, in cells of its octave.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        self.clouds.octave(0).dif.ghost_layer() + self.distances(0).reach()
+    }
+
+    /// Within how many wide cells of a particle of their octave drops are drawn: the largest of an
+    /// octave are twice as large as the smallest.
+    fn near(&self) -> i32 {
+        2 * self.distances(0).near
+    }
+
+    fn distances(&self, octave: usize) -> &Distances {
+        &self.recipes[octave.min(1)].1
+    }
+
+    /// The cells of an octave that some of the finest ones lie between.
+    fn cells(&self, octave: usize, finest: CellBox) -> CellBox {
+        wide_cells(octave as u32, finest)
+    }
+
+    /// The wide cells of an octave that the field on some of the finest cells is made of, and those
+    /// around them whose drops are near.
+    fn wide(&self, octave: usize, finest: CellBox) -> CellBox {
+        let level = octave as u32 + self.distances(octave).level;
+        wide_cells(level, finest).grown(self.near(), self.near())
+    }
+
+    /// Walls in cells 2^`level` times as wide as the finest.
+    fn walls(&self, level: u32) -> Option<CellBox> {
+        walls_at(level, self.clouds.octave(0).facts.walls())
+    }
+
+    /// Makes the final field on a box of the finest cells where a surface can pass between them, as
+    /// far as the bulk tells, by whether it is away from walls. A sample does not depend on the box.
+    #[must_use]
+    pub fn on(&self, cells: CellBox, away_from_walls: bool) -> Option<Block> {
+        let mut surfaces: Vec<Option<Surface>> = (0..self.clouds.octaves()).map(|_| None).collect();
+        self.make(&mut surfaces, 0, cells);
+        let bulk = &surfaces[0].as_ref()?.bulk;
+        // Drops only add to what is inside.
+        let threshold = self.iso().threshold();
+        if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
+            return None;
+        }
+        let mut field = refined(bulk, self.distances(0).level, cells);
+        for octave in (0..surfaces.len()).rev() {
+            field = self.with_drops(field, octave, &mut surfaces);
+        }
+        self.walls(0).into_iter().for_each(|walls| field.repeat_edges(walls));
+        Some(field)
+    }
+
+    /// Makes the surface of an octave, mixed with those of the coarser ones.
+    fn make(&self, surfaces: &mut [Option<Surface>], octave: usize, cells: CellBox) {
+        if surfaces[octave].is_some() {
+            return;
+        }
+        let wide = self.wide(octave, cells);
+        if octave + 1 == surfaces.len() {
+            surfaces[octave] = Some(self.own_surface(octave, cells));
+            return;
+        }
+        let shares = self.coarser(octave, wide);
+        let any = |is: fn(u16) -> bool| {
+            shares.as_ref().is_none_or(|shares| shares.samples().iter().any(|&share| is(share)))
+        };
+        let own = (shares.is_some() && any(|share| share < 1 << 15))
+            .then(|| self.own_surface(octave, cells));
+        let next = any(|share| share > 0).then(|| {
+            self.make(surfaces, octave + 1, cells);
+            let Surface { calm, bulk } = surfaces[octave + 1].as_ref().expect("it was made");
+            [calm, bulk].map(|field| finer_spacings(refined(field, 1, wide)))
+        });
+        surfaces[octave] = Some(match (own, next) {
+            (Some(own), Some([calm, bulk])) => {
+                let shares = shares.expect("an octave has a share of its own");
+                let mixed = |own: Block, next: &Block| mixed(own, next, &shares);
+                Surface { calm: mixed(own.calm, &calm), bulk: mixed(own.bulk, &bulk) }
+            }
+            (None, Some([calm, bulk])) => Surface { calm, bulk },
+            (Some(own), None) => own,
+            (None, None) => Surface { calm: Block::zero(wide), bulk: Block::zero(wide) },
+        });
+    }
+
+    /// The share of octaves above one in the sizes around some of its wide cells; `None` if all is
+    /// theirs.
+    fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
+        let level = self.distances(octave).level;
+        let around = wide.grown(self.averaging.reach(), self.averaging.reach());
+        if !self.clouds.may_hold(octave, level, around) {
+            return None;
+        }
+        let above = self.averaged(octave, self.clouds.above(octave, level, around));
+        let all = self.averaged(octave, self.clouds.density(octave, level, around));
+        Some(share(&above, &all))
+    }
+
+    /// A density in wide cells of an octave, averaged as sizes are.
+    fn averaged(&self, octave: usize, density: Block) -> Block {
+        let walls = self.walls(octave as u32 + self.distances(octave).level);
+        let mut block = blur(density, &self.averaging, walls);
+        walls.into_iter().for_each(|walls| block.repeat_edges(walls));
+        block
+    }
+
+    /// The surface by the filters of an octave, in its wide cells.
+    fn own_surface(&self, octave: usize, cells: CellBox) -> Surface {
+        let (recipe, distances) = &self.recipes[octave.min(1)];
+        let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
+        // The wide cells of these are those that are wanted.
+        let wide = self.wide(octave, cells);
+        let further = i32::from(distances.level > 0);
+        let own = CellBox {
+            lo: (wide.lo + further) << distances.level,
+            hi: (wide.hi - further) << distances.level,
+        };
+        let sampled = self.clouds.octave(octave);
+        let mut blocks = Blocks::of_density(recipe, sampled, &density, own);
+        let walls = self.walls(octave as u32 + distances.level);
+        let on_wide = |block: &Block| {
+            let mut block = block.part(wide);
+            walls.into_iter().for_each(|walls| block.repeat_edges(walls));
+            block
+        };
+        match calm_and_bulk(distances, &mut blocks) {
+            Ok((calm, WideFields { bulk, .. })) => {
+                Surface { calm: on_wide(&calm.block), bulk: on_wide(&bulk.block) }
+            }
+            Err(_) => Surface { calm: Block::zero(wide), bulk: Block::zero(wide) },
+        }
+    }
+
+    /// A field in the finest spacings, with the drops of an octave.
+    fn with_drops(&self, field: Block, octave: usize, surfaces: &mut [Option<Surface>]) -> Block {
+        let (recipe, distances) = &self.recipes[octave.min(1)];
+        let Distances { level, least, drops_level, gate, drops, .. } = distances;
+        let (sampled, cells) = (self.clouds.octave(octave), field.cells());
+        let wide_level = octave as u32 + level;
+        // Particles of the octave that lie outside of the calm surface.
+        let walls = self.walls(wide_level);
+        let clouds = sampled.wide(*level).gather_within(self.wide(octave, cells), walls);
+        if clouds.samples().iter().all(|sample| sample < least) {
+            return field;
+        }
+        self.make(surfaces, octave, cells);
+        let Some(Surface { calm, .. }) = &surfaces[octave] else { return field };
+        let mut outlying = spread(outlying(calm, &clouds, *least), self.near());
+        walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
+        let near = refined(&outlying, wide_level, cells);
+        if near.samples().iter().all(|&sample| sample <= gate.begin) {
+            return field;
+        }
+        let own = |level: u32, cells: CellBox| {
+            sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
+        };
+        let mut blocks = Blocks::of_density(recipe, sampled, &own, self.cells(octave, cells));
+        let Ok(shares) = thin_shares(distances, &mut blocks) else { return field };
+        let shares = refined(&shares.block, octave as u32 + drops_level, cells);
+        let (octave, sizes) = (octave as u32, self.sizes(octave, cells));
+        let (near, shares, sizes) = (&near, &shares, sizes.as_ref());
+        let growth = self.growth;
+        OctaveDrops { octave, near, shares, sizes, drops, growth, gate }.joined(field)
+    }
+
+    /// The mean logarithm of the sizes of an octave's particles around some of the finest cells;
+    /// `None` if all are the smallest.
+    fn sizes(&self, octave: usize, cells: CellBox) -> Option<Block> {
+        let level = self.distances(octave).level;
+        let wide = wide_cells(octave as u32 + level, cells);
+        let around = wide.grown(self.averaging.reach(), self.averaging.reach());
+        let fractions = self.clouds.fractions(octave).filter(|all| !all.dif.infos().is_empty())?;
+        let fractions = fractions.wide(level).gather(around);
+        let volumes = self.clouds.octave(octave).wide(level).gather(around);
+        let [fractions, volumes] = [fractions, volumes].map(|block| self.averaged(octave, block));
+        Some(refined(&share(&fractions, &volumes), octave as u32 + level, cells))
+    }
+}

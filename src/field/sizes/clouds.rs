@@ -1,0 +1,257 @@
+//! Clouds of several sizes, octave by octave.
+
+use std::io;
+use std::ops::Range;
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use crate::brick::{Bins, Block, PageInfo, Pages, coarsened};
+use crate::field::distance::{refined, wide_cells};
+use crate::field::indicator::{Amount, Clouds, SampledDif, WideCells};
+use crate::field::recipe::walls_at;
+use crate::grid::{BIN, CellBox, block_parts};
+
+use super::{Octaves, SIDE};
+
+/// The particles of one octave, on its grid.
+#[derive(Debug)]
+pub struct Layer {
+    /// Their volume.
+    pub volume: SampledDif,
+    /// Their volume times the logarithm of their size in the octave.
+    pub fraction: SampledDif,
+}
+
+/// All clouds, in octaves from the finest on.
+#[derive(Debug)]
+pub struct SizedClouds {
+    layers: Vec<Layer>,
+}
+
+/// Makes the pages of one octave out of bins whose last attributes tell sizes.
+pub struct LayerPages<'a> {
+    bins: &'a Bins,
+    octaves: Octaves,
+    octave: usize,
+    /// The size of a particle by its attributes.
+    size: &'a (dyn Fn(&[f32]) -> f64 + Sync),
+    clouds: Clouds,
+    /// The bins that make a bin of the octave together.
+    groups: Vec<Range<usize>>,
+}
+
+impl<'a> LayerPages<'a> {
+    /// For one octave; `walls` are those of the octave's grid.
+    pub fn new(
+        bins: &'a Bins,
+        octaves: Octaves,
+        octave: usize,
+        walls: Option<CellBox>,
+        size: &'a (dyn Fn(&[f32]) -> f64 + Sync),
+    ) -> Self {
+        let keys = bins.keys();
+        let parent = |bin: usize| keys[bin].coord() >> octave as i32;
+        let mut groups: Vec<Range<usize>> = Vec::new();
+        // Morton order: the bins of a wider one follow one another.
+        for bin in 0..keys.len() {
+            match groups.last_mut().filter(|group| parent(group.start) == parent(bin)) {
+                Some(group) => group.end = bin + 1,
+                None => groups.push(bin..bin + 1),
+            }
+        }
+        let shape = Octaves::INDICATOR.shape(SIDE);
+        // Amounts come with the particles.
+        let clouds = Clouds::new(Amount::of_spacing(1.0), walls, shape);
+        Self { bins, octaves, octave, size, clouds, groups }
+    }
+
+    /// The number of bins of the octave that may have pages.
+    pub fn len(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// The pages of some bins: of volumes, and of fractions.
+    ///
+    /// # Errors
+    /// Where particles are in a scratch file that cannot be read.
+    pub fn pages(&self, groups: Range<usize>) -> io::Result<(Pages, Pages)> {
+        let of_group = |room: &mut Vec<u16>, group: &Range<usize>| self.page(room, group.clone());
+        let pages: Vec<_> = self.groups[groups]
+            .par_iter()
+            .map_init(|| self.clouds.room(), of_group)
+            .collect::<io::Result<_>>()?;
+        let (volumes, fractions): (Vec<_>, Vec<_>) = pages.into_iter().unzip();
+        Ok((volumes.into_iter().flatten().collect(), fractions.into_iter().flatten().collect()))
+    }
+
+    #[allow(clippy::type_complexity, reason = "pages, as they are everywhere")]
+    fn page(
+        &self,
+        room: &mut [u16],
+        group: Range<usize>,
+    ) -> io::Result<(
+        Option<(PageInfo, crate::brick::PageSamples)>,
+        Option<(PageInfo, crate::brick::PageSamples)>,
+    )> {
+        let own: IVec3 = self.bins.keys()[group.start].coord() >> self.octave as i32;
+        let (mut volumes, mut fractions) = (Vec::new(), Vec::new());
+        for bin in group {
+            let contents = self.bins.contents(bin)?;
+            let coord = self.bins.keys()[bin].coord();
+            // Masses and densities are two.
+            let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
+            let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
+            for (at, &record) in contents.packed().iter().enumerate() {
+                let share = self.octaves.share((self.size)(&number(at)[..numbers.len()]));
+                if share.octave != self.octave {
+                    continue;
+                }
+                let record = coarsened(record, coord, self.octave as u32);
+                volumes.push((record, share.amount));
+                if share.fraction > 0 {
+                    fractions.push((record, share.fraction));
+                }
+            }
+        }
+        let mut page = |particles: &[(u64, u32)]| {
+            (!particles.is_empty())
+                .then(|| self.clouds.page_of_amounts(room, own, particles))
+                .flatten()
+        };
+        Ok((page(&volumes), page(&fractions)))
+    }
+}
+
+/// What of the clouds is gathered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    /// All volume.
+    All,
+    /// The volume above an octave, and the fractions in it.
+    Above,
+}
+
+impl SizedClouds {
+    /// Takes octaves from the finest on, of which each has as many
+    /// [more levels](SampledDif::with_more_levels) as there are coarser ones.
+    ///
+    /// # Panics
+    /// If there is none.
+    #[must_use]
+    pub fn new(layers: Vec<Layer>) -> Self {
+        assert!(!layers.is_empty(), "no octave");
+        Self { layers }
+    }
+
+    /// The clouds of the particles in an octave alone.
+    #[must_use]
+    pub fn octave(&self, octave: usize) -> &SampledDif {
+        &self.layers[octave].volume
+    }
+
+    /// The same times the logarithms of their sizes in the octave.
+    #[must_use]
+    pub fn fractions(&self, octave: usize) -> Option<&SampledDif> {
+        self.layers.get(octave).map(|layer| &layer.fraction)
+    }
+
+    /// The number of octaves.
+    #[must_use]
+    pub fn octaves(&self) -> usize {
+        self.layers.len()
+    }
+
+    /// The density of all particles in cells of an octave, or 2^`level` times as wide ones.
+    #[must_use]
+    pub fn density(&self, octave: usize, level: u32, cells: CellBox) -> Block {
+        self.gathered(octave, level, cells, Part::All)
+    }
+
+    /// Whether octaves up to this one may have left something in cells of it, or 2^`level` times as
+    /// wide ones.
+    #[must_use]
+    pub fn may_hold(&self, octave: usize, level: u32, cells: CellBox) -> bool {
+        let wide = octave as u32 + level;
+        let near = cells.grown(1, 1);
+        (0_u32..).zip(&self.layers[..=octave]).any(|(of, layer)| {
+            let field = layer.volume.wide(wide - of);
+            near.cubes(BIN).any(|bin| field.has_page(bin))
+        })
+    }
+
+    /// The part of the density that belongs to octaves above this one, by the particles' sizes.
+    #[must_use]
+    pub fn above(&self, octave: usize, level: u32, cells: CellBox) -> Block {
+        self.gathered(octave, level, cells, Part::Above)
+    }
+
+    fn gathered(&self, octave: usize, level: u32, cells: CellBox, part: Part) -> Block {
+        let wanted = self.plateau(level);
+        let finest_walls = self.layers[0].volume.facts.walls();
+        let mut sum = Block::zero(cells);
+        // In cells of the finest octave, the cells wanted are 2^wide of them along an axis.
+        let wide = octave as u32 + level;
+        for (of, layer) in (0_u32..).zip(&self.layers) {
+            let field = match (part, (of as usize).cmp(&octave)) {
+                (Part::All, _) | (Part::Above, std::cmp::Ordering::Greater) => &layer.volume,
+                (Part::Above, std::cmp::Ordering::Equal) => &layer.fraction,
+                (Part::Above, std::cmp::Ordering::Less) => continue,
+            };
+            if field.dif.infos().is_empty() {
+                continue;
+            }
+            let (block, own) = if let Some(own) = wide.checked_sub(of) {
+                (field.wide(own).gather(cells), own)
+            } else {
+                let finer = of - wide;
+                let walls = walls_at(of, finest_walls);
+                let coarse = field.dif.gather_within(wide_cells(finer, cells), walls);
+                (refined(&coarse, finer, cells), 0)
+            };
+            add(&mut sum, &block, wanted / self.plateau(own));
+        }
+        if let Some(walls) = walls_at(wide, finest_walls) {
+            sum.repeat_edges(walls);
+        }
+        sum
+    }
+
+    /// The plateau of an octave at a level of its cells, but for a constant.
+    fn plateau(&self, level: u32) -> f64 {
+        let cells = self.layers[0].volume.facts.spacing_cells_or_one();
+        let spacing = cells / f64::from(1_u32 << level.min(self.wide_cells().level));
+        f64::from(Amount::of_spacing(spacing).steps()) / (spacing * spacing * spacing)
+    }
+
+    /// The parts of blocks of the finest cells in which there can be a surface, in Morton order:
+    /// those within `reach` cells of an octave of its particles.
+    #[must_use]
+    pub fn regions(&self, reach: i32) -> Vec<CellBox> {
+        let boxes = (0_i32..).zip(&self.layers).flat_map(|(octave, layer)| {
+            // Fluid between two octaves has a surface of the coarser one.
+            let further = if layer.fraction.dif.infos().is_empty() { reach } else { 2 * reach };
+            layer.volume.dif.infos().iter().map(move |info| {
+                let CellBox { lo, hi } = info.full.grown(further + 1, further);
+                CellBox { lo: lo << octave, hi: hi << octave }
+            })
+        });
+        block_parts(boxes)
+    }
+
+    /// The wide cells of every octave, which have the same edge in its spacings.
+    #[must_use]
+    pub fn wide_cells(&self) -> WideCells {
+        self.layers[0].volume.wide_cells()
+    }
+}
+
+/// Adds samples times a factor, rounded, up to the greatest sample.
+fn add(sum: &mut Block, block: &Block, factor: f64) {
+    const BITS: u32 = 16;
+    let factor = (factor * f64::from(1_u32 << BITS)).round() as u64;
+    for (to, &sample) in sum.samples_mut().iter_mut().zip(block.samples()) {
+        let scaled = (u64::from(sample) * factor + (1 << (BITS - 1))) >> BITS;
+        *to = (u64::from(*to) + scaled).min(u16::MAX.into()) as u16;
+    }
+}

@@ -1,0 +1,157 @@
+//! Distances of several octaves, mixed by the sizes around, and the drops of each.
+
+use crate::brick::Block;
+use crate::field::distance::{Drops, Gate, NONE, ZERO, away};
+
+/// 1, of shares.
+const WHOLE: u32 = 1 << 15;
+
+/// The share of one smoothed density in another, in 32768ths: 1 where nothing is.
+///
+/// # Panics
+/// Unless both are on the same cells.
+#[must_use]
+pub fn share(part: &Block, all: &Block) -> Block {
+    assert!(part.cells() == all.cells(), "one box of cells");
+    let mut shares = Block::zero(all.cells());
+    let taps = part.samples().iter().zip(all.samples());
+    for (to, (&part, &all)) in shares.samples_mut().iter_mut().zip(taps) {
+        let whole = u32::from(part) * WHOLE + u32::from(all) / 2;
+        *to = whole.checked_div(all.into()).map_or(WHOLE, |share| share.min(WHOLE)) as u16;
+    }
+    shares
+}
+
+/// Mixes the distances of an octave with those of the next coarser one, both in its spacings, by
+/// shares of the coarser one. A sample where no particle is near, in one of both, leaves the
+/// other's.
+///
+/// # Panics
+/// Unless all are on the same cells.
+#[must_use]
+pub fn mixed(mut fine: Block, coarse: &Block, shares: &Block) -> Block {
+    assert!(fine.cells() == coarse.cells() && fine.cells() == shares.cells(), "one box of cells");
+    let taps = coarse.samples().iter().zip(shares.samples());
+    for (fine, (&coarse, &share)) in fine.samples_mut().iter_mut().zip(taps) {
+        let share = i64::from(share);
+        *fine = if share == 0 || coarse == NONE {
+            *fine
+        } else if share == i64::from(WHOLE) || *fine == NONE {
+            coarse
+        } else {
+            // Divided towards 0, so that a mirrored frame has a mirrored field.
+            let more = (i64::from(coarse) - i64::from(*fine)) * share / i64::from(WHOLE);
+            (i64::from(*fine) + more) as u16
+        };
+    }
+    fine
+}
+
+/// A field of distances in spacings that are half as long.
+#[must_use]
+pub fn finer_spacings(mut field: Block) -> Block {
+    field.samples_mut().iter_mut().for_each(|to| *to = in_finer_spacings(*to));
+    field
+}
+
+/// A distance in spacings that are half as long.
+fn in_finer_spacings(sample: u16) -> u16 {
+    if sample == NONE {
+        return NONE;
+    }
+    let distance = 2 * (i64::from(sample) - i64::from(ZERO));
+    (distance + i64::from(ZERO)).clamp(i64::from(NONE) + 1, u16::MAX.into()) as u16
+}
+
+/// The drops of an octave, on some of the finest cells.
+#[derive(Debug)]
+pub struct OctaveDrops<'a> {
+    /// The octave.
+    pub octave: u32,
+    /// By how much particles near by lie outside of the surface, in spacings of the octave.
+    pub near: &'a Block,
+    /// The shares of drops.
+    pub shares: &'a Block,
+    /// The mean logarithm of the particles' sizes in the octave, in 32768ths.
+    pub sizes: Option<&'a Block>,
+    /// The radius and the width of the smallest drops.
+    pub drops: &'a Drops,
+    /// By how much the radius grows from a size to twice that, in units.
+    pub growth: i32,
+    /// Where drops begin.
+    pub gate: &'a Gate,
+}
+
+impl OctaveDrops<'_> {
+    /// Joins them to a field in the finest spacings.
+    ///
+    /// # Panics
+    /// Unless all are on the same cells.
+    #[must_use]
+    pub fn joined(&self, mut field: Block) -> Block {
+        let Self { octave, near, shares, sizes, drops, growth, gate } = *self;
+        let cells = field.cells();
+        assert!(near.cells() == cells && shares.cells() == cells, "one box of cells");
+        assert!(sizes.is_none_or(|sizes| sizes.cells() == cells), "one box of cells");
+        for (at, to) in field.samples_mut().iter_mut().enumerate() {
+            let weight = gate.of(near.samples()[at]);
+            if weight == 0 {
+                continue;
+            }
+            let size = sizes.map_or(0, |sizes| sizes.samples()[at]);
+            let more = (i64::from(growth) * i64::from(exp2(size) - WHOLE)) >> 15;
+            let distance =
+                (drops.radius + more as i32 - away(shares.samples()[at], drops.width)) << octave;
+            let bulk = i32::from(*to) - ZERO;
+            let out = (distance - bulk).max(0);
+            let joined = bulk + ((i64::from(out) * i64::from(weight) + 2048) >> 12) as i32;
+            *to = (joined + ZERO).clamp(i32::from(NONE) + 1, u16::MAX.into()) as u16;
+        }
+        field
+    }
+}
+
+/// 2 to the power of a number from 0 to 1, both in 32768ths: within 0.4 %.
+fn exp2(power: u16) -> u32 {
+    let power = u32::from(power).min(WHOLE);
+    WHOLE + ((power * (21_512 + ((11_256 * power) >> 15))) >> 15)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+
+    use super::*;
+    use crate::grid::CellBox;
+
+    fn block(samples: [u16; 4]) -> Block {
+        let mut block = Block::zero(CellBox { lo: IVec3::ZERO, hi: IVec3::new(4, 1, 1) });
+        block.samples_mut().copy_from_slice(&samples);
+        block
+    }
+
+    #[test]
+    fn distances_are_mixed_in_the_finer_spacings() {
+        let [zero, one] = [32768, 40960];
+        let fine = block([one, one, NONE, one]);
+        let coarse = finer_spacings(block([one, one, one, NONE]));
+        let found = mixed(fine, &coarse, &block([0, 16384, 100, 100]));
+        assert_eq!(found.samples(), [one, one + 4096, one + 8192, one]);
+        assert_eq!(in_finer_spacings(zero), zero);
+        assert_eq!(in_finer_spacings(10000), NONE + 1);
+    }
+
+    #[test]
+    fn shares_are_whole_where_nothing_is() {
+        let found = share(&block([0, 5, 7, 0]), &block([0, 10, 7, 3]));
+        assert_eq!(found.samples(), [32768, 16384, 32768, 0]);
+    }
+
+    #[test]
+    fn powers_of_two_are_near_enough_for_a_radius() {
+        for power in (0..=32768_u16).step_by(1024) {
+            let exact = 32768.0 * (f64::from(power) / 32768.0).exp2();
+            assert!((f64::from(exp2(power)) / exact - 1.0).abs() < 0.004, "{power}");
+        }
+    }
+}

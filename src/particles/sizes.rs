@@ -1,0 +1,519 @@
+//! Sizes of particles, as their attributes give them.
+//!
+//! The size of a particle is the edge of the cube that it fills: its own spacing. Radii are half of
+//! it, as a spacing is twice the radius; volumes are its cube, and so are masses over densities. How
+//! densely the particles fill the cubes deep in the fluid corrects what programs mean by a radius.
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{AttributeInfo, Particles, attribute_called, chunks};
+
+/// Names of attributes that surely are radii, in lower case and without other signs.
+const USUAL: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
+/// Names of other attributes that can be sizes, when they are asked for.
+const DIAMETERS: [&str; 4] = ["diameter", "diameters", "size", "spacing"];
+const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
+const MASSES: [&str; 3] = ["mass", "masses", "particlemass"];
+const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"];
+
+/// Sizes that differ by less than this factor are one size.
+const ONE_SIZE: f64 = 1.1;
+/// Particles this many times as large as the smallest count as that size.
+pub const MOST_TIMES: f64 = 64.0;
+/// The share of the particles that may be smaller than the smallest size, or larger than the
+/// largest, as strays.
+const STRAYS: f64 = 1e-4;
+/// How many of the largest cubes are a cell's edge, in which densities are measured.
+const CELL: f64 = 4.0;
+/// Cells with particles all around that measure a density.
+const ENOUGH: usize = 8;
+/// Densities within these factors are the fluid's; beyond, radii mean something else.
+const FLUID: [f64; 2] = [0.7, 1.4];
+
+/// What the numbers of an attribute are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Meaning {
+    /// Half of the size.
+    Radius,
+    /// The size.
+    Diameter,
+    /// The cube of the size.
+    Volume,
+    /// The cube of the size, times the density.
+    Mass,
+}
+
+/// A choice of the sizes of particles.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum SizeChoice {
+    /// All particles have one size.
+    Ignored,
+    /// By an attribute that surely is a radius, if there is one.
+    #[default]
+    Usual,
+    /// By the attribute of this name.
+    Named(String),
+}
+
+/// An attribute that cannot be sizes.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum SizeFault {
+    /// There is no such attribute.
+    #[error("no attribute {name:?} for sizes; available: {}", listed(known))]
+    NoAttribute {
+        /// The name that was asked for.
+        name: String,
+        /// Those that there are.
+        known: Vec<String>,
+    },
+    /// It has several components.
+    #[error("attribute {name:?} has {components} components, but a size is one number")]
+    Components {
+        /// The attribute.
+        name: String,
+        /// Their number.
+        components: usize,
+    },
+    /// Masses without a density.
+    #[error(
+        "attribute {name:?} holds masses, but there is no density to tell the volume; available: \
+         {}",
+        listed(known)
+    )]
+    NoDensity {
+        /// The attribute.
+        name: String,
+        /// Those that there are.
+        known: Vec<String>,
+    },
+    /// No particle has a valid size.
+    #[error("no particle has a positive, finite {name:?}")]
+    NoSize {
+        /// The attribute.
+        name: String,
+    },
+}
+
+fn listed(names: &[String]) -> String {
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+/// The attributes that tell sizes, by their numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Columns {
+    /// The attribute itself.
+    pub size: usize,
+    /// The density, where that is a mass.
+    pub density: Option<usize>,
+    /// What the attribute means.
+    pub meaning: Meaning,
+}
+
+/// Sizes that were found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Sizes {
+    /// The attribute.
+    pub attribute: String,
+    /// What the attribute means.
+    pub meaning: Meaning,
+    /// The size over what the attribute says, where particles fill more or less than that.
+    pub scale: f64,
+    /// The smallest size, but for strays.
+    pub finest: f64,
+    /// The largest size that particles count as.
+    pub coarsest: f64,
+    /// The size of particles that have no valid one.
+    pub usual: f64,
+    /// The particles' volume in a cubed unit deep in the fluid, where that could be measured.
+    pub density: Option<f64>,
+    /// Particles that have no valid size.
+    pub invalid: u64,
+    /// Particles larger than `coarsest`.
+    pub larger: u64,
+}
+
+impl SizeChoice {
+    /// The attributes that tell sizes; `None` where all particles have one size.
+    ///
+    /// # Errors
+    /// [`SizeFault`], for an attribute that was asked for.
+    pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<Columns>, SizeFault> {
+        match self {
+            Self::Ignored => Ok(None),
+            Self::Usual => {
+                let is_usual =
+                    |info: &AttributeInfo| info.components == 1 && is_among(&info.name, &USUAL);
+                let size = infos.iter().position(is_usual);
+                Ok(size.map(|size| Columns { size, density: None, meaning: Meaning::Radius }))
+            }
+            Self::Named(name) => Columns::named(name, infos).map(Some),
+        }
+    }
+}
+
+fn is_among(name: &str, names: &[&str]) -> bool {
+    let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
+    names.contains(&plain.to_ascii_lowercase().as_str())
+}
+
+impl Meaning {
+    /// The meaning of an attribute by its name: a radius, unless the name says otherwise.
+    fn of(name: &str) -> Self {
+        if is_among(name, &DIAMETERS) {
+            Self::Diameter
+        } else if is_among(name, &VOLUMES) {
+            Self::Volume
+        } else if is_among(name, &MASSES) {
+            Self::Mass
+        } else {
+            Self::Radius
+        }
+    }
+}
+
+impl Columns {
+    /// Finds the attribute of this name, and of masses the density.
+    ///
+    /// # Errors
+    /// [`SizeFault`].
+    pub fn named(name: &str, infos: &[AttributeInfo]) -> Result<Self, SizeFault> {
+        let known = || infos.iter().map(|info| info.name.clone()).collect();
+        let size = attribute_called(name, infos)
+            .ok_or_else(|| SizeFault::NoAttribute { name: name.to_owned(), known: known() })?;
+        let AttributeInfo { name, components, .. } = &infos[size];
+        if *components != 1 {
+            return Err(SizeFault::Components { name: name.clone(), components: *components });
+        }
+        let meaning = Meaning::of(name);
+        let is_density =
+            |info: &AttributeInfo| info.components == 1 && is_among(&info.name, &DENSITIES);
+        let density = match meaning {
+            Meaning::Mass => {
+                let density = infos.iter().position(is_density);
+                let missing = || SizeFault::NoDensity { name: name.clone(), known: known() };
+                Some(density.ok_or_else(missing)?)
+            }
+            Meaning::Radius | Meaning::Diameter | Meaning::Volume => None,
+        };
+        Ok(Self { size, density, meaning })
+    }
+
+    /// The numbers of the attributes.
+    pub fn numbers(&self) -> impl Iterator<Item = usize> {
+        [Some(self.size), self.density].into_iter().flatten()
+    }
+
+    /// The sizes of a range of particles, as the attributes have them: NaN where they are not
+    /// valid.
+    fn read(&self, particles: &(impl Particles + ?Sized), first: usize, count: usize) -> Vec<f64> {
+        let column = |number: usize| {
+            let mut values = vec![0.0_f32; count];
+            particles.attribute(number, first, &mut values);
+            values
+        };
+        let (sizes, density) = (column(self.size), self.density.map(column));
+        let density = |at: usize| density.as_ref().map_or(1.0, |density| density[at]);
+        (0..count).map(|at| self.meaning.size(sizes[at], density(at)).unwrap_or(f64::NAN)).collect()
+    }
+}
+
+impl Meaning {
+    /// The size that a number means, of masses with a density; `None` if that is no size.
+    #[must_use]
+    pub fn size(self, number: f32, density: f32) -> Option<f64> {
+        let number = f64::from(number);
+        let size = match self {
+            Self::Radius => 2.0 * number,
+            Self::Diameter => number,
+            Self::Volume => cube_root(number),
+            Self::Mass => cube_root(number / f64::from(density)),
+        };
+        // What f32 cannot hold is no size.
+        let size = f64::from(size as f32);
+        (size.is_finite() && size > 0.0).then_some(size)
+    }
+}
+
+/// A cube root by Newton's method, the same on every machine; NaN for what has none.
+fn cube_root(x: f64) -> f64 {
+    if !(x > 0.0 && x.is_finite()) {
+        return f64::NAN;
+    }
+    // A third of the exponent is near enough to begin with.
+    let mut root = f64::from_bits(x.to_bits() / 3 + 0x2a9f_7893_0000_0000);
+    for _ in 0..5 {
+        root -= (root - x / (root * root)) / 3.0;
+    }
+    root
+}
+
+impl Sizes {
+    /// The size of a particle by its numbers.
+    #[must_use]
+    pub fn of(&self, number: f32, density: f32) -> f64 {
+        let size = self.meaning.size(number, density).map(|size| size * self.scale);
+        size.map_or(self.usual, |size| size.min(self.coarsest))
+    }
+
+    /// The attributes of other particles that tell their sizes in the same way.
+    ///
+    /// # Errors
+    /// [`SizeFault`] where they are not there.
+    pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Columns, SizeFault> {
+        Ok(Columns { meaning: self.meaning, ..Columns::named(&self.attribute, infos)? })
+    }
+
+    /// Reads the sizes of particles; `None` where all have one size.
+    ///
+    /// # Errors
+    /// [`SizeFault::NoSize`].
+    pub fn found(
+        particles: &(impl Particles + ?Sized),
+        columns: &Columns,
+    ) -> Result<Option<Self>, SizeFault> {
+        let attribute = particles.attributes()[columns.size].name.clone();
+        let census = Census::of(particles, columns);
+        let none = || SizeFault::NoSize { name: attribute.clone() };
+        let (finest, quantile) = census.range().ok_or_else(none)?;
+        if quantile < ONE_SIZE * finest {
+            return Ok(None);
+        }
+        let most = MOST_TIMES * finest;
+        let (coarsest, usual) = (census.most().min(most), census.middle());
+        let larger = census.beyond(most);
+        let mut sizes = Self {
+            attribute,
+            meaning: columns.meaning,
+            scale: 1.0,
+            finest,
+            coarsest,
+            usual,
+            density: None,
+            invalid: census.invalid,
+            larger,
+        };
+        let edge = CELL * quantile;
+        if let Some(density) = filling(particles, columns, &sizes, edge) {
+            let [least, most] = FLUID;
+            if (least..most).contains(&density) {
+                sizes.density = Some(density);
+            } else {
+                let scale = cube_root(1.0 / density);
+                for size in [&mut sizes.finest, &mut sizes.coarsest, &mut sizes.usual] {
+                    *size *= scale;
+                }
+                (sizes.scale, sizes.density) = (scale, Some(1.0));
+            }
+        }
+        Ok(Some(sizes))
+    }
+}
+
+/// Sizes by how many particles have them, in steps of an eighth of an octave.
+struct Census {
+    /// The number of particles, the smallest and the largest size of each step.
+    steps: HashMap<u64, (u64, f64, f64)>,
+    invalid: u64,
+}
+
+/// Bits of a number that are left out of its step: all but its exponent and three.
+const STEP_BITS: u32 = 49;
+
+impl Census {
+    fn of(particles: &(impl Particles + ?Sized), columns: &Columns) -> Self {
+        let of_chunk = |range: std::ops::Range<usize>| {
+            let mut census = Self { steps: HashMap::new(), invalid: 0 };
+            for size in columns.read(particles, range.start, range.len()) {
+                if size.is_nan() {
+                    census.invalid += 1;
+                } else {
+                    census.add(size.to_bits() >> STEP_BITS, (1, size, size));
+                }
+            }
+            census
+        };
+        let none = || Self { steps: HashMap::new(), invalid: 0 };
+        chunks(particles, of_chunk).reduce(none, |mut all, other| {
+            all.invalid += other.invalid;
+            other.steps.into_iter().for_each(|(step, found)| all.add(step, found));
+            all
+        })
+    }
+
+    fn add(&mut self, step: u64, (count, least, most): (u64, f64, f64)) {
+        let found = self.steps.entry(step).or_insert((0, f64::MAX, 0.0));
+        *found = (found.0 + count, found.1.min(least), found.2.max(most));
+    }
+
+    fn sorted(&self) -> Vec<(u64, f64, f64)> {
+        let mut steps: Vec<_> = self.steps.iter().map(|(step, found)| (*step, *found)).collect();
+        steps.sort_unstable_by_key(|(step, _)| *step);
+        steps.into_iter().map(|(_, found)| found).collect()
+    }
+
+    /// The first step at which so many particles have been counted.
+    fn at(steps: impl Iterator<Item = (u64, f64, f64)>, count: u64) -> Option<(u64, f64, f64)> {
+        let mut before = 0;
+        let mut steps = steps;
+        steps.find(|(found, ..)| {
+            before += found;
+            before >= count
+        })
+    }
+
+    /// The smallest and the largest size but for strays.
+    fn range(&self) -> Option<(f64, f64)> {
+        let steps = self.sorted();
+        let all: u64 = steps.iter().map(|(count, ..)| count).sum();
+        let strays = ((all as f64 * STRAYS) as u64).max(1);
+        let least = Self::at(steps.iter().copied(), strays)?.1;
+        let most = Self::at(steps.iter().rev().copied(), strays)?.2;
+        Some((least, most))
+    }
+
+    fn most(&self) -> f64 {
+        self.steps.values().map(|&(_, _, most)| most).fold(0.0, f64::max)
+    }
+
+    /// A size in the middle of all.
+    fn middle(&self) -> f64 {
+        let steps = self.sorted();
+        let all: u64 = steps.iter().map(|(count, ..)| count).sum();
+        Self::at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
+    }
+
+    /// Particles in the steps beyond a size.
+    fn beyond(&self, size: f64) -> u64 {
+        self.steps.values().filter(|&&(_, least, _)| least > size).map(|&(count, ..)| count).sum()
+    }
+}
+
+/// The particles' volume in a cubed unit deep in the fluid: the median over cells of `edge` with
+/// particles all around them. `None` where there are too few of these.
+fn filling(
+    particles: &(impl Particles + ?Sized),
+    columns: &Columns,
+    sizes: &Sizes,
+    edge: f64,
+) -> Option<f64> {
+    /// The volume of a cell in steps.
+    const STEPS: f64 = (1_u64 << 40) as f64;
+    let of_chunk = |range: std::ops::Range<usize>| {
+        let mut positions = vec![[0.0; 3]; range.len()];
+        particles.positions(range.start, &mut positions);
+        let mut cells: HashMap<[i64; 3], u64> = HashMap::new();
+        for (position, size) in
+            positions.into_iter().zip(columns.read(particles, range.start, range.len()))
+        {
+            let cell = position.map(|x| (x / edge).floor());
+            if !cell.iter().all(|x| x.abs() < 1e15) {
+                continue;
+            }
+            let size = if size.is_nan() { sizes.usual } else { size.min(sizes.coarsest) } / edge;
+            *cells.entry(cell.map(|x| x as i64)).or_default() +=
+                (size * size * size * STEPS).round() as u64;
+        }
+        cells
+    };
+    let cells = chunks(particles, of_chunk).reduce(HashMap::new, |mut all, other| {
+        other.into_iter().for_each(|(cell, volume)| *all.entry(cell).or_default() += volume);
+        all
+    });
+    let is_inside = |cell: &[i64; 3]| {
+        (0..27).all(|i| {
+            let near = [0, 1, 2].map(|axis| cell[axis] + i / 3_i64.pow(axis as u32) % 3 - 1);
+            cells.contains_key(&near)
+        })
+    };
+    let mut inside: Vec<u64> =
+        cells.par_iter().filter(|(cell, _)| is_inside(cell)).map(|(_, &volume)| volume).collect();
+    if inside.len() < ENOUGH {
+        return None;
+    }
+    let middle = inside.len() / 2;
+    Some(*inside.select_nth_unstable(middle).1 as f64 / STEPS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::particles::Cloud;
+
+    fn infos(names: &[&str]) -> Vec<AttributeInfo> {
+        names.iter().map(|name| AttributeInfo::new(*name, 1)).collect()
+    }
+
+    #[test]
+    fn radii_are_recognised_and_others_have_to_be_named() {
+        let usual = |names: &[&str]| {
+            SizeChoice::Usual.columns(&infos(names)).unwrap().map(|columns| columns.size)
+        };
+        assert_eq!(usual(&["age", "pscale"]), Some(1));
+        assert_eq!(usual(&["Radius"]), Some(0));
+        assert_eq!(usual(&["h", "mass", "density", "volume"]), None);
+        let named = |name: &str, names: &[&str]| Columns::named(name, &infos(names));
+        let mass = named("Masses", &["Masses", "Densities"]).unwrap();
+        assert_eq!((mass.meaning, mass.density), (Meaning::Mass, Some(1)));
+        assert!(matches!(named("mass", &["mass", "h"]), Err(SizeFault::NoDensity { .. })));
+        assert!(matches!(named("radius", &["h"]), Err(SizeFault::NoAttribute { .. })));
+        assert_eq!(named("volume", &["volume"]).unwrap().meaning, Meaning::Volume);
+    }
+
+    #[test]
+    fn cube_roots_are_those_of_the_system() {
+        for exponent in -300..300 {
+            let x = 1.37 * 10_f64.powi(exponent);
+            assert!((cube_root(x) / x.cbrt() - 1.0).abs() < 1e-14, "{x}");
+        }
+        assert!(cube_root(0.0).is_nan() && cube_root(-1.0).is_nan());
+    }
+
+    /// Two cubes of particles side by side, of spacings 1 and 2.
+    fn two() -> (Vec<[f64; 3]>, Vec<f32>) {
+        let cube = |first: f64, spacing: f64, count: i32| {
+            let at = move |i: i32| (f64::from(i) + 0.5) * spacing;
+            (0..count.pow(3)).map(move |i| {
+                [first + at(i % count), at(i / count % count), at(i / (count * count))]
+            })
+        };
+        let positions: Vec<_> = cube(0.0, 1.0, 40).chain(cube(40.0, 2.0, 20)).collect();
+        let radii = positions.iter().map(|p| if p[0] < 40.0 { 0.5 } else { 1.0 }).collect();
+        (positions, radii)
+    }
+
+    #[test]
+    fn sizes_and_their_density_are_found_whatever_a_radius_means() {
+        let (positions, radii) = two();
+        for times in [1.0_f32, 1.25, 0.5] {
+            let radii: Vec<f32> = radii.iter().map(|radius| radius * times).collect();
+            let cloud = Cloud::new(&positions).with("radius", &radii);
+            let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
+            let sizes = Sizes::found(&cloud, &columns).unwrap().unwrap();
+            assert!((sizes.finest - 1.0).abs() < 1e-6, "{times}: {sizes:?}");
+            assert!((sizes.coarsest - 2.0).abs() < 1e-6, "{times}: {sizes:?}");
+            assert!((sizes.density.unwrap() - 1.0).abs() < 1e-6, "{times}: {sizes:?}");
+        }
+    }
+
+    #[test]
+    fn sizes_that_are_no_sizes_are_counted_and_one_size_is_none() {
+        let (positions, mut radii) = two();
+        (radii[0], radii[1], radii[2], radii[3]) = (0.0, f32::NAN, -1.0, 1e9);
+        let cloud = Cloud::new(&positions).with("radius", &radii);
+        let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();
+        let sizes = Sizes::found(&cloud, &columns).unwrap().unwrap();
+        assert_eq!((sizes.invalid, sizes.larger, sizes.coarsest), (3, 1, 64.0));
+        let same = vec![0.5_f32; positions.len()];
+        let cloud = Cloud::new(&positions).with("radius", &same);
+        assert_eq!(Sizes::found(&cloud, &columns), Ok(None));
+        let none = vec![f32::NAN; positions.len()];
+        let cloud = Cloud::new(&positions).with("radius", &none);
+        assert!(matches!(Sizes::found(&cloud, &columns), Err(SizeFault::NoSize { .. })));
+    }
+}

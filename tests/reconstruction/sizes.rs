@@ -1,0 +1,300 @@
+//! Particles of several sizes.
+
+use std::f64::consts::PI;
+
+use meniscus::error::{Conflict, Error, SizeFault};
+use meniscus::files::Replace;
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::mesh::{Mesh, measure};
+use meniscus::{Cloud, Doubt, Reconstruction, SpacingSource, Warning};
+
+use crate::common::scene::Random;
+use crate::common::watertight;
+
+/// Particles, and the size of each.
+#[derive(Default, Clone)]
+struct Sized {
+    positions: Vec<[f64; 3]>,
+    sizes: Vec<f32>,
+}
+
+impl Sized {
+    /// Adds a box of particles of one size, each moved by up to 0.3 of it.
+    fn with(mut self, [lo, hi]: [[f64; 3]; 2], size: f64, random: &mut Random) -> Self {
+        let count = [0, 1, 2].map(|axis| ((hi[axis] - lo[axis]) / size).round() as usize);
+        for i in 0..count.iter().product::<usize>() {
+            let cell = [i % count[0], i / count[0] % count[1], i / (count[0] * count[1])];
+            self.positions.push([0, 1, 2].map(|axis| {
+                let jitter = 0.3 * (2.0 * random.unit() - 1.0);
+                lo[axis] + (cell[axis] as f64 + 0.5 + jitter) * size
+            }));
+            self.sizes.push(size as f32);
+        }
+        self
+    }
+
+    /// Pools of some sizes side by side along x, each as wide as it is long.
+    fn pools(sizes: &[f64]) -> Self {
+        let mut random = Random::new(5);
+        let pool = |all: Self, (i, &size): (usize, &f64)| {
+            let first = i as f64 * WIDTH;
+            all.with([[first, 0.0, 0.0], [first + WIDTH, WIDTH, DEPTH]], size, &mut random)
+        };
+        sizes.iter().enumerate().fold(Self::default(), pool)
+    }
+
+    fn radii(&self) -> Vec<f32> {
+        self.sizes.iter().map(|size| size / 2.0).collect()
+    }
+
+    fn volume(&self) -> f64 {
+        self.sizes.iter().map(|&size| f64::from(size).powi(3)).sum()
+    }
+
+    fn mesh(&self, request: &Reconstruction) -> Mesh {
+        let radii = self.radii();
+        let cloud = Cloud::new(&self.positions).with("radius", &radii);
+        request.run(&cloud).unwrap().to_mesh().unwrap()
+    }
+}
+
+const WIDTH: f64 = 64.0;
+const DEPTH: f64 = 24.0;
+
+fn request() -> Reconstruction {
+    Reconstruction::new()
+}
+
+/// Bias and root mean square of the water's level in a range of x, away from other edges.
+fn level(mesh: &Mesh, [from, to]: [f64; 2], size: f64) -> [f64; 2] {
+    let is_there = |p: &&[f64; 3]| {
+        (from..to).contains(&p[0])
+            && (10.0..WIDTH - 10.0).contains(&p[1])
+            && p[2] > DEPTH - 1.5 * size
+    };
+    let heights: Vec<f64> =
+        mesh.positions.iter().filter(is_there).map(|p| (p[2] - DEPTH) / size).collect();
+    assert!(heights.len() > 100);
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    let variance = heights.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / heights.len() as f64;
+    [mean, variance.sqrt()]
+}
+
+#[test]
+fn pools_of_several_sizes_are_level_in_their_own_spacings() {
+    let sizes = [1.0, 2.0, 4.0];
+    let water = Sized::pools(&sizes);
+    let mesh = water.mesh(&request());
+    assert_eq!(watertight::defect(&mesh), None);
+    let found = measure(&mesh);
+    assert_eq!(found.components, 1);
+    assert!((found.volume.unwrap() / water.volume() - 1.0).abs() < 0.03);
+    for (i, size) in sizes.into_iter().enumerate() {
+        let (first, margin) = (i as f64 * WIDTH, 2.0 * size.max(2.0));
+        let [bias, rms] = level(&mesh, [first + margin, first + WIDTH - margin], size);
+        assert!(bias.abs() < 0.06 && rms < 0.07, "size {size}: {bias} {rms}");
+    }
+    for i in 1..3 {
+        let seam = i as f64 * WIDTH;
+        let [bias, rms] = level(&mesh, [seam - 2.0 * sizes[i], seam + 2.0 * sizes[i]], sizes[i]);
+        assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
+    }
+    // One size for all loses the coarse water.
+    let one = measure(&water.mesh(&request().size("none")));
+    assert!(one.components > 10 && one.volume.unwrap() < 0.7 * water.volume());
+}
+
+#[test]
+fn a_lone_drop_of_any_size_holds_about_its_volume() {
+    for cell in [0.25, 0.5, 0.667] {
+        let sizes: Vec<f32> = (1..=8).map(|size| size as f32).collect();
+        let positions =
+            sizes.iter().map(|&s| f64::from(s)).map(|s| [30.0 * s, 0.13 * s, 0.31 * s]).collect();
+        let mesh = Sized { positions, sizes }.mesh(&request().cell(cell));
+        assert_eq!(watertight::defect(&mesh), None);
+        assert_eq!(measure(&mesh).components, 8, "cells of {cell}");
+        for size in 1..=8 {
+            let size = f64::from(size);
+            let of_drop = |corner: &usize| (mesh.positions[*corner][0] - 30.0 * size).abs() < 15.0;
+            let volume: f64 = mesh
+                .triangles
+                .iter()
+                .map(|triangle| triangle.map(|corner| corner as usize))
+                .filter(|triangle| of_drop(&triangle[0]))
+                .map(|triangle| {
+                    let [a, b, c] =
+                        triangle.map(|corner| glam::DVec3::from(mesh.positions[corner]));
+                    a.dot(b.cross(c)) / 6.0
+                })
+                .sum();
+            let share = volume / size.powi(3);
+            assert!((0.7..1.3).contains(&share), "size {size} in cells of {cell}: {share}");
+        }
+    }
+}
+
+#[test]
+fn sizes_mixed_in_one_place_have_no_bubbles() {
+    // Each cube holds one large particle, or eight small ones.
+    let mut random = Random::new(9);
+    let mut water = Sized::default();
+    for i in 0..24 * 24 * 12 {
+        let lo = [i % 24, i / 24 % 24, i / (24 * 24)].map(|c| 2.0 * f64::from(c));
+        let size = if random.unit() < 0.5 { 1.0 } else { 2.0 };
+        water = water.with([lo, lo.map(|x| x + 2.0)], size, &mut random);
+    }
+    let mesh = water.mesh(&request());
+    assert_eq!(watertight::defect(&mesh), None);
+    let found = measure(&mesh);
+    assert_eq!(found.components, 1);
+    assert!((found.volume.unwrap() / water.volume() - 1.0).abs() < 0.03);
+    let [bias, rms] = level(&mesh, [8.0, 40.0], 2.0);
+    assert!(bias.abs() < 0.06 && rms < 0.08, "{bias} {rms}");
+}
+
+#[test]
+fn the_same_particles_give_the_same_bytes() {
+    let water = Sized::pools(&[1.0, 3.0]);
+    let radii = water.radii();
+    let heat: Vec<f32> = water.positions.iter().map(|p| p[0] as f32).collect();
+    let cloud = Cloud::new(&water.positions).with("radius", &radii).with("heat", &heat);
+    let plain = request().attributes(["heat"]).normals(true);
+    let mesh = |request: &Reconstruction| request.run(&cloud).unwrap().to_mesh().unwrap();
+    let expected = mesh(&plain);
+    for request in [
+        plain.clone().threads(1),
+        plain.clone().memory(MemoryBudget(16 << 20)),
+        plain.clone().size("radius"),
+    ] {
+        assert!(mesh(&request) == expected);
+    }
+    // In the opposite order, and by other attributes that mean the same.
+    let turned = |values: &[f32]| values.iter().rev().copied().collect::<Vec<_>>();
+    let positions: Vec<[f64; 3]> = water.positions.iter().rev().copied().collect();
+    let (heat, diameters) = (turned(&heat), turned(&water.sizes));
+    let masses: Vec<f32> = diameters.iter().map(|d| d * d * d * 1000.0).collect();
+    let density = vec![1000.0; masses.len()];
+    let cloud = Cloud::new(&positions)
+        .with("heat", &heat)
+        .with("diameter", &diameters)
+        .with("mass", &masses)
+        .with("rho", &density);
+    let by = |size: &str| plain.clone().size(size).run(&cloud).unwrap().to_mesh().unwrap();
+    assert!(by("diameter") == expected);
+    assert!(by("mass") == expected);
+}
+
+#[test]
+fn attributes_are_those_of_the_particles_near_by() {
+    let water = Sized::pools(&[1.0, 4.0]);
+    let (radii, heat) = (water.radii(), water.sizes.clone());
+    let cloud = Cloud::new(&water.positions).with("radius", &radii).with("heat", &heat);
+    let mesh = request().attributes(["heat"]).run(&cloud).unwrap().to_mesh().unwrap();
+    for (position, heat) in mesh.positions.iter().zip(&mesh.attributes[0].values) {
+        assert!((0.99..=4.01).contains(heat), "{heat} at {position:?}");
+        if position[0] > WIDTH + 12.0 {
+            assert_eq!(*heat, 4.0, "{position:?}");
+        }
+    }
+}
+
+#[test]
+fn radii_that_mean_something_else_are_corrected_by_the_fluid() {
+    let water = Sized::pools(&[1.0, 2.0]);
+    let radii: Vec<f32> = water.sizes.iter().map(|size| 0.3 * size).collect();
+    let cloud = Cloud::new(&water.positions).with("pscale", &radii);
+    let surface = request().run(&cloud).unwrap();
+    let (spacing, source) = surface.report().cells.as_ref().unwrap().spacing.clone().unwrap();
+    assert!((spacing - 1.0).abs() < 0.02, "{spacing}");
+    assert_eq!(source, SpacingSource::Sizes("pscale".into()));
+    let volume = measure(&surface.to_mesh().unwrap()).volume.unwrap();
+    assert!((volume / water.volume() - 1.0).abs() < 0.04);
+}
+
+#[test]
+fn one_size_is_as_without_the_attribute() {
+    let water = Sized::pools(&[1.0]);
+    let mut radii = water.radii();
+    // Sizes that differ by less than a tenth are one.
+    radii.iter_mut().step_by(3).for_each(|radius| *radius *= 1.08);
+    let cloud = Cloud::new(&water.positions).with("radius", &radii);
+    let with = request().run(&cloud).unwrap().to_mesh().unwrap();
+    assert!(with == request().run(&water.positions).unwrap().to_mesh().unwrap());
+    let spacing = request().spacing(1.0);
+    let other = Sized { sizes: vec![1.0, 9.0].repeat(radii.len() / 2), ..water.clone() };
+    let given = other.mesh(&spacing);
+    assert!(given == spacing.run(&water.positions).unwrap().to_mesh().unwrap(), "a given spacing");
+}
+
+#[test]
+fn sizes_that_are_none_are_counted() {
+    let water = Sized::pools(&[1.0, 2.0]);
+    let mut radii = water.radii();
+    (radii[0], radii[1], radii[2], radii[3]) = (0.0, f32::NAN, -1.0, 1e6);
+    let cloud = Cloud::new(&water.positions).with("radius", &radii);
+    let surface = request().run(&cloud).unwrap();
+    let found = surface.report().warnings.iter().find_map(|warning| match warning {
+        Warning::Spacing(Doubt::Sizes { invalid, larger, usual, .. }) => {
+            Some((*invalid, *larger, *usual))
+        }
+        _ => None,
+    });
+    assert_eq!(found, Some((3, 1, 1.0)));
+}
+
+#[test]
+fn what_has_no_sizes_says_so() {
+    let water = Sized::pools(&[1.0, 2.0]);
+    let (radii, vectors) = (water.radii(), water.positions.iter().map(|_| [0.0_f32; 3]));
+    let vectors: Vec<[f32; 3]> = vectors.collect();
+    let nothing = vec![0.0_f32; radii.len()];
+    let cloud = Cloud::new(&water.positions)
+        .with("radius", &radii)
+        .with("velocity", &vectors)
+        .with("mass", &radii)
+        .with("width", &nothing);
+    let fault = |name: &str| match request().size(name).run(&cloud) {
+        Err(Error::Sizes { fault, .. }) => fault,
+        other => panic!("{name}: {other:?}"),
+    };
+    assert!(matches!(fault("depth"), SizeFault::NoAttribute { known, .. } if known.len() == 4));
+    assert!(matches!(fault("velocity"), SizeFault::Components { components: 3, .. }));
+    assert!(matches!(fault("mass"), SizeFault::NoDensity { .. }));
+    assert!(matches!(fault("width"), SizeFault::NoSize { .. }));
+    for (request, other) in [
+        (request().size("radius").spacing(1.0), "spacing"),
+        (request().size("radius").periodic([Some([0.0, 1.0]), None, None]), "periodic"),
+    ] {
+        let Err(Error::Unfit(unfit)) = request.run(&cloud) else { panic!("{other}") };
+        assert_eq!(unfit.setting.name(), "size");
+        assert!(matches!(&unfit.with, Conflict::Setting(setting) if setting.name() == other));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let frame = request().sample(&cloud).unwrap();
+    let output = request().packed_output(folder.path().join("a.mnf"), Replace::Refuse).unwrap();
+    let Err(Error::Unfit(unfit)) = frame.pack(output) else { panic!("packed") };
+    assert!(matches!(unfit.with, Conflict::PackedSizes));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn a_small_ball_in_coarse_water_keeps_its_surface() {
+    let mut random = Random::new(3);
+    let coarse = Sized::default().with([[0.0; 3], [96.0, 96.0, 32.0]], 4.0, &mut random);
+    let fine = Sized::default().with([[36.0, 36.0, 44.0], [60.0, 60.0, 68.0]], 1.0, &mut random);
+    let mut all = coarse.clone();
+    for (position, size) in fine.positions.iter().zip(&fine.sizes) {
+        let from = glam::DVec3::from(*position).distance(glam::DVec3::new(48.0, 48.0, 56.0));
+        if from < 10.0 {
+            all.positions.push(*position);
+            all.sizes.push(*size);
+        }
+    }
+    let mesh = all.mesh(&request());
+    assert_eq!(watertight::defect(&mesh), None);
+    let found = measure(&mesh);
+    assert_eq!(found.components, 2);
+    assert!((found.volume.unwrap() / all.volume() - 1.0).abs() < 0.05);
+    let ball = 4.0 / 3.0 * PI * 1000.0;
+    assert!((all.volume() - coarse.volume()) / ball > 0.9);
+}
