@@ -160,7 +160,7 @@ settings! {
     /// attribute's name, its values are radii (half of a particle's spacing), diameters, volumes,
     /// or masses, which need a density attribute. none treats all particles as one size. For the
     /// indicator cloud.
-    #[arg(value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input")]
+    #[arg(value_name = "NAME", conflicts_with_all = ["spacing", "radius"], help_heading = "Input", hide_short_help = true)]
     size: Option<String>,
 
     /// Edge of a cell.

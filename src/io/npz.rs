@@ -88,7 +88,7 @@ struct Array {
     /// The array's number in the archive.
     entry: usize,
     header: Header,
-    /// Its position in the file, if it is uncompressed.
+    /// The position of the data in the file, if uncompressed.
     stored_at: Option<u64>,
     /// Unpacked size, including the header.
     bytes: u64,

@@ -34,7 +34,7 @@ enum TextFormat {
     Table,
 }
 
-/// What is known of the format before reading the content.
+/// Knowledge of the format before its content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
     /// The format of the file's extension; the content decides.

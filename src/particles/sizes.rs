@@ -34,7 +34,7 @@ const ENOUGH: usize = 8;
 /// Densities within these factors are the fluid's; beyond, radii mean something else.
 const FLUID: [f64; 2] = [0.7, 1.4];
 
-/// What the numbers of an attribute are.
+/// The meaning of an attribute's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Meaning {
@@ -63,20 +63,20 @@ pub enum SizeChoice {
 /// An attribute that cannot be sizes.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SizeFault {
-    /// There is no such attribute.
+    /// No attribute has the name.
     #[error("no attribute {name:?} for sizes; available: {}", listed(known))]
     NoAttribute {
         /// The name that was asked for.
         name: String,
-        /// Those that there are.
+        /// The names of the available attributes.
         known: Vec<String>,
     },
-    /// It has several components.
+    /// The attribute has several components.
     #[error("attribute {name:?} has {components} components, but a size is one number")]
     Components {
         /// The attribute.
         name: String,
-        /// Their number.
+        /// The number of components.
         components: usize,
     },
     /// Masses without a density.
@@ -88,7 +88,7 @@ pub enum SizeFault {
     NoDensity {
         /// The attribute.
         name: String,
-        /// Those that there are.
+        /// The names of the available attributes.
         known: Vec<String>,
     },
     /// No particle has a valid size.
@@ -110,7 +110,7 @@ pub struct Columns {
     pub size: usize,
     /// The density, where that is a mass.
     pub density: Option<usize>,
-    /// What the attribute means.
+    /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
 }
 
@@ -120,7 +120,7 @@ pub struct Columns {
 pub struct Sizes {
     /// The attribute.
     pub attribute: String,
-    /// What the attribute means.
+    /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
     /// The size over what the attribute says, where particles fill more or less than that.
     pub scale: f64,

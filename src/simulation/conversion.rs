@@ -54,7 +54,7 @@ pub(super) enum Ran {
 /// A frame to convert.
 struct Job {
     frame: FrameFile,
-    /// Its particles, if the file is already open.
+    /// The particles of the frame, if the file is already open.
     particles: Option<ParticleFile>,
     /// Whether its mesh was made before from an older version of its file.
     again: bool,

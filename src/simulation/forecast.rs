@@ -51,7 +51,7 @@ pub struct Forecast {
 pub struct Largest {
     /// The frame's number.
     pub frame: i64,
-    /// Its number of particles.
+    /// The number of particles in the frame.
     pub particles: usize,
     /// Number of triangles of its mesh, before simplifying.
     pub triangles: u64,

@@ -191,9 +191,9 @@ const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 enum Pieces {
     /// Pieces of frames in this pattern.
     In(Pattern),
-    /// They may be pieces or frames.
+    /// Pieces or frames.
     Unclear,
-    /// There is no sign of pieces.
+    /// No sign of pieces.
     Unlikely,
 }
 

@@ -268,7 +268,7 @@ fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], sh
     }
 }
 
-/// The same, where products of samples and weights have more than 32 bits.
+/// Fills `to` with means whose products of samples and weights have more than 32 bits.
 fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
     let product = |weight: u32, tap: u16| u64::from(weight) * u64::from(tap);
     for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {

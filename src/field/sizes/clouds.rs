@@ -17,9 +17,9 @@ use super::{Octaves, SIDE};
 /// The particles of one octave, on its grid.
 #[derive(Debug)]
 pub struct Layer {
-    /// Their volume.
+    /// The clouds of the particles' volume.
     pub volume: SampledDif,
-    /// Their volume times the logarithm of their size in the octave.
+    /// Clouds of the volume times the logarithm of the size in the octave.
     pub fraction: SampledDif,
 }
 
@@ -123,7 +123,7 @@ impl<'a> LayerPages<'a> {
     }
 }
 
-/// What of the clouds is gathered.
+/// The part of the clouds that is gathered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Part {
     /// All volume.
@@ -150,7 +150,7 @@ impl SizedClouds {
         &self.layers[octave].volume
     }
 
-    /// The same times the logarithms of their sizes in the octave.
+    /// The clouds of an octave's particles, times the logarithms of their sizes in it.
     #[must_use]
     pub fn fractions(&self, octave: usize) -> Option<&SampledDif> {
         self.layers.get(octave).map(|layer| &layer.fraction)

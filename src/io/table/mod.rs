@@ -89,7 +89,7 @@ pub(super) fn read(
 struct Slot {
     /// The index among the numbers of a row.
     place: usize,
-    /// What to do if the field is not a number.
+    /// The treatment of a field that is not a number.
     otherwise: Otherwise,
 }
 

@@ -60,7 +60,7 @@ impl Value {
 
 /// The end of a file: values other than arrays, and all tables.
 pub(super) struct Tail {
-    /// Its position.
+    /// The position of the section.
     at: u64,
     values: Vec<u8>,
     tokens: Vec<String>,

@@ -71,7 +71,7 @@ pub struct Parts {
     existing: ExistingPlan,
 }
 
-/// What to do with an existing plan.
+/// The treatment of an existing plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ExistingPlan {
     /// Keep it if the request is the same, otherwise fail.

@@ -45,7 +45,7 @@ pub(super) struct Corner {
 pub(super) struct Sample {
     /// The triangle's number.
     pub(super) triangle: u32,
-    /// Its inverse distance, in units of the eye's distance.
+    /// The inverse distance from the eye, in units of the eye's distance.
     pub(super) near: f32,
     /// The path length through the fluid, along the middle line of sight, in the same units.
     pub(super) through: f32,

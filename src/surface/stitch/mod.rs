@@ -32,7 +32,7 @@ pub use numbers::writing_bytes;
 /// An error of making one indexed mesh in memory.
 #[derive(Debug, Error)]
 pub enum WholeMeshError {
-    /// Its vertex numbers exceed 32 bits.
+    /// Vertex numbers exceed 32 bits.
     #[error(
         "the surface has {0} vertices, more than an indexed mesh in memory can have; use a \
          larger cell size"
