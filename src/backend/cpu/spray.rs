@@ -19,7 +19,7 @@ const FEW: usize = 16;
 /// the inside and one beside it, and normals look one cell further.
 const AROUND: i32 = 2;
 
-/// The field around the surface of the particles of a bin. They may be several drops.
+/// The field around the surface of some particles of a bin. They may be several drops.
 pub(super) struct Drop {
     /// A box around the cells that are inside.
     inside: CellBox,
@@ -40,7 +40,7 @@ pub(super) fn parts(
         return None;
     }
     let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
-    let parts: Vec<CellBox> = sampled.dif.parts_near(cells, reach).collect();
+    let parts = sampled.dif.parts_near_groups(cells, reach);
     let cost = |part: &CellBox| {
         let full = distances.wide_cells(part.grown(-reach, -reach));
         let volume = looked_at(distances, *part);
