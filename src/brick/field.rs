@@ -228,16 +228,35 @@ impl DifField {
         near.filter(|part| !part.is_empty())
     }
 
+    /// The parts of some cells that lie within `reach` cells of full ones along every axis, which may
+    /// overlap: around each group of full cells side by side where a bin has few, else around all
+    /// of a bin.
+    pub fn parts_near_groups(&self, cells: CellBox, reach: i32) -> Vec<CellBox> {
+        let (mut parts, mut groups) = (Vec::new(), Vec::new());
+        for bin in cells.grown(reach, reach).cubes(BIN) {
+            let Some(&rank) = self.rank.get(&bin) else { continue };
+            let full = self.infos[rank as usize].full;
+            match &*self.store.cached(rank, self.shape) {
+                PageSamples::Dense(_) => groups.push(full),
+                PageSamples::Sparse(samples) => {
+                    let corner = bin * BIN - self.shape.ghost_layer;
+                    let cells = samples.iter().map(|(place, _)| corner + place.local());
+                    for cell in cells.filter(|&cell| full.contains(cell)) {
+                        join(&mut groups, CellBox::cube(cell, 1), 1);
+                    }
+                }
+            }
+            let near = |group: CellBox| group.grown(reach, reach).intersection(&cells);
+            parts.extend(groups.drain(..).map(near).filter(|part| !part.is_empty()));
+        }
+        parts
+    }
+
     /// Boxes that hold all samples of some cells that are not 0, and do not overlap.
     pub fn parts_with_samples(&self, cells: CellBox) -> Vec<CellBox> {
         let mut parts: Vec<CellBox> = Vec::new();
-        for mut part in self.parts_near(cells, self.shape.ghost_layer) {
-            while let Some(other) =
-                parts.iter().position(|other| !other.intersection(&part).is_empty())
-            {
-                part = part.union(&parts.swap_remove(other));
-            }
-            parts.push(part);
+        for part in self.parts_near(cells, self.shape.ghost_layer) {
+            join(&mut parts, part, 0);
         }
         parts
     }
@@ -262,6 +281,16 @@ impl DifField {
     pub fn stored(&self, page: usize) -> Cow<'_, [u16]> {
         self.store.once(page, self.shape)
     }
+}
+
+/// Adds a box to others, joined with those less than `gap` + 1 cells away from it.
+fn join(boxes: &mut Vec<CellBox>, mut new: CellBox, gap: i32) {
+    let is_near =
+        |other: &CellBox, new: &CellBox| !other.grown(gap, gap).intersection(new).is_empty();
+    while let Some(at) = boxes.iter().position(|other| is_near(other, &new)) {
+        new = new.union(&boxes.swap_remove(at));
+    }
+    boxes.push(new);
 }
 
 impl Stored {

@@ -14,12 +14,14 @@ use super::fields::{Blocks, Field, Looking, looked_at};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
+/// How many times cheaper a wide cell of spray is than one of other fluid.
+const CHEAPER: usize = 4;
 
 /// How far from the inside of a drop its field is needed, in cells: a vertex lies between a cell of
 /// the inside and one beside it, and normals look one cell further.
 const AROUND: i32 = 2;
 
-/// The field around the surface of the particles of a bin. They may be several drops.
+/// The field around the surface of some particles of a bin. They may be several drops.
 pub(super) struct Drop {
     /// A box around the cells that are inside.
     inside: CellBox,
@@ -40,11 +42,11 @@ pub(super) fn parts(
         return None;
     }
     let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
-    let parts: Vec<CellBox> = sampled.dif.parts_near(cells, reach).collect();
+    let parts = sampled.dif.parts_near_groups(cells, reach);
     let cost = |part: &CellBox| {
         let full = distances.wide_cells(part.grown(-reach, -reach));
         let volume = looked_at(distances, *part);
-        if FEW * full.volume() <= volume { volume / FEW } else { volume }
+        if FEW * full.volume() <= volume { volume / CHEAPER } else { volume }
     };
     let bytes = parts.iter().map(|part| part.volume() * size_of::<u16>()).sum::<usize>() as u64;
     let pays = parts.iter().map(cost).sum::<usize>() <= looked_at(distances, cells);
