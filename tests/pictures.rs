@@ -712,7 +712,7 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
         (&["none.ply", "-o", "made/a.png"], 3, "none.ply"),
         (&["gone.ply", "-o", "a.png"], 3, "gone.ply"),
         (&["bad.ply", "-o", "a.png"], 3, "bad.ply"),
-        (&["none_{}.ply", "-o", "a.png"], 3, "no frames found"),
+        (&["none_{}.ply", "-o", "a.png"], 3, "none_{}.ply: no file matches this pattern"),
     ] {
         let out = render(folder.path(), arguments);
         let told = String::from_utf8_lossy(&out.stderr);

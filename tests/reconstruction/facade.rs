@@ -394,7 +394,7 @@ fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
     let of_one = listed("pool_9.xyz").unwrap();
     assert_eq!((of_one.len(), &*of_one[0].path), (1, &*dir.path().join("pool_9.xyz")));
     let none = listed("none_{}.xyz").unwrap_err().to_string();
-    assert!(none.ends_with("none_{}.xyz: no frames found"), "{none}");
+    assert!(none.ends_with("none_{}.xyz: no file matches this pattern"), "{none}");
     write("sand_1.xyz", &raw(&ball()));
     let several = listed("").unwrap_err().to_string();
     assert!(several.contains("pool_{}.xyz (2), sand_{}.xyz (1)"), "{several}");
