@@ -1,4 +1,4 @@
-"""Surfaces are made anew where something changed that they depend on, and nowhere else."""
+"""Surfaces are made again only if one of their inputs or settings has changed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_other_filters_need_no_particles_again(sequence: Path) -> None:
     maker = Maker()
     maker.make(request_of(file))
     stamp = file.stat()
-    # Whoever read it now would fail.
+    # Reading it now would fail.
     file.write_bytes(b"\0" * stamp.st_size)
     os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     calm = maker.make(request_of(file, smooth=2.5))
