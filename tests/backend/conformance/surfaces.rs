@@ -284,7 +284,7 @@ pub fn a_ball_of_air_of_two_spacings_is_left_in_the_water(place: &Place) {
 }
 
 pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place) {
-    // The middle bubble is at a corner of eight bricks of wide cells, the others at other positions.
+    // The middle bubble is at a corner of eight bricks of wide cells, the others elsewhere.
     let places = (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9));
     let middles: Vec<DVec3> = places.map(|at| 17.0 * (at - 1).as_dvec3()).collect();
     let deep = |p: DVec3| p.abs().max_element() < 26.0;
