@@ -1,6 +1,7 @@
 //! A padded block: the dense samples of a box of cells, cut out of the sparse field.
 
 use glam::IVec3;
+use multiversion::multiversion;
 
 use crate::grid::CellBox;
 
@@ -8,6 +9,9 @@ use super::samples::SamplePlace;
 
 /// Samples that are worked on at once: small enough to stay in the first-level cache.
 const ROW: usize = 1 << 11;
+
+/// Samples that are looked at before it is asked whether there was any.
+const PIECE: usize = 256;
 
 /// Rows of a block: see [`Block::rows`].
 #[derive(Debug, Clone)]
@@ -94,10 +98,37 @@ impl<T: Copy + Default> Block<T> {
         Rows { block: self, part, next: [part.lo.y, z] }
     }
 
+    /// The cell whose sample stands at a place.
+    fn cell(&self, place: usize) -> IVec3 {
+        // Blocks are small, and shorter numbers are divided faster.
+        let place = place as u32;
+        let [_, row, slab] = self.strides().map(|stride| stride as u32);
+        let (z, rest) = (place / slab, place % slab);
+        self.cells.lo + IVec3::new((rest % row) as i32, (rest / row) as i32, z as i32)
+    }
+
+    /// The first and the last cell of whose sample `is` holds.
+    fn ends_of(&self, is: impl Fn(T) -> bool) -> Option<[IVec3; 2]> {
+        // Of most samples it holds nowhere, which is told of many at a time.
+        let any = |samples: &&[T]| {
+            samples.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) > 0
+        };
+        let mut pieces = self.samples.chunks(PIECE);
+        let first = pieces.position(|piece| any(&piece))? * PIECE;
+        let last =
+            pieces.rposition(|piece| any(&piece)).map_or(first, |at| first + PIECE + at * PIECE);
+        let piece = |at: usize| &self.samples[at..self.samples.len().min(at + PIECE)];
+        let first = first + piece(first).iter().position(|&sample| is(sample))?;
+        let last = last + piece(last).iter().rposition(|&sample| is(sample))?;
+        Some([first, last].map(|place| self.cell(place)))
+    }
+
     /// The tightest box around the samples of which `is` holds.
     pub fn box_of(&self, is: impl Fn(T) -> bool) -> CellBox {
         let mut found = CellBox::EMPTY;
-        for ([y, z], row) in self.rows(self.cells) {
+        let Some([first, last]) = self.ends_of(&is) else { return found };
+        let (lo, hi) = (self.cells.lo.with_z(first.z), self.cells.hi.with_z(last.z + 1));
+        for ([y, z], row) in self.rows(CellBox { lo, hi }) {
             // Of most rows it holds nowhere, which is told of many samples at a time.
             if row.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) == 0 {
                 continue;
@@ -286,6 +317,29 @@ impl<T: Copy + Default> Block<T> {
             }
         }
     }
+}
+
+impl Block {
+    /// The cells whose samples are more than 0, x fastest; `None` if there are more than `most`.
+    pub fn full_cells(&self, most: usize) -> Option<Vec<IVec3>> {
+        let mut cells = Vec::new();
+        for (first, piece) in (0..).step_by(PIECE).zip(self.samples.chunks(PIECE)) {
+            if !any_full(piece) {
+                continue;
+            }
+            let full = (first..).zip(piece).filter(|&(_, &sample)| sample > 0);
+            cells.extend(full.map(|(place, _)| self.cell(place)));
+            if cells.len() > most {
+                return None;
+            }
+        }
+        Some(cells)
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn any_full(samples: &[u16]) -> bool {
+    samples.iter().fold(0, |any, sample| any | sample) > 0
 }
 
 /// Puts what `value` makes of what is there and of `samples` in rows of `N` that begin at given

@@ -228,6 +228,20 @@ impl DifField {
         near.filter(|part| !part.is_empty())
     }
 
+    /// Boxes that hold all samples of some cells that are not 0, and do not overlap.
+    pub fn parts_with_samples(&self, cells: CellBox) -> Vec<CellBox> {
+        let mut parts: Vec<CellBox> = Vec::new();
+        for mut part in self.parts_near(cells, self.shape.ghost_layer) {
+            while let Some(other) =
+                parts.iter().position(|other| !other.intersection(&part).is_empty())
+            {
+                part = part.union(&parts.swap_remove(other));
+            }
+            parts.push(part);
+        }
+        parts
+    }
+
     /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell
     /// along every axis, as boxes of cells, in the Morton order of their blocks.
     pub fn regions(&self, below: i32, above: i32) -> Vec<CellBox> {

@@ -18,4 +18,5 @@ mod sheets;
 mod sizes;
 mod solids;
 mod spacing;
+mod spray;
 mod thread_pool;

@@ -19,15 +19,15 @@ use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::surface::solid::Solid;
 
-/// Spray has particles in at most one of this many cells.
-const FEW: usize = 16;
-
 /// Samples that are looked at before it is asked whether that was enough.
 const PIECE: usize = 1 << 10;
 
 fn maximum(samples: &[u16]) -> u16 {
     samples.iter().fold(0, |maximum, &sample| maximum.max(sample))
 }
+
+/// Few samples are at most one in this many.
+const FEW: usize = 8;
 
 fn minimum(samples: &[u16]) -> u16 {
     samples.iter().fold(u16::MAX, |minimum, &sample| minimum.min(sample))
@@ -78,22 +78,6 @@ pub(super) fn cut_fields<'a>(
     let fits = bytes <= most_bytes;
     let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let together = fits && volume(all) <= apart;
-    let whole = if together { volume(all) } else { apart };
-    if solid.is_none()
-        && FEW * sampled.dif.full_volume(all) <= all.volume()
-        && let Some(near) =
-            parts_of_spray(distances, sampled, boxes.clone().map(|(cells, _)| cells), whole)
-    {
-        return Box::new(boxes.zip(near).map(move |((cells, _), near)| {
-            let parts = near.into_iter().filter_map(|part| drops(recipe, distances, sampled, part));
-            let paste = |field: Option<Block>, part: Block| {
-                let mut field = field.unwrap_or_else(|| Block::zero(cells));
-                field.put(&part);
-                Some(field)
-            };
-            parts.fold(None, paste)
-        }));
-    }
     let made = move |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
     let of_all = if together {
         made(all, Looking::For { iso: recipe.iso, away_from_walls: solid.is_none() })
@@ -125,63 +109,9 @@ fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
 }
 
 /// Wide cells that the field on a box of cells is made of.
-fn looked_at(distances: &Distances, cells: CellBox) -> usize {
+pub(super) fn looked_at(distances: &Distances, cells: CellBox) -> usize {
     let halo = distances.wide_halo();
     distances.wide_cells(cells).grown(halo, halo).volume()
-}
-
-/// The parts of each of some boxes that a surface can be in, if all cost less drop by drop than the
-/// `whole` number of wide cells: nothing is beyond reach of particles.
-fn parts_of_spray(
-    distances: &Distances,
-    sampled: &SampledDif,
-    boxes: impl Iterator<Item = CellBox>,
-    whole: usize,
-) -> Option<Vec<Vec<CellBox>>> {
-    let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
-    let near: Vec<Vec<CellBox>> =
-        boxes.map(|cells| sampled.dif.parts_near(cells, reach).collect()).collect();
-    let cost = |part: &CellBox| {
-        let full = distances.wide_cells(part.grown(-reach, -reach));
-        let volume = looked_at(distances, *part);
-        if FEW * full.volume() <= volume { volume / FEW } else { volume }
-    };
-    (2 * near.iter().flatten().map(cost).sum::<usize>() <= whole).then_some(near)
-}
-
-/// The final field on a box of cells around drops, `None` where no surface is.
-fn drops(
-    recipe: &Recipe,
-    distances: &Distances,
-    sampled: &SampledDif,
-    cells: CellBox,
-) -> Option<Block> {
-    let Distances { level, near, least, .. } = *distances;
-    let wide = distances.wide_cells(cells);
-    let walls = walls_at(level, sampled.facts.walls());
-    let clouds = sampled.wide(level).gather_within(wide.grown(near, near), walls);
-    let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
-    if needed.is_empty() {
-        return None;
-    }
-    // The cells between the middles of those that are needed.
-    let further = i32::from(level > 0);
-    let between =
-        CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
-    let mut blocks = Blocks { few: true, ..Blocks::new(recipe, sampled, between, Looking::Away) };
-    let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
-    // Further away no particle is near.
-    let padded = |Field { block, level }: Field| {
-        let mut all = Block::zero(wide);
-        all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
-        walls.into_iter().for_each(|walls| all.repeat_edges(walls));
-        Field { block: Rc::new(all), level }
-    };
-    let fields = WideFields { bulk: padded(bulk), outlying: padded(outlying) };
-    let looking = Looking::For { iso: recipe.iso, away_from_walls: false };
-    let field =
-        joined_fields(distances, &mut Blocks::new(recipe, sampled, cells, looking), fields).ok()?;
-    Some(Rc::unwrap_or_clone(field.block))
 }
 
 /// Whether a field is only wanted where the surface passes.
@@ -239,7 +169,7 @@ pub(super) struct Blocks<'a> {
     /// Cells on which the field is asked for.
     cells: CellBox,
     /// The part of `cells` that samples are taken for.
-    wanted: CellBox,
+    pub(super) wanted: CellBox,
     looking: Looking,
     /// Whether blurred samples tell of all that follows.
     decides: bool,
@@ -276,13 +206,23 @@ impl<'a> Blocks<'a> {
             few: false,
         }
     }
+
+    /// Fields of samples of which next to all are 0.
+    pub(super) fn of_few(
+        recipe: &Recipe,
+        sampled: &'a SampledDif,
+        cells: CellBox,
+        looking: Looking,
+    ) -> Self {
+        Self { few: true, ..Self::new(recipe, sampled, cells, looking) }
+    }
 }
 
 /// A field, and how wide its cells are.
 #[derive(Clone)]
 pub(super) struct Field {
     pub(super) block: Rc<Block>,
-    level: u32,
+    pub(super) level: u32,
 }
 
 /// The signal to stop early, for there is no surface.
@@ -338,11 +278,10 @@ impl Fields for Blocks<'_> {
     }
 
     fn blur(&mut self, Field { block, level }: Field, weights: &Weights) -> Result<Field, Stopped> {
-        if self.few {
-            return Ok(Field {
-                block: Rc::new(blur_of_few(&block, weights, self.walls(level))),
-                level,
-            });
+        let most = block.samples().len() / FEW;
+        if let Some(full) = self.few.then(|| block.full_cells(most)).flatten() {
+            let block = blur_of_few(&block, &full, weights, self.walls(level));
+            return Ok(Field { block: Rc::new(block), level });
         }
         let goes_on = |smooth: &Block| !self.decides || self.looking.may_cut(smooth);
         let block = blur_while(Rc::unwrap_or_clone(block), weights, self.walls(level), goes_on);

@@ -2,6 +2,7 @@
 
 mod fields;
 mod sizes;
+mod spray;
 
 pub use fields::field;
 pub use sizes::SizedField;
@@ -9,22 +10,27 @@ pub use sizes::SizedField;
 use std::io;
 use std::ops::Range;
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Pages};
 use crate::field::indicator::{PageRule, indicate};
-use crate::grid::CellBox;
 use crate::grid::units::MemoryBudget;
+use crate::grid::{BLOCK, CellBox};
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 
-use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
+use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
 use fields::cut_fields;
 
 /// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one
 /// go.
 const SHARE: u64 = 8;
+
+/// Blocks along the edge of a cube that are meshed together: of spray, and of other fluid.
+const BLOCKS_OF_SPRAY: i32 = 4;
+const BLOCKS_OF_FLUID: i32 = 2;
 
 /// The processor: all threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]
@@ -89,11 +95,12 @@ impl Stages for CpuStages {
         meter: &Meter<'_>,
         take: &mut Take<'_>,
     ) -> io::Result<()> {
-        // Neighbours follow one another along the Morton curve.
-        let near = |a: &CellBox, b: &CellBox| self.together > 0 && parent(a) == parent(b);
-        let of_group = |group| meshes(surfaces, group, meter, self.together);
+        let of_group = |Group { regions, spray }: Group<'_>| match spray {
+            Some(parts) => meshes_of_spray(surfaces, regions, &parts, meter),
+            None => meshes(surfaces, regions, meter, self.together),
+        };
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-            let groups: Vec<_> = regions.chunk_by(near).collect();
+            let groups = self.groups(surfaces, regions);
             take(groups.into_par_iter().flat_map_iter(of_group).collect())
         })
     }
@@ -105,6 +112,67 @@ impl Stages for CpuStages {
     fn on_device(&self) -> Work {
         Work::default()
     }
+}
+
+/// Regions that are meshed together.
+struct Group<'a> {
+    regions: &'a [CellBox],
+    /// The boxes that hold all surfaces, if these are spray.
+    spray: Option<Vec<CellBox>>,
+}
+
+impl CpuStages {
+    /// Splits regions into groups of neighbours, which are smaller where they are no spray.
+    fn groups<'a>(&self, surfaces: &Surfaces<'_>, regions: &'a [CellBox]) -> Vec<Group<'a>> {
+        // Neighbours follow one another along the Morton curve.
+        let cubes = |blocks: i32| {
+            let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
+            move |a: &CellBox, b: &CellBox| self.together > 0 && cube(a) == cube(b)
+        };
+        let spray = |regions: &'a [CellBox]| {
+            let cells = regions.iter().map(|&region| surfaces.normals.cells(region));
+            let cells = cells.fold(CellBox::EMPTY, |all, cells| all.union(&cells));
+            let parts = spray::parts(surfaces.recipe, surfaces.sampled, cells, self.together)?;
+            let at_solid = regions.iter().any(|&region| surfaces.is_at_solid(region));
+            (!at_solid).then_some(Group { regions, spray: Some(parts) })
+        };
+        let cubes_of_spray: Vec<_> = regions.chunk_by(cubes(BLOCKS_OF_SPRAY)).collect();
+        let groups = cubes_of_spray.into_par_iter().flat_map_iter(|regions| match spray(regions) {
+            Some(group) => vec![group],
+            None => {
+                let cubes = regions.chunk_by(cubes(BLOCKS_OF_FLUID));
+                cubes
+                    .map(|regions| spray(regions).unwrap_or(Group { regions, spray: None }))
+                    .collect()
+            }
+        });
+        groups.collect()
+    }
+}
+
+/// The surfaces through some regions of spray, which are all in some parts.
+fn meshes_of_spray(
+    surfaces: &Surfaces<'_>,
+    regions: &[CellBox],
+    parts: &[CellBox],
+    meter: &Meter<'_>,
+) -> Vec<Option<BlockMesh>> {
+    if !meter.goes_on() {
+        return regions.iter().map(|_| None).collect();
+    }
+    let &Surfaces { sampled, recipe, normals, .. } = surfaces;
+    let walls = surfaces.mesh_walls();
+    let drops = spray::drops(recipe, sampled, parts);
+    let mesh = |&region: &CellBox| {
+        meter.add(1);
+        let mut field = spray::field(&drops, normals.cells(region), walls)?;
+        let region = normals.region(field.cells());
+        // Beyond a periodic face is what the filters have to see, and the mesh must not.
+        let cut = walls.filter(|_| sampled.facts.periodic.is_some());
+        cut.into_iter().for_each(|faces| field.repeat_edges(faces));
+        block_mesh(&field, region, recipe.iso, normals, walls)
+    };
+    regions.iter().map(mesh).collect()
 }
 
 /// The surfaces through some regions, which share what they can where that takes so many bytes at

@@ -2,7 +2,7 @@
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
-use crate::field::distance::{Distances, outlying, refined, spread, wide_cells};
+use crate::field::distance::{Distances, away, outlying, refined, spread, wide_cells};
 use crate::field::recipe::{Recipe, WideFields, calm_and_bulk, thin_shares, walls_at};
 use crate::field::sizes::{
     OctaveDrops, SizedClouds, averaging, finer_spacings, growth, mixed, share,
@@ -30,6 +30,15 @@ struct Surface {
     calm: Block,
     /// The bulk's.
     bulk: Block,
+}
+
+/// The drops of an octave, as far as they can be made in its cells.
+struct OctaveShares {
+    octave: usize,
+    /// By how much particles near by lie outside of the calm surface, in wide cells.
+    outlying: Block,
+    /// The shares of drops, in the cells that they are made in.
+    shares: Block,
 }
 
 impl<'a> SizedField<'a> {
@@ -103,15 +112,23 @@ impl<'a> SizedField<'a> {
     pub fn on(&self, cells: CellBox, away_from_walls: bool) -> Option<Block> {
         let mut surfaces: Vec<Option<Surface>> = (0..self.clouds.octaves()).map(|_| None).collect();
         self.make(&mut surfaces, 0, cells);
-        let bulk = &surfaces[0].as_ref()?.bulk;
+        let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.clone())?;
         // Drops only add to what is inside.
         let threshold = self.iso().threshold();
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
             return None;
         }
-        let mut field = refined(bulk, self.distances(0).level, cells);
-        for octave in (0..surfaces.len()).rev() {
-            field = self.with_drops(field, octave, &mut surfaces);
+        let octaves = (0..surfaces.len()).rev();
+        let drops: Vec<OctaveShares> =
+            octaves.filter_map(|octave| self.drops(octave, &mut surfaces, cells)).collect();
+        if bulk.samples().iter().all(|&sample| sample <= threshold)
+            && !drops.iter().any(|drops| self.has_inside(drops))
+        {
+            return None;
+        }
+        let mut field = refined(&bulk, self.distances(0).level, cells);
+        for drops in drops {
+            field = self.with_drops(field, &drops);
         }
         self.walls(0).into_iter().for_each(|walls| field.repeat_edges(walls));
         Some(field)
@@ -198,36 +215,55 @@ impl<'a> SizedField<'a> {
         }
     }
 
-    /// A field in the finest spacings, with the drops of an octave.
-    fn with_drops(&self, field: Block, octave: usize, surfaces: &mut [Option<Surface>]) -> Block {
+    /// The drops of an octave near some of the finest cells; `None` if no particle stands out.
+    fn drops(
+        &self,
+        octave: usize,
+        surfaces: &mut [Option<Surface>],
+        cells: CellBox,
+    ) -> Option<OctaveShares> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
-        let Distances { level, least, drops_level, gate, drops, .. } = distances;
-        let (sampled, cells) = (self.clouds.octave(octave), field.cells());
-        let wide_level = octave as u32 + level;
+        let Distances { level, least, gate, .. } = distances;
+        let sampled = self.clouds.octave(octave);
         // Particles of the octave that lie outside of the calm surface.
-        let walls = self.walls(wide_level);
+        let walls = self.walls(octave as u32 + level);
         let clouds = sampled.wide(*level).gather_within(self.wide(octave, cells), walls);
         if clouds.samples().iter().all(|sample| sample < least) {
-            return field;
+            return None;
         }
         self.make(surfaces, octave, cells);
-        let Some(Surface { calm, .. }) = &surfaces[octave] else { return field };
+        let calm = &surfaces[octave].as_ref()?.calm;
         let mut outlying = spread(outlying(calm, &clouds, *least), self.near());
-        walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
-        let near = refined(&outlying, wide_level, cells);
-        if near.samples().iter().all(|&sample| sample <= gate.begin) {
-            return field;
+        if outlying.samples().iter().all(|&sample| sample <= gate.begin) {
+            return None;
         }
+        walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
         let own = |level: u32, cells: CellBox| {
             sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
         };
         let mut blocks = Blocks::of_density(recipe, sampled, &own, self.cells(octave, cells));
-        let Ok(shares) = thin_shares(distances, &mut blocks) else { return field };
-        let shares = refined(&shares.block, octave as u32 + drops_level, cells);
-        let (octave, sizes) = (octave as u32, self.sizes(octave, cells));
-        let (near, shares, sizes) = (&near, &shares, sizes.as_ref());
-        let growth = self.growth;
-        OctaveDrops { octave, near, shares, sizes, drops, growth, gate }.joined(field)
+        let shares = thin_shares(distances, &mut blocks).ok()?;
+        let shares = shares.block.part(shares.block.cells());
+        Some(OctaveShares { octave, outlying, shares })
+    }
+
+    /// Whether drops can add to the inside.
+    fn has_inside(&self, OctaveShares { octave, shares, .. }: &OctaveShares) -> bool {
+        let drops = &self.distances(*octave).drops;
+        let greatest = shares.samples().iter().copied().max().unwrap_or(0);
+        away(greatest, drops.width) < drops.radius + self.growth
+    }
+
+    /// A field in the finest spacings, with drops.
+    fn with_drops(&self, field: Block, made: &OctaveShares) -> Block {
+        let OctaveShares { octave, outlying, shares } = made;
+        let Distances { level, drops_level, gate, drops, .. } = self.distances(*octave);
+        let (cells, of) = (field.cells(), *octave as u32);
+        let near = &refined(outlying, of + level, cells);
+        let shares = &refined(shares, of + drops_level, cells);
+        let (sizes, growth) = (self.sizes(*octave, cells), self.growth);
+        let sizes = sizes.as_ref();
+        OctaveDrops { octave: of, near, shares, sizes, drops, growth, gate }.joined(field)
     }
 
     /// The mean logarithm of the sizes of an octave's particles around some of the finest cells;

@@ -1,5 +1,6 @@
 //! See `mod.rs` of this folder for the formula.
 
+use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::brick::Block;
@@ -51,16 +52,17 @@ pub fn blur_while<T: Sample>(
     Some(block)
 }
 
-/// Blurs a block that is 0 but for a small box: what nothing reaches is 0 without a look.
+/// Blurs a block of which the samples of some cells, x fastest, are more than 0. They are best few:
+/// rows of others are passed over.
 ///
 /// # Panics
 /// As [`blur`].
-pub fn blur_of_few<T: Sample>(
-    block: &Block<T>,
+pub fn blur_of_few(
+    block: &Block,
+    full: &[IVec3],
     weights: &Weights,
     walls: Option<CellBox>,
-) -> Block<T> {
-    let full = block.box_of(|sample| sample != T::default());
+) -> Block {
     let mut blurred = blurred_part(block, full, weights);
     if let Some(walls) = walls {
         blurred.repeat_edges(walls);
@@ -68,28 +70,66 @@ pub fn blur_of_few<T: Sample>(
     blurred
 }
 
-/// Blurs a block that is 0 but for the box `full`.
-fn blurred_part<T: Sample>(block: &Block<T>, full: CellBox, weights: &Weights) -> Block<T> {
-    let (cells, reach) = (block.cells(), weights.reach());
-    let mut blurred = Block::zero(cells.grown(-reach, -reach));
-    let reached = full.grown(reach, reach).intersection(&blurred.cells());
-    if full.is_empty() || reached.is_empty() {
+/// Blurs where anything reaches.
+fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights) -> Block {
+    let reach = weights.reach();
+    let mut blurred = Block::zero(block.cells().grown(-reach, -reach));
+    let Some(&first) = full.first() else { return blurred };
+    let (lo, hi) = full.iter().fold((first, first), |(lo, hi), &cell| (lo.min(cell), hi.max(cell)));
+    let reached = CellBox { lo, hi: hi + 1 }.grown(reach, reach).intersection(&blurred.cells());
+    if reached.is_empty() {
         return blurred;
     }
-    let mut spare = Vec::new();
-    let mut part = block.part(full);
-    for axis in 0..3 {
-        let mut from = part.cells();
-        (from.lo[axis], from.hi[axis]) = (reached.lo[axis] - reach, reached.hi[axis] + reach);
-        let mut taps = Block::zero(from);
-        let there = from.intersection(&part.cells());
-        taps.put_part(there, part.cells(), part.samples(), |_, sample| sample);
-        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, weights, axis);
-        taps.along(axis, reach, &mut spare, &fill);
-        part = taps;
+    let seen = reached.grown(reach, reach);
+    let [width, height, _] = reached.size().as_usizevec3().to_array();
+    let [_, rows, layers] = seen.size().as_usizevec3().to_array();
+    let mut along_x = vec![0; width * rows];
+    let mut along_y = vec![0; width * height * layers];
+    let mut sums = vec![0; width];
+    let half = weights.half();
+    let all: Vec<u32> = half[1..].iter().rev().chain(half).copied().collect();
+    for layer in full.chunk_by(|a, b| a.z == b.z) {
+        along_x.fill(0);
+        for full in layer.chunk_by(|a, b| a.y == b.y) {
+            let row = block.index(full[0].with_x(seen.lo.x));
+            let first = (full[0].y - seen.lo.y) as usize * width;
+            let to = &mut along_x[first..first + width];
+            blur_few(to, &block.samples()[row..], (seen.lo.x, full), &all, &mut sums);
+        }
+        let first = (layer[0].z - seen.lo.z) as usize * width * height;
+        let to = &mut along_y[first..first + width * height];
+        u16::blur_row(to, &along_x, width, weights, 1);
     }
-    blurred.put_part(reached, reached, part.samples(), |_, sample| sample);
+    let mut part = vec![0; reached.volume()];
+    u16::blur_row(&mut part, &along_y, width * height, weights, 2);
+    blurred.put_part(reached, reached, &part, |_, sample| sample);
     blurred
+}
+
+/// Blurs a row along x, whose taps begin at a cell and are more than 0 in some cells alone, by the
+/// weights from the lowest to the highest cell. `sums` is as long as the result.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn blur_few(
+    to: &mut [u16],
+    taps: &[u16],
+    (lowest, full): (i32, &[IVec3]),
+    weights: &[u32],
+    sums: &mut [u32],
+) {
+    sums.fill(UNIT / 2);
+    for cell in full {
+        let at = (cell.x - lowest) as usize;
+        let tap = u32::from(taps[at]);
+        let first = (at + 1).saturating_sub(weights.len());
+        let end = sums.len().min(at + 1);
+        let weights = &weights[first + weights.len() - 1 - at..];
+        for (sum, weight) in sums[first..end].iter_mut().zip(weights) {
+            *sum += weight * tap;
+        }
+    }
+    for (to, &sum) in to.iter_mut().zip(&*sums) {
+        *to = (sum / UNIT) as u16;
+    }
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.
@@ -178,6 +218,33 @@ fn blur_float(to: &mut [f64], taps: &[f64], step: usize, half: &[u32]) {
         let weight = f64::from(half[k.abs_diff(reach)]) / f64::from(UNIT);
         for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {
             *to += weight * sample;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_of_few_samples_is_blurred_as_any_is() {
+        let cells = CellBox { lo: IVec3::new(-3, 5, 0), hi: IVec3::new(30, 41, 29) };
+        let full = [[-3, 5, 0], [8, 20, 10], [9, 20, 10], [12, 20, 10], [29, 40, 28], [15, 6, 27]];
+        for weights in
+            [Weights::box3(), Weights::of_variance(2.0, 4), Weights::of_variance(9.0, 8).gaining(4)]
+        {
+            for count in 0..full.len() {
+                let mut block = Block::zero(cells);
+                for (number, &cell) in full[..count].iter().enumerate() {
+                    let index = block.index(IVec3::from(cell));
+                    block.samples_mut()[index] = 9973 * (number as u16 + 1);
+                }
+                let cells_of_few = block.full_cells(count).expect("no more than these are full");
+                let walls = Some(CellBox { lo: cells.lo + 9, hi: cells.hi });
+                let few = blur_of_few(&block, &cells_of_few, &weights, walls);
+                assert_eq!(block.full_cells(count.saturating_sub(1)).is_none(), count > 0);
+                assert_eq!(few, blur(block, &weights, walls), "{count} samples");
+            }
         }
     }
 }

@@ -62,6 +62,11 @@ impl<'a> Interior<'a> {
         Self { blurred, dilation: closing - reach, erosion: closing + depth }
     }
 
+    /// Whether two find the same cells interior.
+    pub fn is_same(&self, other: &Self) -> bool {
+        (self.dilation, self.erosion) == (other.dilation, other.erosion)
+    }
+
     /// The parts of blocks that hold samples.
     pub fn blocks(&self) -> Vec<CellBox> {
         let own = |cells: CellBox| self.blurred.own.map_or(cells, |own| cells.intersection(&own));

@@ -86,8 +86,7 @@ impl Plateau {
     #[must_use]
     pub fn of_clouds(frame: &SampledDif, distances: &Distances, meter: &Meter<'_>) -> Self {
         let narrowest = &distances.bulk.widths[0];
-        let wide = frame.wide_cells();
-        let spacing = 1.0 / wide.edge;
+        let spacing = 1.0 / frame.wide_cells().edge;
         let volume = spacing * spacing * spacing;
         let nominal = Self::nominal(frame.facts.spacing_cells_or_one());
         let blurred = Blurred {
@@ -100,12 +99,15 @@ impl Plateau {
             apply: &|block, walls| blur(block, &narrowest.weights, walls),
             meter,
         };
-        let found = GAPS.into_iter().find_map(|(gap, share)| {
-            let interior = Interior::new(&blurred, gap * spacing);
-            let (median, lowest) = measured(&interior, ENOUGH * volume, LEAST * volume)?;
-            let is_fluid = |share| f64::from(median) >= share * nominal;
-            share.is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
-        });
+        let [narrow, wide] = GAPS.map(|(gap, _)| Interior::new(&blurred, gap * spacing));
+        // In coarse cells both gaps are the same, and there is nothing to find by the wider one.
+        let count = if narrow.is_same(&wide) { 1 } else { GAPS.len() };
+        let found =
+            [narrow, wide].into_iter().zip(GAPS).take(count).find_map(|(interior, (_, share))| {
+                let (median, lowest) = measured(&interior, ENOUGH * volume, LEAST * volume)?;
+                let is_fluid = |share| f64::from(median) >= share * nominal;
+                share.is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
+            });
         found.unwrap_or(Self::Shallow { expected: nominal.round() as u16 })
     }
 

@@ -288,6 +288,9 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
     let mut field = Block::zero(cells);
     let rows = clouds.rows(cells).zip(around.rows(cells));
     for (to, ((_, clouds), (_, around))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+        if greatest_of(clouds) == 0 {
+            continue;
+        }
         quotient_row(to, clouds, around, bits);
     }
     field

@@ -11,7 +11,7 @@ use crate::field::sheets::{DropShape, Sheets};
 use crate::grid::units::{SheetStretch, Smooth};
 use crate::grid::{BLOCK, CellBox};
 
-use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, wide_cells};
+use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, away, wide_cells};
 
 /// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the
 /// first two, the calm one by the last two.
@@ -313,6 +313,18 @@ impl Drops {
     #[must_use]
     pub fn halo(&self) -> i32 {
         self.around.reach() + self.spread.reach()
+    }
+
+    /// The least share on a drop's surface or within it.
+    #[must_use]
+    pub fn least_share(&self) -> u16 {
+        let (mut outside, mut inside) = (0, u16::MAX);
+        while inside - outside > 1 {
+            let middle = outside.midpoint(inside);
+            let is_inside = away(middle, self.width) <= self.radius;
+            *(if is_inside { &mut inside } else { &mut outside }) = middle;
+        }
+        inside
     }
 
     /// For particles `spacing` cells apart, by whether splines make finer cells of these.

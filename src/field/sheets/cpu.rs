@@ -1,11 +1,15 @@
 //! See `mod.rs` of this folder for the formulas.
 
 use glam::IVec3;
+use multiversion::multiversion;
 
 use crate::brick::Block;
 
-use super::logarithm::{LOGARITHMS, exp2};
+use super::logarithm::{exp2, log2};
 use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheeted, Sheets};
+
+/// Cells that are done at a time.
+const LANES: usize = 16;
 
 /// The greatest g, B and distance from the middle.
 const MOST_SLOPE: i32 = 4 * ONE;
@@ -27,46 +31,96 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
 pub fn sheets(numbers: &Numbers, density: &Block) -> Option<Sheeted<Block>> {
     let step = numbers.step;
     let cells = density.cells().grown(-step, -step);
+    // Logarithms are only looked up around samples that reach the least, but for their error.
+    let least = (f64::from(numbers.least - 2) / f64::from(ONE)).exp2() as u16;
+    let dense = density.box_of(|sample| sample >= least).intersection(&cells);
+    if dense.is_empty() {
+        return None;
+    }
+    let density = density.part(dense.grown(step, step));
     let (mut shares, mut certainty) = (Block::zero(cells), Block::zero(cells));
-    let of_samples: &[u16; 1 << 16] = LOGARITHMS.as_ref().try_into().expect("one for each sample");
-    let logarithms: Vec<u16> =
-        density.samples().iter().map(|&sample| of_samples[usize::from(sample)]).collect();
+    let [_, row, slab] = shares.strides();
+    let to_place = |cell: IVec3| {
+        let at = (cell - cells.lo).as_usizevec3();
+        at.x + at.y * row + at.z * slab
+    };
+    let mut logarithms = vec![0; density.samples().len()];
+    logarithms_of(&mut logarithms, density.samples());
     let strides = density.strides().map(|stride| stride as isize * step as isize);
     let [x, y, z] = strides;
-    let width = cells.size().x as usize;
+    let width = dense.size().x as usize;
+    let (mut places, mut lanes) = (Vec::with_capacity(LANES), Taps::default());
+    let mut candidates = vec![0; width];
     let mut any = false;
-    for ([y_cell, z_cell], _) in density.rows(cells) {
-        let row = IVec3::new(cells.lo.x, y_cell, z_cell);
-        let first = density.index(row);
-        let centres = &logarithms[first..first + width];
-        if centres.iter().all(|&centre| i32::from(centre) < numbers.least) {
-            continue;
-        }
-        let to = shares.index(row);
-        for i in 0..width {
-            if i32::from(centres[i]) < numbers.least {
-                continue;
-            }
-            let at = |offset: isize| i32::from(logarithms[(first + i).wrapping_add_signed(offset)]);
-            // The axes alone show that fluid is thick.
-            let across = 6 * at(0) - at(-x) - at(x) - at(-y) - at(y) - at(-z) - at(z);
-            if across <= numbers.least_across {
-                continue;
-            }
-            let taps = Taps {
-                centre: at(0),
-                below: [at(-x), at(-y), at(-z)],
-                above: [at(x), at(y), at(z)],
-                same: [at(x + y) + at(-x - y), at(x + z) + at(-x - z), at(y + z) + at(-y - z)],
-                opposite: [at(x - y) + at(y - x), at(x - z) + at(z - x), at(y - z) + at(z - y)],
-            };
-            let (share, certain) = numbers.sheet(&taps);
-            shares.samples_mut()[to + i] = share;
-            certainty.samples_mut()[to + i] = certain;
+    let mut finish = |places: &mut Vec<usize>, lanes: &Taps<[i32; LANES]>| {
+        let found = sheets_of_each(numbers, lanes);
+        for (place, (share, certain)) in places.drain(..).zip(found) {
+            shares.samples_mut()[place] = share;
+            certainty.samples_mut()[place] = certain;
             any |= certain > 0;
         }
+    };
+    for ([y_cell, z_cell], _) in density.rows(dense) {
+        let row = IVec3::new(dense.lo.x, y_cell, z_cell);
+        let (first, to) = (density.index(row), to_place(row));
+        let row = |offset: isize| &logarithms[first.wrapping_add_signed(offset)..][..width];
+        let beside = [row(-x), row(x), row(-y), row(y), row(-z), row(z)];
+        may_be_sheets(&mut candidates, numbers, row(0), beside);
+        for (i, _) in candidates.iter().enumerate().filter(|&(_, &so)| so > 0) {
+            let at = |offset: isize| i32::from(logarithms[(first + i).wrapping_add_signed(offset)]);
+            let lane = places.len();
+            lanes.put(
+                lane,
+                Taps {
+                    centre: at(0),
+                    below: [at(-x), at(-y), at(-z)],
+                    above: [at(x), at(y), at(z)],
+                    same: [at(x + y) + at(-x - y), at(x + z) + at(-x - z), at(y + z) + at(-y - z)],
+                    opposite: [at(x - y) + at(y - x), at(x - z) + at(z - x), at(y - z) + at(z - y)],
+                },
+            );
+            places.push(to + i);
+            if places.len() == LANES {
+                finish(&mut places, &lanes);
+            }
+        }
     }
+    finish(&mut places, &lanes);
     any.then_some(Sheeted { shares, certainty })
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn logarithms_of(to: &mut [u16], samples: &[u16]) {
+    for (to, &sample) in to.iter_mut().zip(samples) {
+        *to = log2(sample) as u16;
+    }
+}
+
+/// Whether each of a row of logarithms may be one of a sheet, as far as those beside it along the
+/// axes show: 1 or 0.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn may_be_sheets(to: &mut [u16], numbers: &Numbers, row: &[u16], beside: [&[u16]; 6]) {
+    let [x, to_x, y, to_y, z, to_z] = beside;
+    let (x, y, z) = (x.iter().zip(to_x), y.iter().zip(to_y), z.iter().zip(to_z));
+    for ((to, &centre), ((x, y), z)) in to.iter_mut().zip(row).zip(x.zip(y).zip(z)) {
+        let centre = i32::from(centre);
+        let second = |(&a, &b): (&u16, &u16)| 2 * centre - i32::from(a) - i32::from(b);
+        let seconds = [second(x), second(y), second(z)];
+        let is_thin = seconds[0] + seconds[1] + seconds[2] > numbers.least_across;
+        *to = u16::from((centre >= numbers.least) & is_thin & !numbers.is_round(seconds));
+    }
+}
+
+/// Sheets at several cells at a time, as [`Numbers::sheet`] has them.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn sheets_of_each(numbers: &Numbers, lanes: &Taps<[i32; LANES]>) -> [(u16, u16); LANES] {
+    let (mut shares, mut certainty) = ([0; LANES], [0; LANES]);
+    for lane in 0..LANES {
+        let (share, certain) = numbers.sheet(&lanes.at(lane));
+        shares[lane] = share;
+        certainty[lane] = certain;
+    }
+    std::array::from_fn(|lane| (shares[lane], certainty[lane]))
 }
 
 /// Blends shares of drops with those of sheets, by how certain those are.
@@ -90,16 +144,41 @@ pub fn blend(drops: &Block, sheets: Sheeted<&Block>) -> Block {
     shares
 }
 
-/// Logarithms of the density around a cell.
-struct Taps {
-    centre: i32,
+/// Logarithms of the density around a cell, or around several.
+#[derive(Default)]
+struct Taps<T = i32> {
+    centre: T,
     /// One step down along x, y and z.
-    below: [i32; 3],
-    above: [i32; 3],
+    below: [T; 3],
+    above: [T; 3],
     /// Sums of the two along each diagonal of the planes xy, xz and yz: both steps up or both down,
     /// and one up and the other down.
-    same: [i32; 3],
-    opposite: [i32; 3],
+    same: [T; 3],
+    opposite: [T; 3],
+}
+
+impl Taps<[i32; LANES]> {
+    fn put(&mut self, lane: usize, taps: Taps) {
+        self.centre[lane] = taps.centre;
+        for axis in 0..3 {
+            self.below[axis][lane] = taps.below[axis];
+            self.above[axis][lane] = taps.above[axis];
+            self.same[axis][lane] = taps.same[axis];
+            self.opposite[axis][lane] = taps.opposite[axis];
+        }
+    }
+
+    #[inline(always)]
+    fn at(&self, lane: usize) -> Taps {
+        let of = |lanes: &[[i32; LANES]; 3]| [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
+        Taps {
+            centre: self.centre[lane],
+            below: of(&self.below),
+            above: of(&self.above),
+            same: of(&self.same),
+            opposite: of(&self.opposite),
+        }
+    }
 }
 
 #[inline(always)]
@@ -108,6 +187,19 @@ fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
 }
 
 impl Numbers {
+    /// An entry of B's diagonal, of the second difference along its axis.
+    #[inline(always)]
+    fn bend(&self, second: i32) -> i32 {
+        (second.clamp(-8 * ONE, 8 * ONE) * self.bend / ONE).clamp(-MOST_BEND, MOST_BEND)
+    }
+
+    /// Whether second differences along the axes are those of a drop, which is no sheet.
+    #[inline(always)]
+    fn is_round(&self, seconds: [i32; 3]) -> bool {
+        let [x, y, z] = seconds.map(|second| self.bend(second));
+        x + y + z >= i32::from(self.round.begin) + i32::from(self.round.range)
+    }
+
     /// A cell's share of a sheet, and how certain the sheet is.
     #[inline(always)]
     fn sheet(&self, taps: &Taps) -> (u16, u16) {
@@ -115,10 +207,7 @@ impl Numbers {
             let difference = (taps.above[axis] - taps.below[axis]).clamp(-4 * ONE, 4 * ONE);
             (difference * self.slope / ONE).clamp(-MOST_SLOPE, MOST_SLOPE)
         };
-        let bend = |axis: usize| {
-            let second = 2 * taps.centre - taps.above[axis] - taps.below[axis];
-            (second.clamp(-8 * ONE, 8 * ONE) * self.bend / ONE).clamp(-MOST_BEND, MOST_BEND)
-        };
+        let bend = |axis: usize| self.bend(2 * taps.centre - taps.above[axis] - taps.below[axis]);
         let twist = |plane: usize| {
             let second = taps.opposite[plane] - taps.same[plane];
             (second.clamp(-8 * ONE, 8 * ONE) * self.bend / (4 * ONE)).clamp(-MOST_BEND, MOST_BEND)
@@ -166,9 +255,6 @@ impl Numbers {
         );
         // Half of a doubt is no sheet, or pieces of it would show.
         let certain = passed(certain, certain);
-        if certain == 0 {
-            return (0, 0);
-        }
 
         let [sheet, thread, round] = self.sizes;
         let power = 2 * ONE - threaded - rounded / 3;
@@ -180,7 +266,9 @@ impl Numbers {
             + ((self.by_directions * directions.clamp(ONE, 3 * ONE) + self.by_size * size
                 - self.by_distance * away)
                 >> BITS);
-        (exp2(share.clamp(-15 * ONE, 0)) as u16, certain as u16)
+        let share = exp2(share.clamp(-15 * ONE, 0)) as u16;
+        // No branches: several cells are done at a time.
+        (if certain == 0 { 0 } else { share }, certain as u16)
     }
 }
 

@@ -1,7 +1,5 @@
 //! Logarithms and powers of 2 in integers, as polynomials that shaders compute alike.
 
-use std::sync::LazyLock;
-
 use super::BITS;
 
 /// Fraction bits of a mantissa.
@@ -26,15 +24,12 @@ fn between<const N: usize>(coefficients: &[i32; N], x: i32) -> i32 {
 /// The logarithm of a sample to base 2; of 0 as of 1.
 #[inline(always)]
 pub fn log2(sample: u16) -> i32 {
-    let sample = u32::from(sample.max(1));
-    let power = 31 - sample.leading_zeros();
-    let x = ((sample << (MANTISSA - power)) & ((1 << MANTISSA) - 1)) as i32;
-    ((power as i32) << BITS) + ((x + between(&LOG2, x)) >> (MANTISSA - BITS))
+    // A float holds the power and the mantissa of such a number, without rounding.
+    let bits = f32::from(sample.max(1)).to_bits();
+    let power = (bits >> 23) as i32 - 127;
+    let x = ((bits >> (23 - MANTISSA)) & ((1 << MANTISSA) - 1)) as i32;
+    (power << BITS) + ((x + between(&LOG2, x)) >> (MANTISSA - BITS))
 }
-
-/// The logarithm of every sample.
-pub static LOGARITHMS: LazyLock<Box<[u16]>> =
-    LazyLock::new(|| (0..=u16::MAX).map(|sample| log2(sample) as u16).collect());
 
 /// 2 to a power from -16 up to less than 3, in 32768ths.
 #[inline(always)]

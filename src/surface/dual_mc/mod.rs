@@ -44,6 +44,15 @@ impl Normals {
             Self::Gradient => dual_cells(region).grown(1, 1),
         }
     }
+
+    /// The region of whole tiles that needs such [cells](Self::cells).
+    #[must_use]
+    pub fn region(self, cells: CellBox) -> CellBox {
+        match self {
+            Self::None => cells.grown(0, -1),
+            Self::Gradient => cells.grown(-1, -2),
+        }
+    }
 }
 
 /// The cells at the corners of the dual cells of a region.

@@ -1,0 +1,159 @@
+//! The field of spray, drop by drop: it is only made around each drop's surface.
+
+use std::rc::Rc;
+
+use glam::IVec3;
+
+use crate::brick::Block;
+use crate::field::distance::Distances;
+use crate::field::indicator::SampledDif;
+use crate::field::recipe::{Fields, Filters, Recipe, WideFields, bulk, thin_shares, walls_at};
+use crate::grid::{CellBox, TILE};
+
+use super::fields::{Blocks, Field, Looking, looked_at};
+
+/// Spray has particles in at most one of this many cells.
+const FEW: usize = 16;
+
+/// How far from the inside of a drop its field is needed, in cells: a vertex lies between a cell of
+/// the inside and one beside it, and normals look one cell further.
+const AROUND: i32 = 2;
+
+/// The field around the surface of the particles of a bin. They may be several drops.
+pub(super) struct Drop {
+    /// A box around the cells that are inside.
+    inside: CellBox,
+    /// The field on the cells around these.
+    field: Block,
+}
+
+/// The boxes within `cells` that a surface can be in, if all of it costs less drop by drop.
+/// Nothing is beyond reach of particles.
+pub(super) fn parts(
+    recipe: &Recipe,
+    sampled: &SampledDif,
+    cells: CellBox,
+    most_bytes: u64,
+) -> Option<Vec<CellBox>> {
+    let Filters::Distances(distances) = &recipe.filters else { return None };
+    if FEW * sampled.dif.full_volume(cells) > cells.volume() {
+        return None;
+    }
+    let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
+    let parts: Vec<CellBox> = sampled.dif.parts_near(cells, reach).collect();
+    let cost = |part: &CellBox| {
+        let full = distances.wide_cells(part.grown(-reach, -reach));
+        let volume = looked_at(distances, *part);
+        if FEW * full.volume() <= volume { volume / FEW } else { volume }
+    };
+    let bytes = parts.iter().map(|part| part.volume() * size_of::<u16>()).sum::<usize>() as u64;
+    let pays = parts.iter().map(cost).sum::<usize>() <= looked_at(distances, cells);
+    (pays && bytes <= most_bytes).then_some(parts)
+}
+
+/// The drops in some [parts](parts).
+pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) -> Vec<Drop> {
+    let Filters::Distances(distances) = &recipe.filters else { return Vec::new() };
+    let least_share = distances.drops.least_share();
+    let drop = |&part: &CellBox| drop_in(recipe, distances, least_share, sampled, part);
+    parts.iter().filter_map(drop).collect()
+}
+
+/// The field on some of the `cells` that a region needs, whose other dual cells are not mixed;
+/// `None` where no surface is. It is made of whole tiles as `cells` are, or of all of them if
+/// `walls` do not cover these.
+pub(super) fn field(drops: &[Drop], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
+    let inside = drops.iter().map(|drop| drop.inside.intersection(&cells));
+    let inside = inside.filter(|inside| !inside.is_empty());
+    let inside = inside.fold(CellBox::EMPTY, |all, inside| all.union(&inside));
+    if inside.is_empty() {
+        return None;
+    }
+    let tiles = IVec3::splat(TILE);
+    let near = inside.grown(AROUND + 1, AROUND + 1).intersection(&cells);
+    let part = CellBox {
+        lo: cells.lo + (near.lo - cells.lo) / tiles * tiles,
+        hi: cells.hi - (cells.hi - near.hi) / tiles * tiles,
+    };
+    let covered = walls.is_none_or(|walls| walls.covers(&cells));
+    let mut field = Block::zero(if covered { part } else { cells });
+    for Drop { field: drop, .. } in drops {
+        let part = drop.cells().intersection(&field.cells());
+        if !part.is_empty() {
+            field.put_part(part, drop.cells(), drop.samples(), |_, sample| sample);
+        }
+    }
+    Some(field)
+}
+
+/// The cells that are made of any of some cells 2^`level` times as wide.
+fn refined_from(level: u32, wide: CellBox) -> CellBox {
+    if wide.is_empty() {
+        return wide;
+    }
+    let further = i32::from(level > 0);
+    let CellBox { lo, hi } = wide.grown(further, further);
+    CellBox { lo: lo << level, hi: hi << level }
+}
+
+/// The drops in a box of cells, `None` where no surface is.
+fn drop_in(
+    recipe: &Recipe,
+    distances: &Distances,
+    least_share: u16,
+    sampled: &SampledDif,
+    cells: CellBox,
+) -> Option<Drop> {
+    let Distances { level, near, least, ref gate, drops_level, ref drops, .. } = *distances;
+    let wide = distances.wide_cells(cells);
+    let wide_walls = walls_at(level, sampled.facts.walls());
+    let clouds = sampled.wide(level).gather_within(wide.grown(near, near), wide_walls);
+    let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
+    if needed.is_empty() {
+        return None;
+    }
+    // The cells between the middles of those that are needed.
+    let further = i32::from(level > 0);
+    let between =
+        CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
+    let mut blocks = Blocks::of_few(recipe, sampled, between, Looking::Away);
+    let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
+    // Further away no particle is near.
+    let padded = |Field { block, level }: Field| {
+        let mut all = Block::zero(wide);
+        all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
+        wide_walls.into_iter().for_each(|walls| all.repeat_edges(walls));
+        Field { block: Rc::new(all), level }
+    };
+    let (bulk, outlying) = (padded(bulk), padded(outlying));
+
+    let looking = Looking::For { iso: recipe.iso, away_from_walls: false };
+    let mut blocks = Blocks::of_few(recipe, sampled, cells, looking);
+    let threshold = recipe.iso.threshold();
+    let mut inside = refined_from(level, bulk.block.box_of(|sample| sample > threshold));
+    let mut shares = None;
+    if blocks.narrowed(&outlying, level, gate) {
+        let thin = thin_shares(distances, &mut blocks).ok()?;
+        let drawn = thin.block.box_of(|share| share >= least_share);
+        inside = inside.union(&refined_from(drops_level, drawn));
+        shares = Some((thin, blocks.wanted));
+    }
+    inside = inside.intersection(&cells);
+    if inside.is_empty() {
+        return None;
+    }
+    // Beyond walls edge cells are repeated, which have to be there.
+    let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&cells));
+    let around = inside.grown(AROUND, AROUND).intersection(&cells);
+    blocks.wanted = if covered { around } else { cells };
+    let mut field = blocks.refined(bulk, level).ok()?;
+    if let Some((shares, thin)) = shares {
+        blocks.wanted = blocks.wanted.intersection(&thin);
+        if !blocks.wanted.is_empty() {
+            let near = blocks.refined(outlying, level).ok()?;
+            let shares = blocks.refined(shares, drops_level).ok()?;
+            field = blocks.joined(field, near, shares, (drops, gate)).ok()?;
+        }
+    }
+    Some(Drop { inside, field: Rc::unwrap_or_clone(field.block) })
+}
