@@ -1,7 +1,7 @@
 """Surfaces that follow the scene: they are made again only if their frame, a setting or their input has changed.
 
-A mesh keeps the name of the request that it was made by. That tells whether it is what it should be, also after undo and in a file that
-is opened again, for the name comes back with the mesh.
+A mesh keeps the name of the request that made it. By that name, the extension recognises an outdated mesh, also after undo and in a file
+that is opened again, because the name is restored with the mesh.
 """
 
 from __future__ import annotations

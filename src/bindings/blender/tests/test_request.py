@@ -37,7 +37,7 @@ def test_the_key_changes_with_settings_and_with_the_file(sequence: Path) -> None
     assert request_of(file).name != name
 
 
-def test_points_are_told_by_their_values() -> None:
+def test_requests_of_equal_points_have_the_same_key() -> None:
     points = np.random.default_rng(1).random((50, 3), np.float32)
     asked = FromPoints(points, None, Sampling(cell=1.0))
     assert FromPoints(points.copy(), None, Sampling(cell=1.0)).key == asked.key

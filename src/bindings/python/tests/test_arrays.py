@@ -128,7 +128,7 @@ def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword:
         meniscus.reconstruct(Nowhere(ball))
 
 
-def test_an_array_without_astype_is_told_of_its_own_way_and_type(ball: Any) -> None:
+def test_an_error_for_an_array_without_astype_names_its_type_and_conversion(ball: Any) -> None:
     class Half(OnlyDLPack):
         dtype = "torch.half"
 
@@ -140,7 +140,7 @@ def test_an_array_without_astype_is_told_of_its_own_way_and_type(ball: Any) -> N
         meniscus.reconstruct(Half(ball.astype(object)))
 
 
-def test_a_field_that_makes_arrays_is_told_to_do_so() -> None:
+def test_an_error_for_a_field_names_the_method_that_makes_an_array() -> None:
     class Field:
         def to_numpy(self) -> None: ...
 

@@ -25,14 +25,14 @@ def long() -> Any:
     return {"positions": lattice(16.0), "spacing": 1.0, "cell": 0.1, "threads": 1}
 
 
-def test_progress_is_told_on_the_callers_thread_stage_by_stage(ball: Any) -> None:
-    told: list[tuple[str, float, int]] = []
-    meniscus.reconstruct(ball, simplify=0.5, progress=lambda stage, done: told.append((stage, done, threading.get_ident())))
-    assert {thread for *_, thread in told} == {threading.get_ident()}
-    stages = list(dict.fromkeys(stage for stage, *_ in told))
+def test_progress_is_reported_on_the_callers_thread_stage_by_stage(ball: Any) -> None:
+    reports: list[tuple[str, float, int]] = []
+    meniscus.reconstruct(ball, simplify=0.5, progress=lambda stage, done: reports.append((stage, done, threading.get_ident())))
+    assert {thread for *_, thread in reports} == {threading.get_ident()}
+    stages = list(dict.fromkeys(stage for stage, *_ in reports))
     assert stages == ["reading", "counting", "sampling", "meshing", "simplifying"]
     for stage in stages:
-        shares = [done for name, done, _ in told if name == stage]
+        shares = [done for name, done, _ in reports if name == stage]
         assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
 
 
