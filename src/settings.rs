@@ -185,8 +185,8 @@ settings! {
     ///
     /// A condition is a name, one of =, !=, <, <=, > and >=, and a value: Type=1, age<2.5,
     /// phase!=boundary. Several values after = are alternatives: mk=0,2. `and` joins conditions
-    /// that must all hold. velocity.y or velocity[1] is a component of a vector; x, y and z are the
-    /// position. In a file with several types of particles, type selects one of them, such as
+    /// that must all hold. `velocity.y` or `velocity[1]` is a component of a vector; x, y and z are
+    /// the position. In a file with several types of particles, type selects one of them, such as
     /// type=PartType1 in a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD
     /// [default: gas, else fluid].
     #[arg(value_name = "CONDITION", help_heading = "Input")]

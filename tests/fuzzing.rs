@@ -1,6 +1,6 @@
-//! Every target of `tests/fuzz`, on stable Rust: mutations of its seeds, the same each time. What
-//! libFuzzer does for hours this does for seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as
-//! much, of the targets whose names contain `MENISCUS_FUZZ`.
+//! Runs every target of `tests/fuzz` on stable Rust with mutations of its seeds, the same each
+//! time. libFuzzer runs for hours, this for seconds. `MENISCUS_FUZZ_RUNS=100` runs a hundred times
+//! as many, for the targets whose names contain `MENISCUS_FUZZ`.
 #![cfg(feature = "cli")]
 #![allow(
     dead_code,
@@ -21,11 +21,11 @@ use std::time::{Duration, Instant};
 
 use targets::Target;
 
-/// Seeds so short, of targets that are run so often, are damaged in every byte.
+/// Maximum bytes of seeds of fast targets that are damaged in every byte.
 const SHORT: usize = 2000;
 const QUICK: u32 = 2000;
 
-/// Tries the seeds of a target and mutations of them; returns how many, and the time that it took.
+/// Runs a target with its seeds and mutations of them; returns their number and the time.
 fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
     let begun = Instant::now();
     let seeds = (target.seeds)();
@@ -40,7 +40,7 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
     for (number, seed) in seeds.iter().enumerate() {
         run(&format_args!("number {number}"), seed);
     }
-    // Of what is quick every byte is damaged.
+    // For fast targets, every byte is damaged.
     for (number, seed) in
         seeds.iter().enumerate().filter(|(_, seed)| target.runs >= QUICK && seed.len() < SHORT)
     {
@@ -71,7 +71,7 @@ fn no_mutation_of_any_input_brings_a_target_down() {
     chosen.reverse();
     let left = Mutex::new(chosen);
     let worker = || {
-        // What the library shares among threads stays on this one: no target waits for another.
+        // Shared work of the library stays on this thread, so that no target waits for another.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let next = || left.lock().unwrap().pop();
         while let Some(target) = next() {

@@ -1,5 +1,5 @@
-//! Pictures of meshes: what is seen is what is there, whatever draws it; and files of pictures,
-//! whole or not at all.
+//! Pictures of meshes: they show the mesh on every path of drawing, and picture files are complete
+//! or absent.
 #![cfg(feature = "pictures")]
 #![allow(clippy::unwrap_used)]
 
@@ -33,7 +33,7 @@ fn small() -> Picture {
     Picture::new().size(160, 120)
 }
 
-/// Whether a pixel shows red and not the backdrop, which is grey or blue.
+/// Whether a pixel is red, unlike the grey or blue backdrop.
 fn is_red(pixel: &[u8]) -> bool {
     i32::from(pixel[0]) > i32::from(pixel[2]) + 40
 }
@@ -81,7 +81,7 @@ fn a_ball_covers_as_many_pixels_as_its_cone_of_sight_does() {
     for eye in [[0.0, 0.0, 1.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0], [-0.48, -0.6, 0.64]] {
         let view = View::At { eye: eye.map(|x: f64| x * distance), target: [0.0; 3] };
         let image = Picture::new().size(300, 300).colour(RED).view(view).draw(&ball).unwrap();
-        // Half of what is seen upright is 14 degrees.
+        // Half of the upright field of view is 14 degrees.
         let tangent = radius / (distance * distance - radius * radius).sqrt();
         let radius_seen = tangent / 14.0_f64.to_radians().tan() * size / 2.0;
         let (found, expected) = (red(&image) as f64, PI * radius_seen * radius_seen);
@@ -138,7 +138,7 @@ fn deeper_water_is_bluer_and_no_water_is_the_backdrop() {
         [image.rgb()[middle], image.rgb()[middle + 2]].map(i32::from)
     };
     let shades = [0.02, 0.1, 0.4, 1.0].map(depth);
-    // Less and less red is left of the light from behind.
+    // The more the light comes from behind, the less red remains.
     assert!(shades.is_sorted_by(|a, b| a[0] > b[0]), "{shades:?}");
     assert!(shades.iter().all(|[red, blue]| blue > red), "{shades:?}");
     let nothing = small().draw(&Mesh::default()).unwrap();
@@ -158,12 +158,12 @@ fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
     };
     assert_eq!(by("height", "viridis").scope_of(&mesh).unwrap().range, Some([-1.0, 1.0]));
     assert_eq!(by("velocity", "viridis").scope_of(&mesh).unwrap().range, Some([5.0, 5.0]));
-    // Red above, blue below: the map's ends, turned.
+    // Red at the top and blue at the bottom: the reversed ends of the map.
     let image = by("height", "red-blue").draw(&mesh).unwrap();
     let at = |x: usize, y: usize| &image.rgb()[3 * (y * 160 + x)..][..3];
     let [bottom, top] = [at(80, 80), at(80, 40)];
     assert!(bottom[0] > bottom[2] && top[2] > top[0], "{bottom:?} {top:?}");
-    // The legend is at the right edge, where otherwise the backdrop is.
+    // The legend is at the right edge, where the backdrop would be.
     let plain = small().draw(&mesh).unwrap();
     let edge = |image: &Image| {
         image.rgb().chunks(3 * 160).map(|row| row[3 * 135..].to_vec()).collect::<Vec<_>>()
@@ -191,7 +191,7 @@ fn what_lies_behind_before_and_beside_the_eye_is_cut_off() {
         let picture = Picture::new().size(64, 48).view(view).ground(n % 2 == 0);
         assert_eq!(picture.draw(&mesh).unwrap().rgb().len(), 3 * 64 * 48);
     }
-    // From inside of the fluid there is nothing but it.
+    // From inside of the fluid, only the fluid is visible.
     let ball = sphere(1.0, 4);
     let inside = View::At { eye: [0.0; 3], target: [0.0, 0.0, 1.0] };
     assert_eq!(
@@ -227,7 +227,7 @@ fn what_no_picture_can_show_is_refused() {
     assert_eq!(small().draw(&weird).unwrap(), nothing);
     let endless = Mesh { positions: vec![[f64::INFINITY, 0.0, 1.0]; 3], ..weird };
     assert_eq!(small().draw(&endless).unwrap().rgb().len(), nothing.rgb().len());
-    // Vertices that are not there, of triangles that are drawn without those.
+    // Without some vertices and their triangles.
     let mut lacking = ball.clone();
     lacking.triangles.push([0, 1, 1 << 20]);
     assert_eq!(small().draw(&lacking).unwrap(), small().draw(&ball).unwrap());
@@ -253,7 +253,7 @@ fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_bod
     let view = View::At { eye: [0.3, 0.2, 2.0], target: [0.1, 0.0, 0.0] };
     let picture = small().view(view);
     let [fine, coarse] = [&slab, &plain].map(|mesh| picture.draw(mesh).unwrap());
-    // A crack would show the wall behind, or let a line of sight leave what it never entered.
+    // A crack would show the wall behind, or let a ray leave the body without entering it.
     let middle = |image: &Image| {
         let rows = image.rgb().chunks(3 * 160).skip(30).take(60);
         rows.flat_map(|row| row[3 * 40..3 * 120].to_vec()).collect::<Vec<u8>>()
@@ -272,13 +272,13 @@ fn a_draft_shows_what_the_full_picture_shows_with_fewer_samples() {
     assert_ne!(full, draft);
     let differences: Vec<u8> =
         full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
-    // Edges alone differ: whatever is drawn elsewhere, or from elsewhere, differs on most of the
-    // body.
+    // Only edges differ: a picture of another place, or from another place, would differ on most of
+    // the body.
     let far = differences.iter().filter(|&&difference| difference > 24).count();
     assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
 }
 
-/// The surface of a dam break that splashes, as it is made.
+/// The unsimplified surface of a splashing dam break.
 fn splash(request: &Reconstruction) -> Surface {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/data/dambreak_small/ParticleData_Fluid_20.bgeo");
@@ -304,8 +304,7 @@ fn a_draft_of_a_fine_mesh_is_drawn_of_fewer_triangles_and_shows_what_the_full_pi
         100 * far < 2 * channels && 100 * near < 6 * channels,
         "{far} and {near} of {channels}"
     );
-    // What shows triangles, or what vertices carry, is drawn of all of them, and so is a full
-    // picture.
+    // Pictures of triangles or of vertex attributes, and full pictures, use all of them.
     let by_velocity =
         Colour::Attribute { name: "velocity".into(), map: "viridis".parse().unwrap() };
     for picture in [draft.clone().wireframe(true), draft.colour(by_velocity), picture.clone()] {
@@ -351,7 +350,7 @@ fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() 
             .extend(mesh.triangles(piece).unwrap().iter().map(|t| t.map(|vertex| vertex as u32)));
     }
     assert!(pieced == (positions, triangles));
-    // No vertex is farther from the surface than two cells.
+    // Every vertex is within two cells of the surface.
     let all = fine.at_once().unwrap().unwrap();
     let whole = surface.to_mesh().unwrap();
     assert!(all == (whole.positions.clone(), whole.triangles.clone()));
@@ -370,7 +369,7 @@ fn a_draft_has_the_same_bytes_for_any_number_of_threads_and_any_memory() {
     let draw = |threads| on_threads(threads, || draft.draw(surface.mesh()).unwrap());
     let one = draw(1);
     assert!([2, 3, 7].into_iter().all(|threads| draw(threads) == one));
-    // Less than the mesh takes if all of it is seen.
+    // Less than the memory of the mesh when all of it is visible.
     assert_eq!(draft.clone().memory(28 << 20).draw(surface.mesh()).unwrap(), one);
 }
 
@@ -387,7 +386,7 @@ fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
     {
         let picture = small().colour(colour);
         let whole = picture.draw(mesh).unwrap();
-        // Less than the vertices and triangles alone take.
+        // Less than the memory of the vertices and triangles alone.
         let memory = 40 << 20;
         assert!(56 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
         assert_eq!(picture.clone().memory(memory).draw(mesh).unwrap(), whole);
@@ -431,7 +430,7 @@ fn a_large_file_is_drawn_in_a_stream_with_the_same_bytes() {
     assert!(streamed.status.success(), "{}", String::from_utf8_lossy(&streamed.stderr));
     let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
     assert_eq!(bytes("whole.png"), bytes("streamed.png"));
-    // A face that is no triangle is told of with its place.
+    // A face that is not a triangle is reported with its position.
     let file = folder.path().join("large.ply");
     let mut broken = fs::read(&file).unwrap();
     let last = broken.len() - 13;
@@ -498,13 +497,13 @@ fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_t
     let mut bounds = Scope::default();
     bounds.bounds = Some([[-1.2; 3], [1.2; 3]]);
     let mut ball = sphere(1.1, 5);
-    // Some inside, some outside.
+    // Some vertices inside, some outside.
     ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x * (1.0 + 0.1 * p[1])));
     let known = small().colour(colour.clone()).scope_of(&ball).unwrap();
     assert!(known.range.unwrap()[1] > 0.18);
     let farthest = (0..ball.positions.len())
         .min_by(|&a, &b| ball.positions[a][2].total_cmp(&ball.positions[b][2]));
-    // Behind, where it is not seen.
+    // Behind the camera, where it is not visible.
     ball.positions[farthest.unwrap()] = [0.0, 0.0, -50.0];
     let found = small().colour(colour).scope_of(&ball).unwrap();
     assert!(
@@ -538,7 +537,7 @@ fn meshes_that_are_strange_give_a_picture() {
             seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
         assert!(differ < 100, "{by}: {differ} bytes differ");
     }
-    // A vertex that is nowhere, or too far away for any number, does not count for the box.
+    // A vertex that is not finite, or too far away, does not count for the box.
     for wrong in [f64::NAN, f64::INFINITY, 1e200] {
         let mut mesh = ball.clone();
         mesh.positions.push([wrong, 0.0, 0.0]);
@@ -561,7 +560,7 @@ fn meshes_that_are_strange_give_a_picture() {
             3 * 160 * 120
         );
     }
-    // Values that are no numbers are grey, and the others keep their colours.
+    // Values that are not finite are grey, and the others keep their colours.
     let mut valued = ball.clone();
     let values = valued.positions.iter().map(|p| if p[1] > 0.0 { f32::NAN } else { p[0] as f32 });
     let values = values.collect();
@@ -579,7 +578,7 @@ fn meshes_that_are_strange_give_a_picture() {
     );
 }
 
-/// Balls that move, in numbered files, and something else beside them.
+/// Balls that move, in numbered files, and an unrelated file.
 fn frames() -> TempDir {
     let folder = TempDir::new().unwrap();
     for n in [2, 10, 7] {
@@ -712,7 +711,7 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
         (&["none.ply", "-o", "made/a.png"], 3, "none.ply"),
         (&["gone.ply", "-o", "a.png"], 3, "gone.ply"),
         (&["bad.ply", "-o", "a.png"], 3, "bad.ply"),
-        (&["none_{}.ply", "-o", "a.png"], 3, "no frames found"),
+        (&["none_{}.ply", "-o", "a.png"], 3, "none_{}.ply: no file matches this pattern"),
     ] {
         let out = render(folder.path(), arguments);
         let told = String::from_utf8_lossy(&out.stderr);
@@ -757,7 +756,7 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
     run(&[frame, "-o", "seen.ply", "--preview"], 0);
     assert_eq!(fs::read(at("plain.ply")).unwrap(), fs::read(at("seen.ply")).unwrap());
     assert_eq!(png_size(&at("seen.png")), [640, 360]);
-    // The mesh's file gives the same picture: what was drawn is what was written.
+    // The mesh's file gives the same picture, so the written mesh was drawn.
     fs::rename(at("seen.png"), at("first.png")).unwrap();
     let drawn =
         render(folder.path(), &["seen.ply", "-o", "seen.png", "--size", "640x360", "--ground"]);
@@ -773,7 +772,7 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
         bytes
     };
     assert!(near(&pixels("seen.png"), &pixels("first.png")));
-    // A picture that is there is not replaced, and no mesh is made then.
+    // An existing picture is not replaced, and then no mesh is made.
     fs::write(at("other.png"), "mine").unwrap();
     let said = run(&[frame, "-o", "other.ply", "--preview"], 2);
     assert!(said.contains("other.png: exists") && !at("other.ply").exists(), "{said}");
@@ -785,7 +784,7 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
     assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
     let said = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
     assert!(said.contains("mesh.png: exists"), "{said}");
-    // Going on draws its own sheet again, and no other picture is replaced by it.
+    // Resuming draws its own sheet again, and it replaces no other picture.
     let sheet = fs::read(at("mesh.png")).unwrap();
     let picture = Picture::new().size(8, 8).draw(&Mesh::default()).unwrap();
     let mut foreign = Vec::new();
@@ -824,7 +823,8 @@ fn a_sheet_of_meshes_that_are_not_read_again_shows_those_of_meshes_that_are() {
         let (ours, read) = (pixels(&sheet), pixels("read.png"));
         let differing = ours.iter().zip(&read).filter(|(a, b)| a.abs_diff(**b) > 24).count();
         assert!(differing * 100 < ours.len(), "{output}: {differing} of {}", ours.len());
-        // Going on draws the frames of both runs; without pictures of those made before, it says so.
+        // Resuming draws the frames of both runs; if the pictures of earlier ones are missing, it
+        // says so.
         fs::remove_file(at(&output.replace("{}", "10"))).unwrap();
         let whole = fs::read(at(&sheet)).unwrap();
         run(&["-o", output, "--preview", "--resume"], 0);

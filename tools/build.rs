@@ -1,5 +1,6 @@
-//! Links the C++ runtime into the programs, where the system has an archive of it. meshoptimizer
-//! needs hardly any of it, and to load it would take a third of the time that a small command does.
+//! Links the C++ runtime into the programs statically if the system has an archive of it.
+//! meshoptimizer needs little of it, and loading the shared library would take a third of the time
+//! of a small command.
 
 use std::env::var;
 use std::error::Error;
@@ -14,12 +15,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let compiler = cc::Build::new().cpp(true).get_compiler();
     let asked = compiler.to_command().arg("-print-file-name=libstdc++.a").output()?;
-    // A compiler without the archive answers with its bare name.
+    // A compiler without the archive prints its bare name.
     let archive = String::from_utf8(asked.stdout)?;
     let archive = Path::new(archive.trim());
     if archive.is_absolute() {
-        // The linker takes the first that it finds, and looks here before it looks where the shared
-        // one is.
+        // The linker uses the first match, and searches this folder before that of the shared
+        // library.
         let here = var("OUT_DIR")?;
         println!("cargo:rerun-if-changed={}", archive.display());
         fs::copy(archive, Path::new(&here).join("libstdc++.a"))?;

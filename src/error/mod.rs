@@ -136,7 +136,7 @@ pub enum Error {
         /// The names of the available attributes.
         known: Vec<String>,
     },
-    /// Sizes of particles that cannot be told by an attribute.
+    /// Sizes of particles that no attribute determines.
     #[error("{}{fault}", file(path.as_deref()))]
     Sizes {
         /// The file, if the particles come from one.
@@ -337,6 +337,7 @@ impl Error {
             | Self::Read(_) => Cause::Input,
             Self::Simulation(
                 SimulationError::NoFrames(_)
+                | SimulationError::NoMatch(_)
                 | SimulationError::NoFiles(_)
                 | SimulationError::NoFolder(_)
                 | SimulationError::Unreadable { .. },

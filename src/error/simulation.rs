@@ -14,7 +14,10 @@ pub enum SimulationError {
     /// The inputs contain no frame.
     #[error("{0}: no frames found")]
     NoFrames(String),
-    /// A folder or pattern without supported files.
+    /// A pattern for the names of frames that no file matches.
+    #[error("{0}: no file matches this pattern")]
+    NoMatch(String),
+    /// A folder or glob without supported files.
     #[error("{0}: no matching files")]
     NoFiles(String),
     /// A folder of inputs that does not exist.
@@ -49,7 +52,7 @@ pub enum SimulationError {
     /// Frames in several files. They cannot be watched, because no file shows that a frame is
     /// complete.
     #[error(
-        "{0}: cannot watch frames that are in several files, because no file tells when a frame \
+        "{0}: cannot watch frames that are in several files, because no file shows when a frame \
          is complete; convert them once the simulation is over"
     )]
     Joined(String),

@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_that_several_jobs_put_in_one_place_at_once_are_the_last_ones_and_fail_for_nobody() {
+    fn when_several_jobs_replace_a_folder_at_once_the_last_wins_and_none_fails() {
         let within = tempfile::tempdir().unwrap();
         let (list, piece) = (within.path().join("m.list"), within.path().join("m/m_0.piece"));
         let job = |name: &str| {

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_tells_files_of_one_size_and_time_by_their_names_and_not_by_their_folders() {
+    fn a_stamp_distinguishes_files_of_equal_size_and_time_by_name_but_not_by_folder() {
         let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let stamp = |folder: &Path, name: &str, bytes: &[u8], seconds: u64| {
             Stamp::of(&write(folder.join(name), bytes, seconds)).unwrap()
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_tells_which_frame_of_a_file_it_is_of() {
+    fn a_stamp_distinguishes_frames_of_one_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = write(folder.path().join("sim.h5part"), b"frames", 7);
         let of_step =
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_tells_a_piece_that_was_replaced_by_an_older_one_of_its_size() {
+    fn a_stamp_changes_when_an_older_piece_of_equal_size_replaces_one() {
         let folder = tempfile::tempdir().unwrap();
         let stamp = |of_second: u64| {
             write(folder.path().join("Part_p01_0003.bi4"), b"piece", of_second);

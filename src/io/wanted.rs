@@ -16,7 +16,7 @@ pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 /// Name of PySPH's flag for copies of particles.
 pub(super) const TAG: &str = "tag";
 
-/// The particles that are wanted of an input that may hold others too, and what of them.
+/// Selects which particles of an input are read, and which of their attributes.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Wanted<'a> {
     /// Name of the type in the input, if it has several. By default gas, a fluid, or the only type.

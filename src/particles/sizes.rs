@@ -1,8 +1,9 @@
-//! Sizes of particles, as their attributes give them.
+//! Sizes of particles, from their attributes.
 //!
-//! The size of a particle is the edge of the cube that it fills: its own spacing. Radii are half of
-//! it, as a spacing is twice the radius; volumes are its cube, and so are masses over densities. How
-//! densely the particles fill the cubes deep in the fluid corrects what programs mean by a radius.
+//! The size of a particle is the edge of the cube that it fills, which is its own spacing. A radius
+//! is half of the size, because a spacing is twice the radius. A volume is the cube of the size,
+//! and a mass is the volume times the density. Programs define radii differently, so sizes are
+//! scaled until the particles fill the cubes deep in the fluid.
 
 use std::collections::HashMap;
 
@@ -12,9 +13,9 @@ use thiserror::Error;
 
 use super::{AttributeInfo, Particles, attribute_called, chunks};
 
-/// Names of attributes that surely are radii, in lower case and without other signs.
+/// Names of attributes that are certainly radii, in lower case and without punctuation.
 const USUAL: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "particleradii"];
-/// Names of other attributes that can be sizes, when they are asked for.
+/// Names of other attributes that are sizes if requested.
 const DIAMETERS: [&str; 4] = ["diameter", "diameters", "size", "spacing"];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
 const MASSES: [&str; 3] = ["mass", "masses", "particlemass"];
@@ -22,19 +23,18 @@ const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"]
 
 /// Sizes that differ by less than this factor are one size.
 const ONE_SIZE: f64 = 1.1;
-/// Particles this many times as large as the smallest count as that size.
+/// Maximum ratio of sizes: larger particles count as this many times the smallest size.
 pub const MOST_TIMES: f64 = 64.0;
-/// The share of the particles that may be smaller than the smallest size, or larger than the
-/// largest, as strays.
+/// Share of the particles that may be smaller than the smallest size, or larger than the largest.
 const STRAYS: f64 = 1e-4;
-/// How many of the largest cubes are a cell's edge, in which densities are measured.
+/// Edge of the cells in which densities are measured, in the largest sizes.
 const CELL: f64 = 4.0;
-/// Cells with particles all around that measure a density.
+/// Minimum number of cells that measure a density; particles must be all around a cell.
 const ENOUGH: usize = 8;
-/// Densities within these factors are the fluid's; beyond, radii mean something else.
+/// Range of densities of a fluid. A density outside it shows that radii have another meaning.
 const FLUID: [f64; 2] = [0.7, 1.4];
 
-/// The meaning of an attribute's numbers.
+/// Meaning of an attribute's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Meaning {
@@ -48,27 +48,27 @@ pub enum Meaning {
     Mass,
 }
 
-/// A choice of the sizes of particles.
+/// The choice of the attribute with the particles' sizes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum SizeChoice {
     /// All particles have one size.
     Ignored,
-    /// By an attribute that surely is a radius, if there is one.
+    /// An attribute that is certainly a radius, if there is one.
     #[default]
     Usual,
-    /// By the attribute of this name.
+    /// The attribute with this name.
     Named(String),
 }
 
-/// An attribute that cannot be sizes.
+/// An attribute whose values cannot be sizes.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SizeFault {
-    /// No attribute has the name.
+    /// The attribute does not exist.
     #[error("no attribute {name:?} for sizes; available: {}", listed(known))]
     NoAttribute {
-        /// The name that was asked for.
+        /// The requested name.
         name: String,
-        /// The names of the available attributes.
+        /// Names of the existing attributes.
         known: Vec<String>,
     },
     /// The attribute has several components.
@@ -76,7 +76,7 @@ pub enum SizeFault {
     Components {
         /// The attribute.
         name: String,
-        /// The number of components.
+        /// Number of components.
         components: usize,
     },
     /// Masses without a density.
@@ -88,7 +88,7 @@ pub enum SizeFault {
     NoDensity {
         /// The attribute.
         name: String,
-        /// The names of the available attributes.
+        /// Names of the existing attributes.
         known: Vec<String>,
     },
     /// No particle has a valid size.
@@ -103,18 +103,18 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// The attributes that tell sizes, by their numbers.
+/// Indices of the attributes with the sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Columns {
-    /// The attribute itself.
+    /// The attribute with the sizes.
     pub size: usize,
-    /// The density, where that is a mass.
+    /// The density, if the attribute is a mass.
     pub density: Option<usize>,
     /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
 }
 
-/// Sizes that were found.
+/// Measured sizes of particles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Sizes {
@@ -122,27 +122,28 @@ pub struct Sizes {
     pub attribute: String,
     /// The meaning of the attribute's numbers.
     pub meaning: Meaning,
-    /// The size over what the attribute says, where particles fill more or less than that.
+    /// Ratio of the size to the attribute's, if particles fill more or less space than their
+    /// attribute says.
     pub scale: f64,
-    /// The smallest size, but for strays.
+    /// The smallest size, without strays.
     pub finest: f64,
-    /// The largest size that particles count as.
+    /// The largest size; larger particles count as this.
     pub coarsest: f64,
-    /// The size of particles that have no valid one.
+    /// The size of particles without a valid size.
     pub usual: f64,
-    /// The particles' volume in a cubed unit deep in the fluid, where that could be measured.
+    /// Volume of the particles per unit volume deep in the fluid, if it could be measured.
     pub density: Option<f64>,
-    /// Particles that have no valid size.
+    /// Number of particles without a valid size.
     pub invalid: u64,
-    /// Particles larger than `coarsest`.
+    /// Number of particles larger than `coarsest`.
     pub larger: u64,
 }
 
 impl SizeChoice {
-    /// The attributes that tell sizes; `None` where all particles have one size.
+    /// The attributes with the sizes; `None` if all particles have one size.
     ///
     /// # Errors
-    /// [`SizeFault`], for an attribute that was asked for.
+    /// [`SizeFault`] for a requested attribute.
     pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<Columns>, SizeFault> {
         match self {
             Self::Ignored => Ok(None),
@@ -178,7 +179,7 @@ impl Meaning {
 }
 
 impl Columns {
-    /// Finds the attribute of this name, and of masses the density.
+    /// Finds the attribute with this name, and the density if it is a mass.
     ///
     /// # Errors
     /// [`SizeFault`].
@@ -204,13 +205,12 @@ impl Columns {
         Ok(Self { size, density, meaning })
     }
 
-    /// The numbers of the attributes.
+    /// The indices of the attributes.
     pub fn numbers(&self) -> impl Iterator<Item = usize> {
         [Some(self.size), self.density].into_iter().flatten()
     }
 
-    /// The sizes of a range of particles, as the attributes have them: NaN where they are not
-    /// valid.
+    /// The unscaled sizes of a range of particles, NaN for invalid ones.
     fn read(&self, particles: &(impl Particles + ?Sized), first: usize, count: usize) -> Vec<f64> {
         let column = |number: usize| {
             let mut values = vec![0.0_f32; count];
@@ -224,7 +224,7 @@ impl Columns {
 }
 
 impl Meaning {
-    /// The size that a number means, of masses with a density; `None` if that is no size.
+    /// The size from an attribute's value and, for masses, a density; `None` for an invalid size.
     #[must_use]
     pub fn size(self, number: f32, density: f32) -> Option<f64> {
         let number = f64::from(number);
@@ -234,18 +234,18 @@ impl Meaning {
             Self::Volume => cube_root(number),
             Self::Mass => cube_root(number / f64::from(density)),
         };
-        // What f32 cannot hold is no size.
+        // A size must be representable in f32.
         let size = f64::from(size as f32);
         (size.is_finite() && size > 0.0).then_some(size)
     }
 }
 
-/// A cube root by Newton's method, the same on every machine; NaN for what has none.
+/// A cube root by Newton's method, the same on every machine; NaN for invalid numbers.
 fn cube_root(x: f64) -> f64 {
     if !(x > 0.0 && x.is_finite()) {
         return f64::NAN;
     }
-    // A third of the exponent is near enough to begin with.
+    // A third of the exponent is close enough as a start.
     let mut root = f64::from_bits(x.to_bits() / 3 + 0x2a9f_7893_0000_0000);
     for _ in 0..5 {
         root -= (root - x / (root * root)) / 3.0;
@@ -254,22 +254,22 @@ fn cube_root(x: f64) -> f64 {
 }
 
 impl Sizes {
-    /// The size of a particle by its numbers.
+    /// The size of a particle from its values.
     #[must_use]
     pub fn of(&self, number: f32, density: f32) -> f64 {
         let size = self.meaning.size(number, density).map(|size| size * self.scale);
         size.map_or(self.usual, |size| size.min(self.coarsest))
     }
 
-    /// The attributes of other particles that tell their sizes in the same way.
+    /// The same attributes of other particles.
     ///
     /// # Errors
-    /// [`SizeFault`] where they are not there.
+    /// [`SizeFault`] if they do not exist.
     pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Columns, SizeFault> {
         Ok(Columns { meaning: self.meaning, ..Columns::named(&self.attribute, infos)? })
     }
 
-    /// Reads the sizes of particles; `None` where all have one size.
+    /// Measures the sizes of particles; `None` if all have one size.
     ///
     /// # Errors
     /// [`SizeFault::NoSize`].
@@ -315,14 +315,14 @@ impl Sizes {
     }
 }
 
-/// Sizes by how many particles have them, in steps of an eighth of an octave.
+/// Numbers of particles by size, in steps of an eighth of an octave.
 struct Census {
     /// The number of particles, the smallest and the largest size of each step.
     steps: HashMap<u64, (u64, f64, f64)>,
     invalid: u64,
 }
 
-/// Bits of a number that are left out of its step: all but its exponent and three.
+/// Bits of a number that do not affect its step: all except the exponent and three bits.
 const STEP_BITS: u32 = 49;
 
 impl Census {
@@ -357,7 +357,7 @@ impl Census {
         steps.into_iter().map(|(_, found)| found).collect()
     }
 
-    /// The first step at which so many particles have been counted.
+    /// The first step at which the sum of particles reaches `count`.
     fn at(steps: impl Iterator<Item = (u64, f64, f64)>, count: u64) -> Option<(u64, f64, f64)> {
         let mut before = 0;
         let mut steps = steps;
@@ -367,7 +367,7 @@ impl Census {
         })
     }
 
-    /// The smallest and the largest size but for strays.
+    /// The smallest and the largest size, without strays.
     fn range(&self) -> Option<(f64, f64)> {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
@@ -381,28 +381,28 @@ impl Census {
         self.steps.values().map(|&(_, _, most)| most).fold(0.0, f64::max)
     }
 
-    /// A size in the middle of all.
+    /// The median size.
     fn middle(&self) -> f64 {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
         Self::at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
     }
 
-    /// Particles in the steps beyond a size.
+    /// Number of particles in the steps beyond a size.
     fn beyond(&self, size: f64) -> u64 {
         self.steps.values().filter(|&&(_, least, _)| least > size).map(|&(count, ..)| count).sum()
     }
 }
 
-/// The particles' volume in a cubed unit deep in the fluid: the median over cells of `edge` with
-/// particles all around them. `None` where there are too few of these.
+/// The volume of the particles per unit volume deep in the fluid: the median over cells of `edge`
+/// with particles all around them. `None` for too few such cells.
 fn filling(
     particles: &(impl Particles + ?Sized),
     columns: &Columns,
     sizes: &Sizes,
     edge: f64,
 ) -> Option<f64> {
-    /// The volume of a cell in steps.
+    /// The volume of a cell in fixed-point steps.
     const STEPS: f64 = (1_u64 << 40) as f64;
     let of_chunk = |range: std::ops::Range<usize>| {
         let mut positions = vec![[0.0; 3]; range.len()];

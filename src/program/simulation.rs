@@ -285,7 +285,7 @@ fn range(text: &str) -> Result<(i64, i64), String> {
 }
 
 /// Rejects an option that was given, but only applies to simulations.
-fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
+fn refuse_sequence_options(options: &[(&str, bool)]) -> Result<(), Error> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
         Some((name, _)) => Err(Error::Request(format!(
@@ -297,13 +297,13 @@ fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
 impl SimulationOptions {
     /// Rejects options that do not apply to a single frame.
     pub fn refuse_for_one_frame(&self) -> Result<(), Error> {
-        refuse_of_sequences(&[("--resume", self.resume), ("--plan", self.plan)])?;
+        refuse_sequence_options(&[("--resume", self.resume), ("--plan", self.plan)])?;
         self.refuse_for_parts()
     }
 
     /// Rejects options that do not apply to a single frame in parts.
     pub fn refuse_for_parts(&self) -> Result<(), Error> {
-        refuse_of_sequences(&[
+        refuse_sequence_options(&[
             ("--start", self.start.is_some()),
             ("--end", self.end.is_some()),
             ("--step", self.step.is_some()),

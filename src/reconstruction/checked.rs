@@ -1,4 +1,4 @@
-//! A request whose numbers are in range and whose settings go together, and the threads to run it.
+//! A request whose numbers are in range and whose settings fit together, and the threads to run it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -35,7 +35,7 @@ use super::threads::Threads;
 use super::warning::Warning;
 use super::{CellSize, SamplingRequest, Search};
 
-/// Threads that a call may have at the most: more than any machine has cores, and few enough to
+/// Maximum number of threads of a call: more than the cores of any machine, but few enough to
 /// start.
 const MOST_THREADS: usize = 1024;
 
@@ -50,13 +50,13 @@ pub(crate) struct Checked {
     pub(crate) threads: usize,
     pub(crate) pool: Option<Arc<ThreadPool>>,
     pub(crate) resources: Resources,
-    /// Solids that face inwards.
-    pub(crate) turned: Vec<Warning>,
+    /// Warnings about solids that face inwards.
+    pub(crate) inverted_solids: Vec<Warning>,
     /// The files of the solids that were read.
     pub(crate) solid_files: Vec<PathBuf>,
 }
 
-/// A request with threads of its own.
+/// A checked request with its own threads.
 #[derive(Debug, Clone)]
 pub(crate) struct Started {
     pub(crate) checked: Arc<Checked>,
@@ -64,13 +64,13 @@ pub(crate) struct Started {
 }
 
 impl Reconstruction {
-    /// Checks all numbers, and what of the settings can be checked without an input.
+    /// Checks all numbers, and the settings as far as this needs no input.
     pub(crate) fn checked(&self) -> Result<Checked, Error> {
-        self.checked_but_solids()?.at_solids()
+        self.checked_without_solids()?.at_solids()
     }
 
-    /// Checks all but the solids, which may be other ones in each frame.
-    pub(crate) fn checked_but_solids(&self) -> Result<Checked, Error> {
+    /// Checks everything except the solids, which may differ from frame to frame.
+    pub(crate) fn checked_without_solids(&self) -> Result<Checked, Error> {
         let settings = &self.settings;
         let surfacing = surfacing(settings)?;
         let sampling = sampling(settings, &surfacing)?;
@@ -81,7 +81,7 @@ impl Reconstruction {
         if !(1..=MOST_THREADS).contains(&threads) {
             return Err(Error::Threads(format!("their number must be from 1 to {MOST_THREADS}")));
         }
-        // Chunks are simplified whole, and every thread has its own.
+        // A chunk is simplified as a whole, and each thread has its own chunk.
         let simplifying = reduction.tolerance.map(|_| threads);
         let least =
             SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_A_THREAD * threads as u64);
@@ -117,13 +117,13 @@ impl Reconstruction {
             threads,
             pool,
             resources,
-            turned: Vec::new(),
+            inverted_solids: Vec::new(),
             solid_files: Vec::new(),
         })
     }
 }
 
-/// Refuses the first setting that is given otherwise than in `known` and has no meaning.
+/// Rejects the first meaningless setting whose value differs from that in `known`.
 fn refuse(
     settings: &Settings,
     known: &Settings,
@@ -136,7 +136,7 @@ fn refuse(
     }
 }
 
-/// Refuses the first setting that is given of those with some names.
+/// Rejects the first setting with one of these names that is given.
 pub(super) fn refuse_named(
     settings: &Settings,
     names: &[&'static str],
@@ -201,7 +201,7 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
     Ok(request)
 }
 
-/// The sizes of the particles, unless something is asked for that needs one size.
+/// The choice of sizes, unless another setting needs particles of one size.
 fn size(settings: &Settings) -> SizeChoice {
     let has_one = settings.spacing_or_radius().is_some()
         || settings.solid.is_some()
@@ -211,8 +211,8 @@ fn size(settings: &Settings) -> SizeChoice {
     if has_one { SizeChoice::Ignored } else { settings.size_choice() }
 }
 
-/// Decides the method, and refuses settings that have no meaning for it, but for those of an
-/// indicator's surface.
+/// Decides the method, and rejects settings that do not apply to it, except those of an indicator's
+/// surface.
 fn method(settings: &Settings) -> Result<Method, Error> {
     let kind = settings.indicator.unwrap_or_default();
     let Some(kernels) = settings.kernels() else {
@@ -238,7 +238,7 @@ fn method(settings: &Settings) -> Result<Method, Error> {
     if kernels == KernelMethod::ZhuBridson && settings.isovalue().is_some() {
         refuse_named(settings, &["iso"], conflict)?;
     }
-    // A kernel method's isovalue is as the others': held as a step of a field of 16 bits.
+    // The isovalue of a kernel method is also rounded to a step of a 16-bit field.
     let asked = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
     Ok(Method::Kernels(match kernels {
         KernelMethod::Mueller { iso } => KernelMethod::Mueller { iso: asked.unwrap_or(iso) },
@@ -269,14 +269,14 @@ fn reduction(settings: &Settings) -> Result<Reduction, Error> {
     Ok(Reduction {
         tolerance: settings.simplify.map(Tolerance::new).transpose()?,
         smallest_component: settings.smallest_component,
-        // Every drop has one.
+        // Every drop has at least one particle.
         smallest_drop: settings.smallest_drop.filter(|&particles| particles > 1),
     })
 }
 
 impl Settings {
-    /// Refuses settings of another indicator's surface.
-    pub(crate) fn refuse_of_others(&self, kind: IndicatorKind) -> Result<(), Error> {
+    /// Rejects settings that apply only to the surface of another indicator.
+    pub(crate) fn check_indicator_settings(&self, kind: IndicatorKind) -> Result<(), Error> {
         let meaningless: &[&'static str] = match kind {
             IndicatorKind::Cloud if self.isovalue().is_some() => &["sigma", "iso", "detail"],
             IndicatorKind::Cloud => &["sigma", "detail"],
@@ -287,18 +287,18 @@ impl Settings {
         refuse_named(self, meaningless, || Conflict::Indicator(kind))
     }
 
-    /// Packed frames are made by the default method, so that nothing is wrong with saying it.
+    /// The settings without the default method: packed frames use it, so it may be given.
     pub(super) fn without_default_method(&self) -> Self {
         Self { method: self.plain().method, ..self.clone() }
     }
 
-    /// Whether attributes are asked for by their names.
+    /// Whether the settings name any attributes.
     fn names_attributes(&self) -> bool {
         self.attribute_names().is_some_and(|names| !names.is_empty())
     }
 
-    /// Refuses what a frame that was packed cannot give.
-    pub(crate) fn refuse_of_packed(&self, path: &Path) -> Result<(), Error> {
+    /// Rejects settings that a packed frame cannot satisfy.
+    pub(crate) fn check_packed(&self, path: &Path) -> Result<(), Error> {
         let needed = |setting: Setting| {
             setting.needs_particles() || setting.name() == "attributes" && self.names_attributes()
         };
@@ -306,8 +306,8 @@ impl Settings {
         refuse(&self.without_default_method(), &Self::default(), needed, with)
     }
 
-    /// Refuses what a frame that was sampled as `sampled` says cannot give.
-    pub(crate) fn refuse_of_sampled(&self, sampled: &Self) -> Result<(), Error> {
+    /// Rejects settings that differ from those with which the frame was sampled.
+    pub(crate) fn check_sampled(&self, sampled: &Self) -> Result<(), Error> {
         let needed = |setting: Setting| setting.needs_particles() || setting.name() == "attributes";
         let given = self.plain().given_otherwise(&sampled.plain(), needed);
         given.map_or(Ok(()), |setting| {
@@ -317,16 +317,16 @@ impl Settings {
         })
     }
 
-    /// Refuses what is not of samples, which are all that a packed frame holds.
-    pub(crate) fn refuse_of_packing(&self) -> Result<(), Error> {
+    /// Rejects settings that do not affect samples, because a packed frame contains only samples.
+    pub(crate) fn check_packing(&self) -> Result<(), Error> {
         let of_surface = |setting: Setting| {
             !setting.is_of_samples() && (setting.name() != "attributes" || self.names_attributes())
         };
         refuse(&self.without_default_method(), &Self::default(), of_surface, || Conflict::Packing)
     }
 
-    /// Refuses what is asked for and a format cannot hold.
-    pub(crate) fn refuse_of_format(&self, path: &Path, format: MeshFormat) -> Result<(), Error> {
+    /// Rejects settings that a format cannot store.
+    pub(crate) fn check_format(&self, path: &Path, format: MeshFormat) -> Result<(), Error> {
         let is_glb = matches!(format, MeshFormat::Glb(_));
         let names = self.attribute_names().unwrap_or_default();
         let colours = format.holds_colours() && names.iter().all(|name| asks_for_colour(name));
@@ -351,19 +351,19 @@ impl Checked {
         Ok(Started { checked: Arc::new(self), threads })
     }
 
-    /// Refuses settings that have no meaning for the indicator that was asked for, or without a
-    /// periodic box.
-    pub(crate) fn refuse_of_indicator(&self) -> Result<(), Error> {
+    /// Rejects settings that do not apply to the indicator, or that need a periodic box if there is
+    /// none.
+    pub(crate) fn check_indicator(&self) -> Result<(), Error> {
         if self.settings.periodic_mesh.is_some() && self.settings.periodic.is_none() {
             return Err(PeriodicError::NoBox.into());
         }
         match self.sampling.method {
-            Method::Indicator { kind, .. } => self.settings.refuse_of_others(kind),
+            Method::Indicator { kind, .. } => self.settings.check_indicator_settings(kind),
             Method::Kernels(_) => Ok(()),
         }
     }
 
-    /// The memory for an input that has to be unpacked or decoded: an eighth of the budget.
+    /// The memory for an input that must be unpacked or decoded: an eighth of the budget.
     pub(crate) fn unpacking(&self) -> Unpacking<'_> {
         Unpacking {
             in_memory: self.resources.budget.0 / 8,

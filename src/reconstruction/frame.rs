@@ -52,7 +52,7 @@ impl Started {
     fn sample_all(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
-        checked.refuse_of_indicator()?;
+        checked.check_indicator()?;
         let sampled = self.threads.install(|| {
             let choose = || checked.choose_and_plan(particles, Source::default());
             let chosen = checked.resources.control.during(Stage::Reading, choose)?;
@@ -142,11 +142,10 @@ impl Frame {
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();
-        checked.settings.refuse_of_sampled(&Settings {
-            indicator: kind,
-            ..self.ready.checked.settings.clone()
-        })?;
-        kind.map_or(Ok(()), |kind| checked.settings.refuse_of_others(kind))?;
+        checked
+            .settings
+            .check_sampled(&Settings { indicator: kind, ..self.ready.checked.settings.clone() })?;
+        kind.map_or(Ok(()), |kind| checked.settings.check_indicator_settings(kind))?;
         checked.resources = self.ready.checked.resources.clone();
         checked.resources.control = request.control.clone();
         self.draw(&Arc::new(checked), Timings::default())

@@ -237,7 +237,8 @@ fn files() -> String {
         Unsupported(".stl stores coordinates as f32, and these are out of its range".into()),
     );
     examples!(text, SimulationError:
-        NoFrames("sim/*.bgeo".into()),
+        NoFrames("sim".into()),
+        NoMatch("sim/frame_{}.bgeo".into()),
         NoFiles("sim/*.bgeo".into()),
         NoFolder(path("sim")),
         Unreadable { path: path("sim"), fault: io::ErrorKind::PermissionDenied.into() },

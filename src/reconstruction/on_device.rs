@@ -50,7 +50,7 @@ impl Reconstruction {
             .into());
         }
         let checked = self.checked()?;
-        checked.refuse_of_indicator()?;
+        checked.check_indicator()?;
         let (request, surfacing) = (&checked.sampling, checked.surfacing.clone());
         let size = match (request.cell_size(), request.spacing) {
             (CellSize::Length(size), _) => size,

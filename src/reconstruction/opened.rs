@@ -49,14 +49,14 @@ impl Started {
             if let [path] = paths
                 && is_packed(path)
             {
-                checked.settings.refuse_of_packed(path)?;
+                checked.settings.check_packed(path)?;
                 let sampled = open_frame(path, checked.resources.budget.0 / 4)?
                     .with_scratch(&checked.resources.scratch);
                 timings.done("open");
-                checked.settings.refuse_of_others(sampled.indicator.kind())?;
+                checked.settings.check_indicator_settings(sampled.indicator.kind())?;
                 return Ok(Input::Packed(Box::new(sampled)));
             }
-            checked.refuse_of_indicator()?;
+            checked.check_indicator()?;
             let file = open_joined(paths, checked.wanted(), checked.unpacking())?;
             let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");

@@ -106,7 +106,7 @@ impl Output {
         };
         let ((file, folders), unfinished) =
             cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
-        settings.refuse_of_format(path, file.format())?;
+        settings.check_format(path, file.format())?;
         Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
     }
 

@@ -1,4 +1,4 @@
-//! How particles are to be sampled, as far as it can be known without them.
+//! The settings for sampling particles, as far as they are known without the particles.
 
 use std::path::Path;
 
@@ -26,43 +26,42 @@ use super::lattice::on_sound_grid;
 use super::orientation::usual_up;
 use super::spacing::{SpacingSource, SpacingWarning, is_suspicious};
 
-/// How particles are to be sampled, whatever they are.
+/// The settings for sampling any particles.
 #[derive(Debug, Clone)]
 pub struct SamplingRequest {
-    /// The way to make a field of them.
+    /// The method that makes the field.
     pub method: Method,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
-    /// A corner of the grid's cells; where it is not given, the grid may be moved to suit a
-    /// lattice.
+    /// A corner of the grid's cells; `None` lets the grid move to fit a lattice.
     pub origin: Option<DVec3>,
-    /// The lowest and the highest corner of a tank; particles outside are not counted.
-    /// Open sides are at -inf and inf.
+    /// The lowest and highest corner of a tank; particles outside are not counted. Open sides are
+    /// at -inf and inf.
     pub walls: Option<[DVec3; 2]>,
-    /// Whether walls are looked for where none are given.
+    /// Whether to find walls if none are given.
     pub search: Search,
-    /// The axis that points up, where that is known: 0, 1 or 2.
+    /// The axis that points up, if known: 0, 1 or 2.
     pub up: Option<usize>,
-    /// The faces of a periodic box along each axis, where it is not open, and the surface that
-    /// images beyond them have to do for.
+    /// The faces of a periodic box along each axis, `None` for open axes, and the surface that the
+    /// images beyond the faces must suffice for.
     pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
-    /// The particles' spacing, where the caller knows it.
+    /// The spacing of the particles, if the caller knows it.
     pub spacing: Option<f64>,
-    /// The attribute with the particles' sizes, where they have several.
+    /// The attribute with the sizes of the particles.
     pub size: SizeChoice,
-    /// Edge of a cell; the [usual one](CellSize::usual) where it is not given.
+    /// Edge of a cell; [usual](CellSize::usual) if `None`.
     pub cell: Option<CellSize>,
 }
 
-/// Whether the walls of a tank are looked for.
+/// Whether to find the walls of a tank.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Search {
-    /// No.
     #[default]
+    /// Do not find walls.
     Never,
-    /// To report them to the caller.
+    /// Find walls, and report them to the caller.
     Hint,
-    /// To put the fluid in them.
+    /// Find walls, and end the fluid at them.
     Walls,
 }
 
@@ -83,34 +82,34 @@ impl Default for SamplingRequest {
     }
 }
 
-/// How a frame is sampled, and what was chosen for it.
+/// The sampling of a frame, and the choices that led to it.
 #[derive(Debug)]
 pub struct ChosenSampling {
-    /// With its grid where it is best.
+    /// The sampling, with its grid at the best position.
     pub sampling: Sampling,
-    /// Cells and spacing.
+    /// The cells, with the spacing and its warnings.
     pub cells: Cells,
-    /// Whether the grid was moved to suit a lattice.
+    /// Whether the grid was moved to fit a lattice.
     pub moved: bool,
-    /// The particles' places, where they were counted meanwhile.
+    /// The count of the particles, if it was done at the same time.
     pub plan: Option<BinPlan>,
 }
 
 impl ChosenSampling {
-    /// Name of the stage that it took.
+    /// Name of the stage to which the time belongs.
     pub fn stage(&self) -> &'static str {
         if self.plan.is_some() { "count" } else { "spacing" }
     }
 }
 
-/// The particles of a frame, at the most, that is looked at for walls that were not asked for: it
-/// takes two readings.
+/// Maximum number of particles for finding walls that were not requested, because this needs two
+/// readings.
 const MOST_HINTED: usize = 1 << 24;
 
-/// Something that looks at the positions of all particles, some at once, in no order.
+/// A function that gets the positions of all particles, in pieces and in any order.
 type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
 
-/// The spacing to which cells of a size that does not depend on it are the most usual ones.
+/// The spacing whose usual cell size is this one.
 fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
 }
@@ -121,7 +120,7 @@ impl SamplingRequest {
         self.cell.unwrap_or(CellSize::usual(self.method))
     }
 
-    /// Refuses an origin, walls or a periodic box that are wrong whatever the cells' size is.
+    /// Rejects an origin, walls or a periodic box that are invalid for every cell size.
     pub fn validate(&self) -> Result<(), Error> {
         let unit = self.grid(1.0)?;
         if let Some([lo, hi]) = self.walls
@@ -136,7 +135,7 @@ impl SamplingRequest {
         Ok(())
     }
 
-    /// The grid that was asked for, with cells of some size.
+    /// The requested grid, with this cell size.
     pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
         Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
     }
@@ -145,8 +144,8 @@ impl SamplingRequest {
         self.walls.map(|[lo, hi]| Domain::new(grid, lo, hi)).transpose()
     }
 
-    /// The request for a slab's particles: walls are its faces. Walls and periodic faces of the
-    /// caller's own come first.
+    /// The request with the slab's faces as walls. The caller's walls and periodic faces take
+    /// precedence.
     pub fn in_slab(&self, slab: Option<Slab>) -> Self {
         let mut request = self.clone();
         if let Some(Slab { axis, faces: [lo, hi] }) =
@@ -158,15 +157,15 @@ impl SamplingRequest {
         request
     }
 
-    /// The request for a frame that was found to be in `walls`, if it asks for them.
+    /// The request for a frame in the `walls` that were found, if it uses found walls.
     #[must_use]
     pub fn in_walls(&self, walls: Option<&Walls>) -> Self {
         let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
         Self { walls: walls.map(Walls::corners).or(self.walls), ..self.clone() }
     }
 
-    /// The request for a frame in walls that were found on others, if it asks for them. Walls that
-    /// particles pass are moved or left out: says which.
+    /// The request for a frame in walls that were found on other frames, if it uses found walls.
+    /// Walls that particles pass are moved or removed, and returned.
     #[must_use]
     pub fn in_walls_around(
         &self,
@@ -187,7 +186,7 @@ impl SamplingRequest {
         }
     }
 
-    /// The ends of a frame's particles, where they are to be looked at and their spacing is known.
+    /// The ends of a frame's particles; `None` if the spacing is unknown.
     pub fn ends(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -198,7 +197,7 @@ impl SamplingRequest {
         Ok(Ends::of(particles, spacing, flat, &self.grid_of(cells)?))
     }
 
-    /// The walls that some frames and the scene beside their files show.
+    /// The walls that some frames and the scene file beside them indicate.
     pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
         let scene = path.and_then(tank_beside);
         let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
@@ -210,13 +209,13 @@ impl SamplingRequest {
         FoundWalls { walls, scene: scene.map(|(_, path)| path).filter(|_| by_scene) }
     }
 
-    /// Whether the caller asked for nothing where the fluid ends along an axis.
+    /// Whether the caller set neither walls nor periodic faces along an axis.
     fn is_open(&self, axis: usize) -> bool {
         self.walls.is_none_or(|[lo, hi]| !lo[axis].is_finite() && !hi[axis].is_finite())
             && self.periodic.as_ref().is_none_or(|(faces, _)| faces[axis].is_none())
     }
 
-    /// The spacing that the caller, the file or a scene beside it gives.
+    /// The spacing from the caller, the file, or a scene file beside it.
     fn given(&self, from: Source<'_>) -> Option<(f64, SpacingSource)> {
         let scene = || {
             let (spacing, path) = spacing_beside(from.path?)?;
@@ -226,9 +225,9 @@ impl SamplingRequest {
         of_caller.or(from.spacing.map(|spacing| (spacing, SpacingSource::File))).or_else(scene)
     }
 
-    /// Chooses the cells for particles. Only where cells have a size of their own and no kernels
-    /// are drawn can the spacing be unknown: the filters are then as wide as for particles a cell
-    /// apart.
+    /// Chooses the cells for particles. The spacing is unknown only if the cell size does not
+    /// depend on it and no kernel method is used: then the filters are as wide as for particles one
+    /// cell apart.
     pub fn cells(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -241,8 +240,8 @@ impl SamplingRequest {
         Ok(self.cells_while(particles, from, read)?.0)
     }
 
-    /// Chooses the cells for particles like [`cells_by`](Self::cells_by), with a doubt where a
-    /// boundary is among them.
+    /// Chooses the cells for particles like [`cells_by`](Self::cells_by), with a warning if a
+    /// boundary is among the particles.
     fn cells_while<T>(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -277,13 +276,13 @@ impl SamplingRequest {
             None => Ok(None),
         });
         match found {
-            // Nobody asked for that attribute.
+            // The user did not ask for this attribute.
             Err(SizeFault::NoSize { .. }) if self.size == SizeChoice::Usual => Ok(None),
             found => Ok(found?),
         }
     }
 
-    /// The cells by the smallest size.
+    /// The cells that follow from the smallest size.
     fn cells_for_sizes(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -297,9 +296,9 @@ impl SamplingRequest {
     }
 
     /// Chooses the cells for particles, and uses the caller's `read` if a separate reading of all
-    /// particles would take long. `read` gets the cell size, as far as it is
-    /// known, and a function that it calls with the positions of all particles. It returns `None`
-    /// if it failed. The last value that it returned is returned with the cells.
+    /// particles would take long. `read` gets the cell size, as far as it is known, and a function
+    /// that it calls with the positions of all particles. It returns `None` if it failed. The last
+    /// value that it returned is returned with the cells.
     fn cells_by<T>(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -313,7 +312,7 @@ impl SamplingRequest {
         };
         let share = Share::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
-            // A scene need not be that of the particles, and says nothing of a second resolution.
+            // The scene may belong to other particles, and does not mention a second resolution.
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
             let look = |positions: &[[f64; 3]]| {
@@ -372,8 +371,8 @@ impl SamplingRequest {
         Ok((self.cells_by_evidence(particles, from, Some(evidence))?, done))
     }
 
-    /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for
-    /// particles whose spacing is known.
+    /// The cells for particles with a known spacing: their size, their origin if it must be far
+    /// from 0, and the slab.
     fn cells_of(
         &self,
         spacing: f64,
@@ -385,7 +384,7 @@ impl SamplingRequest {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => positive_length("cell-size", ratio * spacing)?,
         };
-        // A slab holds no cell's centre for sure where cells are wider than it.
+        // If cells are wider than the slab, it may contain no cell's centre.
         let is_fine = size < 0.99 * spacing;
         let slab = plane.filter(|plane| is_fine && self.is_open(plane.axis));
         let slab = slab.map(|plane| Slab::around(plane, spacing));
@@ -400,27 +399,26 @@ impl SamplingRequest {
         })
     }
 
-    /// A corner for cells of particles around `middle`, where the grid around the origin would not
-    /// reach them with half of its cells.
+    /// The origin of the grid for particles around `middle`, if half of the cells of a grid around
+    /// 0 would not reach them.
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;
-        // Of particles outside of walls none counts.
+        // Particles outside of walls do not count.
         let middle = self.walls.map_or(middle, |[lo, hi]| {
             let walled = (lo + hi) / 2.0;
             DVec3::from(
                 [0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }),
             )
         });
-        // Along the axes that need it, in whole cells.
+        // Moves along the axes that need it, by whole cells.
         let origin = middle
             .to_array()
             .map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
         (origin != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
     }
 
-    /// The cells for a spacing that was given, with doubts about it where a look at its scale does
-    /// not bear it out.
+    /// The cells for a given spacing, with warnings if the neighbours at its scale contradict it.
     fn cells_for_given(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -434,7 +432,7 @@ impl SamplingRequest {
                 look.place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
             look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
         });
-        // A scene need not be that of the particles, and says nothing of a second resolution.
+        // The scene may belong to other particles, and does not mention a second resolution.
         let is_scene = matches!(source, SpacingSource::Scene(_));
         let evidence = match evidence_at_hand {
             None if !all_is_well || is_scene => evidence(particles),
@@ -454,7 +452,7 @@ impl SamplingRequest {
         Ok(cells)
     }
 
-    /// The cells by what the particles say.
+    /// The cells for particles whose spacing is estimated.
     fn cells_by_evidence(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -474,7 +472,7 @@ impl SamplingRequest {
         if let CellSize::Length(size) = self.cell_size()
             && let Method::Indicator { kind, mean } = self.method
         {
-            // Nobody asks for cells that are refused: then it was spray that was estimated.
+            // If the estimate leads to cells that are rejected, it was an estimate of spray.
             let grid = self.grid(size)?;
             let fits = |estimate: &Estimate| {
                 let spacing = Some(estimate.spacing);
@@ -497,7 +495,7 @@ impl SamplingRequest {
             path: path(),
             particles: particles.len(),
             why,
-            // Places on a coarse grid suggest nothing.
+            // Positions on a coarse grid suggest no spacing.
             suggested: match why {
                 NoEstimate::SinglePrecision { .. } => None,
                 _ => evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
@@ -510,7 +508,8 @@ impl SamplingRequest {
         Ok(cells)
     }
 
-    /// Chooses how to sample particles, whose attributes numbered in `carried` go to the vertices.
+    /// Chooses how to sample particles. Their attributes with the numbers in `carried` go to the
+    /// vertices.
     pub fn sampling(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -522,8 +521,8 @@ impl SamplingRequest {
         self.sampling_in(cells, particles, carried, resources)
     }
 
-    /// Works like [`sampling`](Self::sampling), and counts the particles for it where that can be
-    /// done on the way.
+    /// Works like [`sampling`](Self::sampling), and counts the particles at the same time if
+    /// possible.
     pub fn sampling_and_plan(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -531,7 +530,7 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        // Of the count comes the grid that it was made on. Whatever fails will fail again where it
+        // The count includes the grid on which it was made. A failure occurs again later, where it
         // is reported.
         let count = |cell_size: f64, look: LookAtAll<'_>| {
             let grid = self.grid(cell_size).ok()?;
@@ -573,7 +572,7 @@ impl SamplingRequest {
         Ok(ChosenSampling { sampling, cells, moved, plan: None })
     }
 
-    /// The grid of cells that were chosen.
+    /// The grid of the chosen cells.
     pub fn grid_of(&self, cells: &Cells) -> Result<Grid, Error> {
         match cells.origin {
             Some(origin) => Ok(Grid::new(origin.into(), cells.size)?),
@@ -581,7 +580,7 @@ impl SamplingRequest {
         }
     }
 
-    /// Samples on a grid that is known, by a method whose mu0 may be known.
+    /// The sampling on a known grid.
     ///
     /// # Errors
     /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to
@@ -608,7 +607,7 @@ impl SamplingRequest {
             resources,
         };
         if let Some((faces, surfacing)) = &self.periodic {
-            // The reach of filters is only known for valid cells.
+            // The reach of the filters is only known for valid cells.
             sampling.refuse_unfit(surfacing)?;
             let reach = surfacing.reach(method, spacing, &grid);
             sampling.periodic = Some(Periodic::new(&grid, *faces, reach)?);

@@ -17,12 +17,8 @@ impl Reconstruction {
     /// [`Error::Unit`], [`Error::SettingConflict`], [`Error::Domain`], [`Error::LittleMemory`] and
     /// [`Error::Threads`].
     pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
-        let (checked, input) = (self.checked_but_solids()?, input.as_ref());
-        if is_packed(input) {
-            self.settings.refuse_of_packed(input)
-        } else {
-            checked.refuse_of_indicator()
-        }
+        let (checked, input) = (self.checked_without_solids()?, input.as_ref());
+        if is_packed(input) { self.settings.check_packed(input) } else { checked.check_indicator() }
     }
 
     /// Rejects settings of a surface, which do not apply to packing a frame.
@@ -30,7 +26,7 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::SettingConflict`].
     pub fn check_packing(&self) -> Result<(), Error> {
-        self.settings.refuse_of_packing()
+        self.settings.check_packing()
     }
 
     /// Reconstructs the surface of particles in memory.

@@ -63,7 +63,8 @@ impl Checked {
         refuse_beyond_room(solid.bytes())?;
         self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
         let turned = solid.turned().iter();
-        self.turned = turned.map(|&number| Warning::InvertedSolid(paths[number].clone())).collect();
+        self.inverted_solids =
+            turned.map(|&number| Warning::InvertedSolid(paths[number].clone())).collect();
         self.solid_files = paths.to_vec();
         self.surfacing.solid = Some(Arc::new(solid));
         Ok(self)
@@ -79,6 +80,6 @@ impl Checked {
         let thin = thin.filter(|&(_, thickness)| thickness < cell_size).map(|(path, thickness)| {
             Warning::ThinSolid { path: path.clone(), thickness, cell_size }
         });
-        self.turned.iter().cloned().chain(thin).collect()
+        self.inverted_solids.iter().cloned().chain(thin).collect()
     }
 }

@@ -1,4 +1,4 @@
-//! Source of a frame's spacing, and doubts about it.
+//! Source of a frame's spacing, and warnings about it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -146,8 +146,8 @@ impl SpacingMistake {
     }
 }
 
-/// Whether the neighbours of particles do not bear out a spacing that was given: then all that the
-/// particles say is worth a look.
+/// Whether the neighbours of particles contradict a given spacing, so that all evidence should be
+/// gathered.
 pub(super) fn is_suspicious(neighbours: &Neighbours, given: f64) -> bool {
     let measured =
         neighbours.measured().map(|(measured, _)| measured).or_else(|| neighbours.suggested());
@@ -155,8 +155,8 @@ pub(super) fn is_suspicious(neighbours: &Neighbours, given: f64) -> bool {
 }
 
 impl SpacingWarning {
-    /// The doubts about a spacing that other particles have, which are read up to three times where
-    /// there are any.
+    /// The warnings about a known spacing for other particles, which are read up to three times if
+    /// there are any warnings.
     pub(crate) fn of_known(
         given: f64,
         source: &SpacingSource,
@@ -170,8 +170,8 @@ impl SpacingWarning {
         evidence.map_or(Vec::new(), |all| Self::of_given(given, source, &look.neighbours, &all))
     }
 
-    /// The doubts about a spacing that was given, by neighbours looked for at its scale and by all
-    /// that the particles say.
+    /// The warnings about a given spacing, from the neighbours at its scale and the evidence from
+    /// all particles.
     pub(super) fn of_given(
         given: f64,
         source: &SpacingSource,
@@ -204,8 +204,8 @@ impl SpacingWarning {
         warnings
     }
 
-    /// The doubt about the spacing of a packed frame, by what its samples show: of thin fluid that
-    /// is too large.
+    /// The warning about the spacing of a packed frame, from its samples. They overestimate the
+    /// spacing of thin fluid.
     pub(super) fn of_packed(given: f64, found: f64) -> Option<Self> {
         const THIN: f64 = 1.75;
         let doubtful = !(1.0 / TOO_LARGE..THIN).contains(&(found / given));
@@ -222,7 +222,7 @@ impl SpacingWarning {
         }
     }
 
-    /// The doubt about sizes, if some are not valid.
+    /// The warning about sizes, if some are invalid.
     pub(super) fn of_sizes(sizes: &Sizes) -> Option<Self> {
         let &Sizes { invalid, usual, larger, coarsest, .. } = sizes;
         let attribute = sizes.attribute.clone();
@@ -235,7 +235,7 @@ impl SpacingWarning {
         })
     }
 
-    /// The doubts about an estimate.
+    /// The warnings about an estimate.
     pub(super) fn of_estimate(estimate: &Estimate, evidence: &Evidence) -> Vec<Self> {
         let &Estimate { spacing: used, two, thin } = estimate;
         let mut warnings = Vec::new();
@@ -251,7 +251,7 @@ impl SpacingWarning {
         warnings
     }
 
-    /// Whether coordinates that move in such steps are too coarse for a spacing.
+    /// Whether coordinates with this step are too coarse for a spacing.
     pub(super) fn is_coarse(step: f64, spacing: f64) -> bool {
         STEPS * step > spacing
     }

@@ -234,10 +234,10 @@ impl Setup<'_> {
         let input = frame.stamp()?;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
-            self.checked.settings.refuse_of_packed(path)?;
+            self.checked.settings.check_packed(path)?;
             let sampled =
                 open_frame(path, resources.budget.0 / 4)?.with_scratch(&resources.scratch);
-            self.checked.settings.refuse_of_others(sampled.indicator.kind())?;
+            self.checked.settings.check_indicator_settings(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let spacing = sampled.facts.spacing;

@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn another_number_tells_simulations_apart_that_ran_side_by_side() {
+    fn another_number_distinguishes_simulations_that_ran_side_by_side() {
         let fluids = |name: fn(u32, u32) -> String, frames: [u32; 2]| {
             let names: Vec<_> = (0..2)
                 .flat_map(|fluid| (frames[fluid as usize]..9).map(move |i| name(fluid, i)))

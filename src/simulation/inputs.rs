@@ -173,8 +173,8 @@ impl Inputs {
     ///
     /// # Errors
     /// Those of [`simulations`](Self::simulations) and [`Sequence::list`],
-    /// [`SimulationError::Several`] for several simulations, and [`SimulationError::NoFrames`]
-    /// without frames.
+    /// [`SimulationError::Several`] for several simulations, and [`SimulationError::NoFrames`] or
+    /// [`SimulationError::NoMatch`] without frames.
     pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
         let mut found = self.simulations(None)?;
         if found.len() > 1 {
@@ -203,6 +203,7 @@ impl Inputs {
                     "{pattern}: the numbers of these files are decimals; use \"{times}\""
                 ));
             }
+            return SimulationError::NoMatch(pattern.to_string());
         }
         SimulationError::NoFrames(self.describe())
     }

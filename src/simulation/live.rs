@@ -69,7 +69,7 @@ impl LiveSimulation {
     /// [`Error::Threads`].
     pub fn new(request: &Reconstruction) -> Result<Self, Error> {
         let checked = request.checked()?;
-        checked.refuse_of_indicator()?;
+        checked.check_indicator()?;
         Ok(Self { ready: checked.on_threads()?, known: None, settled: false })
     }
 

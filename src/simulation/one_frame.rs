@@ -120,7 +120,7 @@ impl Conversion<'_> {
         let output = output.with_layout(checked.settings.layout(orientation));
         let open = || {
             if is_packed(path) {
-                checked.settings.refuse_of_packed(path)?;
+                checked.settings.check_packed(path)?;
                 return Ok(None);
             }
             let scratch = &checked.resources.scratch;
@@ -254,7 +254,7 @@ impl Conversion<'_> {
         let scratch = &checked.resources.scratch;
         let sampled = open_frame(path, budget.0 / 4)?.with_scratch(scratch);
         timings.done("open");
-        checked.settings.refuse_of_others(sampled.indicator.kind())?;
+        checked.settings.check_indicator_settings(sampled.indicator.kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
         let frame = Engine::from_sampled(sampled, &checked.surfacing, resources);
         Ok(Ready {

@@ -3,7 +3,7 @@
 //! In a name, `{}` stands for the number, which may be negative; `{time}` for a decimal by which
 //! frames are ordered; `{piece}` for the number of one of a frame's files. Notations of other
 //! programs are read as `{}`: `%04d`, `####`, `$F4`, `<frame>`. Without a pattern,
-//! [`infer`](super::inferred::infer) finds it from all names together.
+//! `inferred::infer` finds it from all names together.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};

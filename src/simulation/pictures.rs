@@ -273,7 +273,7 @@ impl Pictures {
         };
         match inputs.only() {
             Ok((sequence, frames)) => Ok((Some(sequence), frames)),
-            Err(SimulationError::NoFrames(given)) => {
+            Err(SimulationError::NoFrames(given)) if matches!(inputs, Inputs::Files(_)) => {
                 Err(SimulationError::NoFrames(format!("{given}: not a mesh")).into())
             }
             Err(error) => Err(error.into()),

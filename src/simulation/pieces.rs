@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_piece_whose_frame_is_to_come_is_told_by_those_of_another_frame() {
+    fn a_piece_of_a_future_frame_is_recognised_by_the_pieces_of_another_frame() {
         let naming = |index: &str, piece: &str| naming(Path::new(index), Path::new(piece));
         let like = |name: &str| named_like(Path::new(name));
         let pool = naming("sim/pool_0001.pvtp", "sim/pool_0001_0.vtp");

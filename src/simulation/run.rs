@@ -167,7 +167,7 @@ impl Simulation {
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
             return Err(SimulationError::Steps(inputs.describe()).into());
         }
-        let mut checked = self.request.checked_but_solids()?;
+        let mut checked = self.request.checked_without_solids()?;
         if !SolidNames::of(&checked.settings)?.are_numbered() {
             checked = checked.at_solids()?;
         }
@@ -178,7 +178,7 @@ impl Simulation {
         checked.resources.control.progress = None;
         // A packed frame stores its own conditions and format.
         if !self.inputs.iter().all(|input| is_packed(input)) {
-            checked.refuse_of_indicator()?;
+            checked.check_indicator()?;
         }
         Ok((inputs, naming, checked))
     }

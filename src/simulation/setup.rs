@@ -113,7 +113,7 @@ impl Setup<'_> {
         let unknown =
             || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(&path).ok_or_else(unknown)?;
-        self.checked.settings.refuse_of_format(&self.simulation.output, format)?;
+        self.checked.settings.check_format(&self.simulation.output, format)?;
         Ok(format)
     }
 

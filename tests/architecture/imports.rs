@@ -1,10 +1,10 @@
-//! Which file of a source tree imports from which, as its syntax says.
+//! Finds which files of a source tree import from which, by parsing their syntax.
 //!
-//! A path leads to the file in which what it names is written: a re-export is followed, and is
-//! itself no import. Neither is `mod child;`. So a `mod.rs` that only declares and re-exports
-//! imports from nobody, one that uses what is in its children imports from them, and so do they
-//! from it if they use what is written there. What only tests and comments name does not count. In
-//! macros a path is any names with `::` between them.
+//! A path leads to the file that defines its item: a re-export is followed, and is no import
+//! itself. `mod child;` is no import either. So a `mod.rs` that only declares and re-exports
+//! imports from no file. A `mod.rs` that uses items of its children imports from them, and they
+//! import from it if they use items that it defines. Tests and comments do not count. In macros,
+//! names with `::` between them are a path.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -16,25 +16,25 @@ use syn::{
     Attribute, Expr, ExprCall, ExprPath, Item, ItemMod, ItemUse, Macro, UseTree, Visibility,
 };
 
-/// The crate that the program names the library by.
+/// The crate name by which the program uses the library.
 const LIBRARY: &str = "meniscus";
 
-/// A module by the names of those around it: none for the library's root.
+/// A module by the names of its ancestors and its own; empty for the library's root.
 type Module = Vec<String>;
 
-/// A file that names something that is written in another.
+/// A file that names an item of another file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Import {
     pub from: String,
-    /// The file where what is named is written.
+    /// The file that defines the item.
     pub to: String,
-    /// The file of the module by which it is named, which may re-export it.
+    /// The file of the module through which the item is named, and which may re-export it.
     pub by: String,
-    /// The name by which it goes there.
+    /// The name of the item in that module.
     pub path: String,
 }
 
-/// All imports between the files below a folder, which are named by their paths in it.
+/// All imports between the files below a folder, by their paths in it.
 pub fn imports(folder: &Path) -> BTreeSet<Import> {
     let tree = Tree::read(folder);
     let mut imports = BTreeSet::new();
@@ -47,8 +47,8 @@ pub fn imports(folder: &Path) -> BTreeSet<Import> {
     imports
 }
 
-/// The texts in the code of all files below a folder, with their files: those of messages, but
-/// neither of comments nor of tests.
+/// The string literals in the code of all files below a folder, with their files. Comments and
+/// tests are left out.
 pub fn texts(folder: &Path) -> Vec<(String, String)> {
     let mut texts = Vec::new();
     for path in files(folder) {
@@ -68,7 +68,7 @@ fn add_texts(tokens: TokenStream, add: &mut dyn FnMut(String)) {
                 if inside.replace(' ', "") == "cfg(test)" {
                     of_test = true;
                 } else if of_test {
-                    // What follows, up to the end of its body.
+                    // Skips the test's item, up to the end of its body.
                     of_test = group.delimiter() != Delimiter::Brace;
                 } else if !inside.starts_with("doc ") {
                     add_texts(group.stream(), add);
@@ -84,7 +84,7 @@ fn add_texts(tokens: TokenStream, add: &mut dyn FnMut(String)) {
     }
 }
 
-/// The files of Rust below a folder.
+/// The Rust files below a folder.
 pub fn files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
@@ -100,8 +100,8 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
 struct File {
     name: String,
     syntax: syn::File,
-    /// By the name under which it is known here, the path of what is used, and whether others may
-    /// use it from here.
+    /// For each name known in the module, the path of the item, and whether other modules may use
+    /// it from here.
     uses: BTreeMap<String, (Vec<String>, bool)>,
 }
 
@@ -128,14 +128,14 @@ impl Tree {
             }
             (module, File { name, syntax, uses })
         };
-        // Bindings are crates of their own.
+        // Each binding is a separate crate.
         let bindings = folder.join("bindings");
         let modules = files(folder).into_iter().filter(|path| !path.starts_with(&bindings));
         Self { modules: modules.map(file).collect() }
     }
 
-    /// The module in which what a path names is written, and the one by which the path names it;
-    /// `None` where it is not of this tree.
+    /// The module that defines the item of a path, and the module through which the path names it;
+    /// `None` for items of other crates.
     fn find(&self, here: &[String], path: &[String]) -> Option<[Module; 2]> {
         let (first, rest) = path.split_first()?;
         let start = match first.as_str() {
@@ -147,7 +147,7 @@ impl Tree {
             }
             name => {
                 let (used, _) = self.modules.get(here)?.uses.get(name)?;
-                // Of its own name is what a crate or a macro of the file is called.
+                // The path leads back to its own name, so it is a crate or a macro of this file.
                 return if used[0] == *name {
                     None
                 } else {
@@ -166,7 +166,7 @@ impl Tree {
             }
             rest = later;
         }
-        // A module within a file is its file's.
+        // A module inside a file belongs to that file.
         while !self.modules.contains_key(&by) {
             by.pop()?;
         }
@@ -181,7 +181,7 @@ fn joined(module: &[String], child: &str) -> Module {
     module.iter().cloned().chain([child.to_owned()]).collect()
 }
 
-/// The leaves of a `use`: under which name each is known then, and its path.
+/// The leaves of a `use`: the local name and the path of each.
 fn leaves(tree: &UseTree) -> Vec<(String, Vec<String>)> {
     match tree {
         UseTree::Path(path) => leaves(&path.tree)
@@ -202,7 +202,7 @@ fn leaves(tree: &UseTree) -> Vec<(String, Vec<String>)> {
     }
 }
 
-/// Gathers what a file names.
+/// Collects the items that a file names.
 struct Names<'a> {
     tree: &'a Tree,
     file: &'a File,
@@ -220,7 +220,7 @@ impl Names<'_> {
         }
     }
 
-    /// A path in code: what a private `use` has named already is not named again.
+    /// A path in code; items that a private `use` has already named are skipped.
     fn mention(&mut self, path: &[String]) {
         if self.file.uses.get(&path[0]).is_none_or(|(_, public)| *public) {
             self.name(path);
@@ -259,7 +259,7 @@ impl<'ast> Visit<'ast> for Names<'_> {
     fn visit_path(&mut self, path: &'ast syn::Path) {
         let names: Vec<String> =
             path.segments.iter().map(|segment| segment.ident.to_string()).collect();
-        // A small name alone is a variable, unless it is called.
+        // A single lower-case name is a variable, unless it is called.
         if names.len() > 1 || !starts_small(&names[0]) {
             self.mention(&names);
         }
@@ -289,7 +289,7 @@ impl<'ast> Visit<'ast> for Names<'_> {
     }
 }
 
-/// All names in a macro, those with `::` between them together.
+/// All names in a macro, with those joined by `::` as one path.
 fn paths(tokens: TokenStream) -> Vec<Vec<String>> {
     let mut paths: Vec<Vec<String>> = Vec::new();
     let mut colons = 0;

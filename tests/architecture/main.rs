@@ -1,8 +1,8 @@
-//! Imports run one way: every room uses only those before it. Within a room, files may use each
-//! other.
+//! Checks that imports go one way: every room uses only those before it. Within a room, files may
+//! use each other.
 //!
-//! `cargo test --test architecture -- --nocapture` prints every import. What is one,
-//! `architecture/imports.rs` says.
+//! `cargo test --test architecture -- --nocapture` prints every import. `architecture/imports.rs`
+//! defines what counts as an import.
 #![allow(clippy::unwrap_used)]
 
 mod imports;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 use imports::Import;
 
-/// The rooms, each after those that it may use.
+/// The rooms, each after the rooms that it may use.
 const ROOMS: [&str; 19] = [
     "grid",
     "system",
@@ -36,7 +36,7 @@ const ROOMS: [&str; 19] = [
     "main",
 ];
 
-/// From which file to which, and by what names.
+/// The names of the imports from one file to another.
 type Ties<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;
 
 fn ties(imports: &BTreeSet<Import>) -> Ties<'_> {
@@ -49,7 +49,7 @@ fn source() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src")
 }
 
-/// The number of the room that a file is in.
+/// The index of a file's room.
 fn room_of(file: &str) -> Option<usize> {
     ROOMS.iter().position(|room| {
         file.strip_prefix(room).is_some_and(|rest| rest.starts_with('/') || rest.starts_with(".rs"))
@@ -92,23 +92,23 @@ fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
     for file in program.into_iter().chain(bindings) {
         let text = std::fs::read_to_string(&file).unwrap();
         assert!(!text.contains("internals"), "{}: uses what may change", file.display());
-        // A crate of its own could not, but for its own modules, which go by `super`.
+        // A separate crate can use only its own modules this way, through `super`.
         let own = file.starts_with(source().join("bindings"));
         assert!(own || !text.contains("crate::"), "{}: uses what is private", file.display());
     }
 }
 
-/// Words with which a line goes on from another, and does not stand alone.
+/// First words of lines that continue a sentence and cannot stand alone.
 const GOING_ON: [&str; 18] = [
     "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So",
     "Whose", "Who", "Which", "There", "Another", "Such",
 ];
 
-/// Beginnings with which a public item says too little where its line stands alone.
+/// First words that say too little for the summary line of a public item.
 const TOO_LITTLE: [&str; 6] =
     ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
 
-/// Whether the item is public that the documentation before `lines` is of.
+/// Whether the item after the documentation is public.
 fn is_public<'a>(lines: impl IntoIterator<Item = &'a str>) -> bool {
     let mut lines = lines.into_iter().map(str::trim_start);
     lines

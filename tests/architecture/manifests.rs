@@ -1,9 +1,10 @@
-//! Manifests agree: what is published together has one version, one repository and one oldest Rust.
+//! Checks that manifests agree: packages that are published together have one version, one
+//! repository and one minimum Rust version.
 
 use std::fs;
 use std::path::Path;
 
-/// Manifests with a version of their own, and the key before it.
+/// Manifests with their own version, and the key before it.
 const VERSIONED: [&str; 6] = [
     "Cargo.toml",
     "src/bindings/c/Cargo.toml",

@@ -1,4 +1,4 @@
-//! What stays on a device: particles to bins, and surfaces to one mesh, the same as on the host.
+//! Results that stay on a device, particles in bins and stitched meshes, equal those of the host.
 
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ fn open() -> Option<(Device, ValidationLog)> {
     device::open(&DeviceOptions::default()).map_err(device::skip).ok()
 }
 
-/// A device on which shaders see no more than `bytes` of a buffer.
+/// A device whose shaders see at most `bytes` of a buffer.
 fn open_narrow(bytes: u64) -> Option<(Device, ValidationLog)> {
     let options = DeviceOptions { storage_range: Some(bytes), ..DeviceOptions::default() };
     device::open(&options).map_err(device::skip).ok()
@@ -103,8 +103,8 @@ fn arithmetic(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 ";
 
-/// Numbers of all kinds: any bits; few bits; near others, and near the middle between two; tiny,
-/// huge, special.
+/// Numbers of all kinds: any bits; few bits; near other numbers, and near the middle between two;
+/// tiny, huge, special.
 fn number(random: &mut Random) -> f64 {
     const SPECIAL: [f64; 10] = [
         0.0,
@@ -215,7 +215,7 @@ fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
 
 // Bins.
 
-/// Bins, and in each of them its particles in order of their bits.
+/// Bins, each with its particles ordered by their bits.
 #[derive(Debug, PartialEq)]
 struct Sorted {
     keys: Vec<MortonKey>,
@@ -262,7 +262,7 @@ fn from_device(device: &Device, bins: DeviceBins) -> Sorted {
     Sorted { keys, census, records }
 }
 
-/// Pieces of a scene on the device, at an odd place in a buffer.
+/// Parts of a scene on the device, at an unaligned offset of a buffer.
 fn on_device<T: Pod>(
     device: &Device,
     pieces: &[&[[T; 3]]],
@@ -277,7 +277,7 @@ fn on_device<T: Pod>(
     pieces.iter().map(place).collect()
 }
 
-/// Some in a crowd, some on faces of cells, some far away, some nowhere.
+/// Particles in a dense cluster, on faces of cells, far away, and not finite.
 fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     (0..count)
@@ -492,7 +492,7 @@ fn binning_that_finds_no_memory_says_so_and_keeps_none() {
 
 // Meshes.
 
-/// A field of bumps over some blocks, and the surface through each.
+/// A field of bumps in several blocks, and the surface in each.
 fn surfaces(region: CellBox, iso: Isovalue, walls: Option<CellBox>, seed: u64) -> Vec<BlockMesh> {
     let mut random = Random::new(seed);
     let mut bumps: Vec<[f64; 5]> = (0..40)
@@ -545,7 +545,7 @@ fn surfaces(region: CellBox, iso: Isovalue, walls: Option<CellBox>, seed: u64) -
     meshes.filter(|mesh| !mesh.tiles.is_empty()).collect()
 }
 
-/// Positions and triangles, made on the device.
+/// Positions and triangles from the device.
 fn stitched(
     device: &Device,
     meshes: &[BlockMesh],
@@ -592,7 +592,7 @@ fn the_mesh_made_on_a_device_is_that_of_the_host_to_the_bit() {
     let scenes = [
         (DVec3::ZERO, 1.0, IVec3::new(-40, -32, -70), IVec3::new(40, 37, 21), None),
         (DVec3::new(0.1, -7.3, 1e-3), 0.37, IVec3::new(-64, 0, 0), IVec3::new(32, 96, 64), None),
-        // Walls off the cells' faces, near zero, and so small that f32 is denormal.
+        // Walls off the cells' faces, near zero, and so small that their f32 is subnormal.
         (DVec3::new(0.3, 0.0, 0.1), 0.25, IVec3::splat(-40), IVec3::splat(48), Some(0.1)),
         (DVec3::ZERO, 1e-40, IVec3::splat(-33), IVec3::splat(35), Some(0.0)),
         (DVec3::new(1e38, -1e38, 0.0), 2e37, IVec3::splat(-20), IVec3::splat(20), None),

@@ -1,4 +1,5 @@
-//! What `tools/gpu/run` prints of a GPU besides the tests: the devices, and milliseconds a stage.
+//! Prints what `tools/gpu/run` reports of a GPU besides the tests: the devices, and milliseconds
+//! per stage.
 
 #[path = "../../tools/bench/backends.rs"]
 #[allow(dead_code, clippy::duplicate_mod, reason = "its command line is another's")]
@@ -26,7 +27,7 @@ fn stages() {
     assert!(same, "bytes differ");
 }
 
-/// The numbers of a variable, or others.
+/// The numbers in an environment variable, or default ones.
 fn list<T: FromStr<Err: Debug>>(variable: &str, otherwise: &str) -> Vec<T> {
     let text = env::var(variable).unwrap_or_else(|_| otherwise.to_owned());
     text.split(',').map(|number| number.parse().unwrap()).collect()

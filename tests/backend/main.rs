@@ -1,5 +1,5 @@
-//! What every backend must do, and what stays on a Vulkan device; `tools/gpu/pack` makes of these
-//! tests a program to carry.
+//! Tests of every backend, and of results that stay on a Vulkan device. `tools/gpu/pack` makes a
+//! portable program of them.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

@@ -1,4 +1,4 @@
-//! Frames that stay on a device are those of the host, to the bit of an f32.
+//! Frames that stay on a device equal those of the host, to the bit of an f32.
 
 #[path = "../../tools/examples/resident.rs"]
 mod example;
@@ -57,7 +57,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> DeviceRequest {
     }
 }
 
-/// So many cells that clouds have wide ones, and the paper's indicators tell enough.
+/// Cells small enough that clouds have wide ones, and large enough for the paper's indicators.
 fn spacing(indicator: IndicatorKind) -> f64 {
     if indicator == IndicatorKind::Cloud { 3.0 } else { 0.8 }
 }
@@ -73,7 +73,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        // Clouds in cells of a third of a spacing, too, where wide ones are twice as wide.
+        // Clouds also in cells of a third of a spacing, where wide cells are twice as wide.
         let spacings = if indicator == IndicatorKind::Cloud { &[0.8, 3.0][..] } else { &[0.8] };
         for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)]
         {
@@ -197,7 +197,7 @@ fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing
 #[test]
 fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
     let Some((device, _)) = open() else { return };
-    // Drops of ever more particles, so that each bin would tell another mu0.
+    // Drops with increasing numbers of particles, so that each bin would give a different mu0.
     let mut random = Random::new(23);
     let mut particles: Vec<[f64; 3]> = Vec::new();
     for drop in 0..300 {
@@ -234,7 +234,7 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
     assert_eq!(log.messages(), [""; 0]);
 }
 
-/// A device with more than the default, if there is such.
+/// A device with more than the default features, if there is one.
 fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
     match device::open(options) {
         Err(VulkanError::Unsuitable { device, lacks }) => {
@@ -324,7 +324,7 @@ fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
         Err(why) => return device::skip(why),
     };
     let particles: Vec<[f32; 3]> = splashes(37).iter().map(|p| p.map(|x| x as f32)).collect();
-    // The program takes its particles to be a cell apart.
+    // The example assumes that the spacing is one cell.
     let sampling = Sampling { spacing: Some(1.0), ..sampling() };
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
     assert!(example::surface_of(number, &particles, 1.0).unwrap() == rounded(&expected.mesh));
@@ -345,7 +345,7 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     let iso = Some(Isovalue::new(0.9).unwrap());
     let above = DeviceRequest { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
-    // Drops far smaller than cells fall between the middles of these.
+    // Drops far smaller than cells lie between the cells' centres.
     let dust = DeviceRequest { indicator: IndicatorKind::Cloud, spacing: Some(0.05), ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
     let fine = DeviceRequest { spacing: Some(11.0), ..dust };

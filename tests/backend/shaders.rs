@@ -1,5 +1,4 @@
-//! The shaders' binaries and their Rust table are those of their sources, and every device can run
-//! them.
+//! The shaders' binaries and their Rust table match their sources, and every device can run them.
 
 use std::fs;
 use std::io::Write;

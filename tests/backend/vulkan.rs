@@ -1,5 +1,5 @@
-//! The Vulkan backend: each stage against its twin, whole frames, little memory, failures. All
-//! validated.
+//! The Vulkan backend with validation: each stage against its twin, whole frames, little memory,
+//! and failures.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -37,8 +37,8 @@ use crate::compile;
 
 const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
 
-/// Runs a test on a device of its own, if there is one, and looks at what validation found when all
-/// of it is gone.
+/// Runs a test on its own device, if there is one, and checks the validation log after all objects
+/// are freed.
 fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
     validated_with(&DeviceOptions::default(), test)
 }
@@ -95,7 +95,7 @@ fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
     });
 }
 
-/// A block as the device keeps it, and its samples after a blur.
+/// A block on the device, and its samples after a blur.
 fn blurred_on(
     device: &Device,
     pipeline: &Arc<meniscus::internals::vulkan::ComputePipeline>,
@@ -135,7 +135,7 @@ fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
     };
     let pipeline = Arc::new(device.pipeline(&BLUR).unwrap());
     let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
-    // Of the three that blur along an axis each, the second no longer waits for the first.
+    // Of the three blurs along the axes, the second no longer waits for the first.
     device.faults().barrier.store(2, Ordering::Relaxed);
     blurred_on(
         &device,
@@ -151,7 +151,7 @@ fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
     );
 }
 
-/// Particles of one, two, and very many to a cell, at its corners and anywhere in it.
+/// Cells with one, two, and very many particles, at corners and elsewhere.
 fn crowds() -> Vec<[f64; 3]> {
     let mut random = Random::new(5);
     let mut particles = splashes(5);
@@ -161,8 +161,8 @@ fn crowds() -> Vec<[f64; 3]> {
     particles
 }
 
-/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns what the device made
-/// of them, each time, and what there is to make.
+/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns the device's share of
+/// them each time, and the total.
 fn same_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
@@ -210,14 +210,14 @@ fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
 #[test]
 fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_by_the_device() {
     validated(|device| {
-        // At most 8 MiB for a batch; the crowd in one bin takes 14.
+        // At most 8 MiB for a batch; the dense bin needs 14.
         let vulkan = Backend::vulkan(device.clone()).unwrap();
         let (made, all) = same_pages_on(&vulkan, MemoryBudget(64 << 20));
         assert_eq!(made, [Work { pages: all.pages - 1, ..all }; 9]);
     });
 }
 
-/// All ways to compute a surface, on the CPU and on a device.
+/// Compares all methods and indicators on the CPU and on a device.
 fn assert_same_surfaces(
     vulkan: &Backend,
     particles: &[[f64; 3]],
@@ -255,12 +255,12 @@ fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
-        // A quarter of it is the device's, half of that for batches.
+        // A quarter of the budget is for the device, and half of that for batches.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
     });
 }
 
-/// Two fields, page by page, and what is known of their cells.
+/// Compares two fields page by page, and the counts of their cells.
 fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
     assert_eq!(one.infos(), other.infos(), "{what}");
     for (page, info) in one.infos().iter().enumerate() {
@@ -272,8 +272,8 @@ fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
 
 #[test]
 fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and_its_inside() {
-    // Particles at rest, deep enough for an inside, spray around them, and some more of them with
-    // cells to every octant.
+    // Particles at rest, deep enough for an interior, with spray around them, and others in cells
+    // of every octant.
     let mut random = Random::new(11);
     let mut particles: Vec<[f64; 3]> = Vec::new();
     for at in
@@ -288,7 +288,7 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
             [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen].map(|side| (indicator, side))
         }) {
             let cells = [(0.3, true), (0.3, false), (0.6, false), (1.1, true)];
-            // The paper's are of cells that hold a particle or more.
+            // The paper's indicators use cells that contain at least one particle.
             let cells = if indicator == IndicatorKind::Cloud { &cells[..] } else { &cells[3..] };
             for &(cell_size, walls) in cells {
                 let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();
@@ -407,8 +407,8 @@ fn shaders_that_check_every_index_give_the_same_bytes() {
 
 #[test]
 fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
-    // Deep enough that a block has no surface, which is a batch of its own where hardly anything
-    // fits the budget.
+    // Deep enough that a block has no surface, so that it is its own batch when almost nothing fits
+    // the budget.
     let lattice =
         CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
     let ball = lattice.filter(|at| at.as_dvec3().length() <= 9.0);
@@ -557,7 +557,7 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
 
 #[test]
 fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
-    // White noise has a vertex on nearly every other edge, far more than a fluid.
+    // White noise has a vertex on nearly every second edge, far more than a fluid.
     let cells = CellBox { lo: IVec3::splat(-32), hi: IVec3::splat(64) };
     let mut random = Random::new(3);
     let pages = cells.cubes(16).map(|bin| {
@@ -585,7 +585,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
-        // With a large share they are emitted at once, with a small one in halves.
+        // With a large budget they are emitted at once, with a small one in halves.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.executor().start(budget);
             assert!(contoured(&*frame, &surfaces, &regions) == expected);
@@ -593,19 +593,19 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     });
 }
 
-/// A frame that was drawn on a device, as far as the device went.
+/// The result of a frame on a device, as far as the device computed it.
 struct Outcome {
     mesh: Mesh,
     warnings: Vec<String>,
     on_device: Work,
 }
 
-/// What is drawn where calls fail.
+/// The scenes for failing calls.
 #[derive(Debug, Clone, Copy)]
 enum Scene {
-    /// An indicator of the paper, on a device whose memory is the host's.
+    /// An indicator of the paper, on a device that shares the host's memory.
     Shared,
-    /// Clouds, on a device that has memory of its own.
+    /// Clouds, on a device with its own memory.
     Own,
 }
 
@@ -626,7 +626,7 @@ impl Scene {
         DeviceOptions { shares_host_memory, ..DeviceOptions::default() }
     }
 
-    /// The right mesh.
+    /// The expected mesh.
     fn mesh(self) -> Mesh {
         reconstruct(&splashes(29)[..], &self.sampling(), &surfacing()).1.mesh
     }
@@ -640,14 +640,14 @@ impl Scene {
         Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
     }
 
-    /// All of its work, if there is a device to do it.
+    /// The work of the whole frame on the device; `None` without a device.
     fn whole_work(self) -> Option<Work> {
         let run = |device: &Device| self.frame_on(watched(device.clone()).unwrap()).on_device;
         validated_with(&self.options(), run)
     }
 
-    /// Lets the first, the second, ... call of a kind fail until none is left to fail: each time
-    /// the mesh is right and nothing leaks. Returns what came of each.
+    /// Makes the first, the second, ... call of a kind fail, until none fails: each time the mesh
+    /// is right and nothing leaks. Returns the outcomes.
     fn fail_each(self, fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
         let expected = self.mesh();
         let mut failed = Vec::new();
@@ -686,7 +686,8 @@ fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_l
                 "{scene:?}, call {call}: the device goes on with less memory"
             );
         }
-        // A field's room without any to spare will do: of the cells, and of those twice as wide.
+        // The device also works without a field's reserve, and reports nothing: once for the cells,
+        // and once for the wide cells.
         assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a word");
     }
 }
@@ -722,8 +723,7 @@ fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
                 "{scene:?}, call {call}: {warnings:?}"
             );
         }
-        // What is sent is followed by what is computed, and that by what is read: the last of them
-        // tells.
+        // Work is an upload, a computation and a read-back. The failed read-back is reported.
         let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
         assert!(told > failed.len() / 3, "{scene:?}: {told} of {}", failed.len());
     }

@@ -1,4 +1,4 @@
-//! Tests that need a process of their own, because they limit or measure the whole process.
+//! Runs tests that limit or measure the whole process in their own process.
 
 use std::process::Command;
 
@@ -14,7 +14,8 @@ pub fn alone(name: &str, test: impl FnOnce()) {
     run(name, Command::new(std::env::current_exe().unwrap()), test);
 }
 
-/// As [`alone`], in a process that a shell starts after the commands in `before`, such as `ulimit`.
+/// Like [`alone`], in a process that a shell starts after the commands in `before`, such as
+/// `ulimit`.
 #[cfg(unix)]
 #[track_caller]
 pub fn alone_after(before: &str, name: &str, test: impl FnOnce()) {

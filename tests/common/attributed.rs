@@ -1,22 +1,22 @@
-//! Particles that have attributes, in memory.
+//! Particles with attributes, in memory.
 
 use meniscus::internals::particles::{AttributeInfo, Particles};
 
-/// Positions, and the values of any attributes.
+/// Positions, and the values of attributes.
 pub struct Attributed {
     positions: Vec<[f64; 3]>,
     pub attributes: Vec<AttributeInfo>,
-    /// Of each attribute, one particle's behind the other's.
+    /// For each attribute, the values of all particles in order.
     values: Vec<Vec<f32>>,
 }
 
 impl Attributed {
-    /// Particles without any attribute yet.
+    /// Particles without attributes.
     pub fn new(positions: Vec<[f64; 3]>) -> Self {
         Self { positions, attributes: Vec::new(), values: Vec::new() }
     }
 
-    /// With another attribute, which a particle's number and its position tell.
+    /// Adds an attribute, computed from a particle's number and position.
     pub fn with<const N: usize>(
         mut self,
         name: &str,

@@ -1,8 +1,8 @@
-//! The oracle: METHOD.md on one dense array, as plainly as it can be said.
+//! The oracle: METHOD.md on one dense array, as simple as possible.
 //!
-//! Twice: in the integers that the sparse field must equal to the bit, and in f64 as the method is
-//! written. Nothing of the library's stages is used here; only the marching-cubes table is shared,
-//! whose own tests hold it to its rule.
+//! It is implemented twice: in the integers that the sparse field must equal to the bit, and in f64
+//! as the method is written. It uses none of the library's stages; only the marching-cubes table is
+//! shared, which has its own tests.
 
 use std::collections::BTreeMap;
 
@@ -12,12 +12,12 @@ use meniscus::internals::field::recipe::Detail;
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::surface::dual_mc::cases::TABLE;
 
-/// What is to be computed. Cells have edge 1 and the grid's origin is 0.
+/// The input of the oracle. Cells have edge 1, and the grid's origin is 0.
 pub struct Method {
     pub indicator: Indicator,
     pub sigma: f64,
     pub detail: Detail,
-    /// In 1 / 65535.
+    /// The isovalue in 1 / 65535.
     pub iso: f64,
     pub walls: Option<CellBox>,
 }
@@ -53,7 +53,7 @@ impl<T: Copy + Default> Dense<T> {
         })
     }
 
-    /// The value of the cell of the box that is nearest to `cell`.
+    /// The value of the cell in the box that is nearest to `cell`.
     pub fn nearest(&mut self, cell: IVec3) -> &mut T {
         let (local, size) =
             (cell.clamp(self.cells.lo, self.cells.hi - 1) - self.cells.lo, self.cells.size());
@@ -72,7 +72,7 @@ impl<T: Copy + Default> Dense<T> {
     }
 }
 
-/// Half of a filter's mask, centre first, summing to 1: the Gaussian of section 4.2.
+/// Half of a filter's mask, centre first, with sum 1: the Gaussian of section 4.2.
 pub fn gaussian(sigma: f64) -> Vec<f64> {
     let taps = 3.max(2 * (3.0 * sigma).floor() as i32 - 1);
     let weight = |k: i32| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp();
@@ -91,7 +91,7 @@ impl Method {
         self.indicator.mean().map_or(f64::NAN, |mean| mean.particles())
     }
 
-    /// All cells that the field can reach, or those between the walls.
+    /// All cells that the field can reach, or the cells between the walls.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
             let reach = 2 * gaussian(self.sigma).len() as i32 + 2;
@@ -217,7 +217,7 @@ impl Method {
     }
 }
 
-/// What orders the cells of a mesh: tiles of 4^3 along the Morton curve, x fastest in a tile.
+/// The order of cells in a mesh: tiles of 4^3 along the Morton curve, with x fastest in a tile.
 fn order_of(cell: IVec3) -> (u64, i32) {
     let tile = (cell.div_euclid(IVec3::splat(4)) + (1 << 20)).to_array();
     let mut morton = 0;
@@ -230,7 +230,7 @@ fn order_of(cell: IVec3) -> (u64, i32) {
     (morton, local.x + 4 * local.y + 16 * local.z)
 }
 
-/// Marching cubes over a whole dense field at isovalue `c` (on the scale of the field).
+/// Marching cubes over a whole dense field with isovalue `c`, in the field's unit.
 pub fn mesh(field: &Dense<f64>, c: f64, walls: Option<CellBox>) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
     // Ghost points beyond the walls are outside; without walls the field is 0 there.
     let inside = |cell: IVec3| field.cells.contains(cell) && field.at(cell, None) > c;

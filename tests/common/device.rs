@@ -1,5 +1,5 @@
-//! The Vulkan device that tests run on, with everything that it does validated, and watched that it
-//! does it.
+//! The Vulkan device of the tests. Everything is validated, and the tests check that work really
+//! runs on the device.
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -18,8 +18,7 @@ use meniscus::internals::vulkan::{
     VulkanError,
 };
 
-/// Runs frames on a device, and fails the test if any of their work is not done there or has to be
-/// made good.
+/// Runs frames on a device. The test fails if any work is not done there, or falls back to the CPU.
 pub fn watched(device: Device) -> Result<Backend, VulkanError> {
     Ok(Backend::of(Watched(Vulkan::new(device)?)))
 }
@@ -52,8 +51,7 @@ struct WatchedStages {
 }
 
 impl WatchedStages {
-    /// Fails unless the device has done what was asked of it before and `more`, and nothing else
-    /// has.
+    /// Fails unless the device did exactly the work since the last check, which is `more`.
     fn assert_done(&self, more: Work) {
         let mut asked = self.asked.lock().unwrap();
         asked.pages += more.pages;
@@ -124,9 +122,9 @@ pub fn contoured(
     all
 }
 
-/// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where
-/// `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the validation layer need not be there, and for
-/// `gpu` one that computes on the processor fails the test.
+/// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. If
+/// `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the validation layer is optional; for `gpu`, a
+/// device that computes on the CPU fails the test.
 pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
     let demanded = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
     let [gpu, any] = ["gpu", "any"].map(|kind| demanded == kind);
@@ -155,7 +153,8 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
     Ok((Device::open(&instance, &choice, options)?, instance.log()))
 }
 
-/// One for all tests of a file, watched. What validation has found by now fails the test that asks.
+/// One watched device for all tests of a file. Validation errors so far fail the test that calls
+/// this.
 pub fn shared() -> Result<Backend, &'static VulkanError> {
     static SHARED: OnceLock<Result<(Backend, ValidationLog), VulkanError>> = OnceLock::new();
     let open_watched = || {
@@ -167,14 +166,14 @@ pub fn shared() -> Result<Backend, &'static VulkanError> {
     Ok(backend.clone())
 }
 
-/// Says that the test that asks is skipped for want of a device, or fails it where
-/// `MENISCUS_REQUIRE_VULKAN` demands one.
+/// Reports that the calling test is skipped because there is no device, or fails it if
+/// `MENISCUS_REQUIRE_VULKAN` requires one.
 pub fn skip(why: impl Display) {
     assert!(
         std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(),
         "a Vulkan device is demanded: {why}"
     );
     let thread = std::thread::current();
-    // Past the harness, which keeps to itself what a test prints that does not fail.
+    // Not through the harness, which hides the output of tests that pass.
     let _ = writeln!(io::stderr(), "skipped: {}: {why}", thread.name().unwrap_or("a test"));
 }

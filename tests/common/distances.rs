@@ -1,9 +1,8 @@
-//! The oracle of distances from clouds: the formulas on one dense array, as plainly as they can be
-//! said, in the integers that the sparse field must equal to the bit, and in f64 as they are
-//! written.
+//! The oracle of distances from clouds: the formulas on one dense array, as simple as possible, in
+//! the integers that the sparse field must equal to the bit, and in f64.
 //!
-//! Only the committed tables are shared with the library. Cells have edge 1 and the grid's origin
-//! is 0.
+//! It shares only the committed tables with the library. Cells have edge 1 and the grid's origin is
+//! 0.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::distance::{AWAY, DEPTHS};
@@ -11,48 +10,50 @@ use meniscus::internals::grid::CellBox;
 
 use super::dense::Dense;
 
-/// What is to be computed.
+/// The input of the oracle.
 pub struct Distances {
-    /// Cells of a spacing.
+    /// The spacing in cells.
     pub spacing: f64,
-    /// The width asked for, in spacings.
+    /// The smoothing width in spacings.
     pub smooth: f64,
-    /// What was measured.
+    /// The measured plateau.
     pub plateau: u16,
     pub walls: Option<CellBox>,
 }
 
-/// Units of a spacing, and the sample of a distance of 0.
+/// Units per spacing, and the sample of distance 0.
 pub const UNITS: f64 = 8192.0;
 pub const ZERO: f64 = 32768.0;
 
-/// The least edge of a wide cell, in spacings.
+/// Minimum edge of a wide cell, in spacings.
 const LEAST_WIDE: f64 = 0.55;
-/// The three widths, in those asked for, with the least variances of their masks, and where these
-/// are cut off.
+/// The three widths relative to the smoothing width, with the minimum variances and the cutoffs of
+/// their masks.
 const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
-/// The mask that averages by how much both surfaces are apart.
+/// The variance of the mask that averages the distance between both surfaces.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
-/// The least variance of all other masks.
+/// Minimum variance of all other masks.
 const LEAST_VARIANCE: f64 = 0.35;
-/// How deep a width tells, and by how much both surfaces are told to be apart, in spacings.
+/// Maximum measurable depth of a width, and the maximum distance between both surfaces, in
+/// spacings.
 const DEEPEST: f64 = 2.5;
 const FARTHEST_APART: f64 = 1.0;
-/// By how much both surfaces are apart where noise ends and where shape begins, and how deep there
-/// is no fine one any more.
+/// Distances between both surfaces at which noise ends and shape begins, and the depth from which
+/// the fine surface is not used.
 const APART: [f64; 2] = [0.07, 0.14];
 const DEEP: [f64; 2] = [0.3, 0.9];
-/// How far outside of the calm surface a particle stands out, and wholly.
+/// Distances outside of the calm surface at which a particle begins to stand out, and stands out
+/// fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
-/// The parts of a particle, one of which a wide cell has to hold to hold its centre.
+/// The share of a particle that makes a wide cell count as containing its centre, as one over this.
 const PARTS: f64 = 9.0;
-/// Bits that wide cells gain under a width.
+/// Bits that wide cells gain by a width.
 const GAIN: u32 = 2;
-/// What a spline takes off that goes on from wide cells, in squared ones.
+/// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
-/// The width of a drop, where it is cut off, its radius, and by how much less that is in coarse
+/// The width of a drop, its cutoff, its radius, and by how much the radius is smaller in coarse
 /// cells, refined or not.
 const DROP: f64 = 0.6;
 const DROP_CUT: f64 = 2.6;
@@ -60,7 +61,7 @@ const DROP_RADIUS: f64 = 0.55;
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 const LEAST_RADIUS: f64 = 0.38;
 
-/// Half of a Gaussian's mask of such a variance, cut off at a reach, centre first, summing to 1.
+/// Half of a Gaussian mask with this variance and cutoff, centre first, with sum 1.
 fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     let reach = (cut * variance.sqrt()).round().max(1.0) as i32;
     let mask = |square: f64| -> Vec<f64> {
@@ -90,18 +91,19 @@ fn integers(half: &[f64]) -> Vec<u64> {
     weights
 }
 
-/// The width of what a mask makes of clouds, which have a quarter of a squared cell themselves.
+/// The width of the clouds after a mask; clouds alone have a variance of a quarter of a squared
+/// cell.
 fn width(variance: f64) -> f64 {
     (variance + 0.25).sqrt()
 }
 
-/// The same of a mask in 65536ths.
+/// The same for a mask in 65536ths.
 fn integer_width(half: &[u64]) -> f64 {
     let moments = (0_u64..).zip(half).map(|(k, weight)| k * k * weight);
     width(2.0 * moments.sum::<u64>() as f64 / 65536.0)
 }
 
-/// Along each axis; a gain of bits is that of the last one.
+/// Blurs along each axis; the gain of bits happens along the last.
 fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<CellBox>) -> Dense<u16> {
     (0..3).fold(field.clone(), |field, axis| {
         let shift = if axis == 2 { 16 - gain } else { 16 };
@@ -117,7 +119,7 @@ fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<CellBox>) -> 
     })
 }
 
-/// Between two entries of a table of 1024 steps.
+/// Interpolates between two entries of a table of 1024 steps.
 fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
     let (at, between) = ((share / 32) as usize, share % 32);
     let low = table(at) << bits;
@@ -136,17 +138,17 @@ fn units(spacings: f64) -> i64 {
     (spacings * UNITS).round() as i64
 }
 
-/// Within so many wide cells of a particle there is a surface.
+/// Distance in wide cells from a particle within which there can be a surface.
 fn near(edge: f64) -> i32 {
     (1.0 / edge).round().max(1.0) as i32
 }
 
-/// What a particle adds, by the spacing in cells.
+/// The amount that a particle adds, from the spacing in cells.
 pub fn amount(spacing: f64) -> u64 {
     ((32768.0 / (8.0 / spacing.powi(3)).max(1.0)) as u64).max(4)
 }
 
-/// The clouds of particles, of so much each.
+/// The clouds of particles, each with this amount.
 pub fn clouds(
     particles: &[[f64; 3]],
     cells: CellBox,
@@ -160,7 +162,7 @@ pub fn clouds(
     {
         let cell = particle.floor().as_ivec3();
         let offset = particle - cell.as_dvec3();
-        // By how far from the cell; what would lie beyond a wall lies in the cell before it.
+        // Shares by distance from the cell; a share beyond a wall goes to the cell before it.
         let shares = [0, 1, 2].map(|axis: usize| {
             let twice = 2 * (offset[axis] * 8192.0).floor() as u64 + 1;
             let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);
@@ -183,7 +185,7 @@ pub fn clouds(
     Dense { cells, values: sums.values.iter().map(|&sum| sum.min(65535) as u16).collect() }
 }
 
-/// In cells twice as wide, by a factor in 65536ths.
+/// Sums into cells twice as wide, with a factor in 65536ths.
 fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16> {
     let cells = CellBox { lo: field.cells.lo >> 1, hi: (field.cells.hi + 1) >> 1 };
     Dense::new(cells, |wide| {
@@ -199,7 +201,7 @@ fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16>
 }
 
 impl Distances {
-    /// The wide cells' level, and their edge in spacings.
+    /// The level of the wide cells, and their edge in spacings.
     fn wide(&self) -> (u32, f64) {
         let mut wide = (0, 1.0 / self.spacing);
         while wide.1 < LEAST_WIDE - 1e-9 {
@@ -208,11 +210,11 @@ impl Distances {
         wide
     }
 
-    /// What lies between the walls, or all that the field can reach, by whole wide cells.
+    /// The cells between the walls, or all that the field can reach, in whole wide cells.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
-            // A surface is near a particle, and what it is told by is averaged around it; splines
-            // reach a cell further.
+            // A surface is near a particle, and its values are averaged around it; splines reach
+            // one cell further.
             let (level, edge) = self.wide();
             let reach = (near(edge) + self.around(edge).len() as i32 + 2) << level;
             let around = particles
@@ -225,7 +227,7 @@ impl Distances {
         })
     }
 
-    /// The masks of the three widths, by the edge of a wide cell.
+    /// The masks of the three widths, from the edge of a wide cell.
     fn widths(&self, edge: f64) -> [Vec<f64>; 3] {
         WIDTHS.map(|(times, least)| {
             let cells = times * self.smooth / edge;
@@ -233,22 +235,22 @@ impl Distances {
         })
     }
 
-    /// The mask that averages what both surfaces are apart by.
+    /// The mask that averages the distance between both surfaces.
     fn around(&self, edge: f64) -> Vec<f64> {
         gaussian((AROUND * self.smooth / edge).powi(2).max(LEAST_VARIANCE), AROUND_CUT)
     }
 
-    /// The variance that goes with a width of 0 on the way from wide cells, in squared spacings.
+    /// The variance that the spline from wide cells adds to a width of 0, in squared spacings.
     fn spline(&self, edge: f64) -> f64 {
         if self.wide().0 > 0 { SPLINE / 2.0 * edge * edge } else { 0.0 }
     }
 
-    /// The field; `inside` are wide cells that are, by definition.
+    /// The field; wide cells in `inside` are inside by definition.
     pub fn integer(&self, particles: &[[f64; 3]], inside: impl Fn(IVec3) -> bool) -> Dense<u16> {
         let (level, edge) = self.wide();
         let cells = self.cells(particles);
         let fine = clouds(particles, cells, self.walls, amount(self.spacing));
-        // Clouds at every level, with the walls there.
+        // Clouds at every level, with the walls at that level.
         let mut clouds = vec![(fine, self.walls)];
         for level in 0..level {
             let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
@@ -262,7 +264,8 @@ impl Distances {
         let (wide, walls) = clouds.last().expect("there is one at level 0");
         let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
         let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, *walls));
-        // Drops are made in cells half as wide as wide ones, where these are wider than the grid's.
+        // Drops are computed in cells half as wide as wide cells, if these are wider than the
+        // grid's.
         let level = level.max(1) - 1;
         let (fine, walls) = &clouds[level as usize];
         let drops = Drops::new(self.spacing / f64::from(1 << level), level > 0);
@@ -270,8 +273,8 @@ impl Distances {
         drops.joined(&shares, &bulk, &outlying)
     }
 
-    /// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one
-    /// near by.
+    /// The surface of the bulk in wide cells, and how far particles lie outside of the calm surface
+    /// nearby.
     fn bulk(
         &self,
         wide: &Dense<u16>,
@@ -341,7 +344,7 @@ impl Distances {
     }
 }
 
-/// The surface around particles alone or in small numbers.
+/// The surface around single particles and small groups.
 struct Drops {
     /// The spacing in cells, and the masks.
     spacing: f64,
@@ -351,7 +354,7 @@ struct Drops {
 }
 
 impl Drops {
-    /// For particles so many cells apart, whether or not these are refined.
+    /// For a spacing in cells, refined or not.
     fn new(spacing: f64, refined: bool) -> Self {
         let variance = (DROP * spacing).powi(2) - 0.25;
         let spline = if refined { SPLINE } else { 0.0 };
@@ -364,7 +367,7 @@ impl Drops {
         }
     }
 
-    /// Bits that what is around particles gains, and that a share of it has.
+    /// Bits that the averages gain, and bits of a share.
     fn bits(&self) -> (u32, u32) {
         let amount = amount(self.spacing) as f64;
         let alone = amount
@@ -376,7 +379,7 @@ impl Drops {
         (gain, doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0))
     }
 
-    /// Of clouds in what is around them, spread.
+    /// The share of clouds in their averaged surroundings, spread.
     fn shares(&self, clouds: &Dense<u16>, walls: Option<CellBox>) -> Dense<u16> {
         let (gain, bits) = self.bits();
         let around = blur(clouds, &integers(&self.around), gain, walls);
@@ -387,7 +390,7 @@ impl Drops {
         blur(&shares, &integers(&self.spread), (15 + gain).saturating_sub(bits).min(15), walls)
     }
 
-    /// The surface of the bulk, and of drops where particles stand out.
+    /// Joins the surfaces of the bulk, and of drops where particles stand out.
     fn joined(&self, shares: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
         let width = units(integer_width(&integers(&self.around)) / self.spacing);
         Dense::new(shares.cells, |cell| {
@@ -404,7 +407,7 @@ impl Drops {
     }
 }
 
-/// The quadratic B-spline whose control points a field of wide cells is, at the middles of cells.
+/// The quadratic B-spline with the wide cells as control points, at the centres of cells.
 fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>) -> Dense<u16> {
     if level == 0 {
         return wide.clone();
@@ -428,7 +431,7 @@ fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>
     field
 }
 
-/// The inverse of the standard normal distribution, cut off where the committed table is.
+/// The inverse of the standard normal distribution, with the cutoff of the committed table.
 pub fn quantile(share: f64) -> f64 {
     let share = share.clamp(0.0002, 0.9998);
     let density = |z: f64| (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
@@ -441,8 +444,8 @@ pub fn quantile(share: f64) -> f64 {
     (0..12).fold(0.0, |z, _| z + (share - below(z)) / density(z))
 }
 
-/// How far from the middle of a standard normal density it is such a share of what it is there, cut
-/// off where the committed table is.
+/// The distance from the centre of a standard normal density at which it has this share of its
+/// maximum, with the cutoff of the committed table.
 pub fn away(share: f64) -> f64 {
     (-2.0 * share.clamp(0.0001, 1.0).ln()).sqrt()
 }
@@ -501,8 +504,7 @@ fn really_refined(
 }
 
 impl Distances {
-    /// Particles in each cell, at every level, with the walls there; no more of them than a sample
-    /// can tell.
+    /// Particles in each cell at every level, with the walls there, clamped to a sample's maximum.
     fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<CellBox>)> {
         let told = |level: u32, cloud: Dense<f64>| {
             let most = 65535.0 / amount(self.spacing / f64::from(1 << level)) as f64;
@@ -541,8 +543,8 @@ impl Distances {
         clouds
     }
 
-    /// Particles in a cubed spacing under the narrowest width, in f64, in wide cells 2^level as
-    /// wide as cells.
+    /// Particles per cubed spacing under the narrowest width, in f64, in wide cells 2^level as wide
+    /// as cells.
     pub fn density(&self, particles: &[[f64; 3]]) -> (Dense<f64>, u32) {
         let (level, edge) = self.wide();
         let (wide, walls) = self.real_clouds(particles).pop().expect("there is one at level 0");
@@ -552,7 +554,7 @@ impl Distances {
         (Dense { cells: smooth.cells, values }, level)
     }
 
-    /// The field in f64, in spacings; -4 where nothing is near.
+    /// The field in f64, in spacings; -4 far from all particles.
     pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
         let (level, edge) = self.wide();
         let cells = self.cells(particles);
@@ -580,15 +582,15 @@ impl Distances {
         })
     }
 
-    /// The surface of the bulk, and by how much particles lie outside of the calm one near by, both
-    /// 4 more: 0 where there are none.
+    /// The surface of the bulk, and how far particles lie outside of the calm surface nearby, both
+    /// plus 4; 0 far from all particles.
     fn real_bulk(
         &self,
         wide: &Dense<f64>,
         walls: Option<CellBox>,
         edge: f64,
     ) -> (Dense<f64>, Dense<f64>) {
-        // Particles in a wide cell deep in the fluid, each of so many samples with the gain.
+        // The sample of a wide cell deep in the fluid, with the gain.
         let plateau = f64::from(self.plateau) / (f64::from(1 << GAIN) * amount(1.0 / edge) as f64);
         let depths = self.widths(edge).map(|half| {
             let width = width(second(&half)) * edge;

@@ -1,5 +1,4 @@
-//! Files that tests read, write and look for: the samples, particles and surfaces as bytes, and
-//! what a folder holds.
+//! Files of the tests: sample data, particles and surfaces as bytes, and the content of folders.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,17 +6,17 @@ use std::path::{Path, PathBuf};
 
 use meniscus::Surface;
 
-/// What lies in `tests/data` by that path.
+/// The file or folder in `tests/data` with this path.
 pub fn data(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(path)
 }
 
-/// Particles as in a `.xyz` file of numbers: an f32 for each coordinate, little-endian.
+/// Particles as a `.xyz` file of numbers: an f32 for each coordinate, little-endian.
 pub fn raw<T: Copy + Into<f64>>(particles: &[[T; 3]]) -> Vec<u8> {
     particles.iter().flatten().flat_map(|&x| (x.into() as f32).to_le_bytes()).collect()
 }
 
-/// The bytes of the `.ply` file that a surface is written to.
+/// The bytes of the `.ply` file of a surface.
 pub fn bytes_of(surface: &Surface) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mesh.ply");
@@ -25,7 +24,7 @@ pub fn bytes_of(surface: &Surface) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// The names of all that is in a folder, in their order.
+/// The names of a folder's entries, in order.
 pub fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<_> = fs::read_dir(folder)
         .unwrap()
@@ -35,8 +34,7 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The bytes of every file in a folder and in those below, by its path from the folder on, with
-/// slashes.
+/// The bytes of every file below a folder, by its path in the folder, with slashes.
 pub fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for name in names(folder) {

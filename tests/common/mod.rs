@@ -1,4 +1,5 @@
-//! What the tests share: random scenes, particles, files, the program, settings, and the oracle.
+//! Shared code of the tests: random scenes, particles, files, the program, settings, and the
+//! oracle.
 #![allow(dead_code, reason = "each test program uses its part")]
 
 pub mod alone;
@@ -31,7 +32,7 @@ use scene::Random;
 pub const INDICATORS: [IndicatorKind; 3] =
     [IndicatorKind::Symmetry, IndicatorKind::Counting, IndicatorKind::Cloud];
 
-/// Settings that tests start from: cells of edge 1 at the origin, symmetry.
+/// Default settings of the tests: cells of edge 1 at the origin, symmetry.
 pub fn sampling() -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),
@@ -52,18 +53,18 @@ pub fn surfacing() -> Surfacing {
     Surfacing::PLAIN
 }
 
-/// A surface, all of it in memory.
+/// A surface in memory.
 pub struct Reconstructed {
     pub mesh: Mesh,
     pub iso: Isovalue,
 }
 
-/// The frame's DIF, which an indicator makes.
+/// The field of a frame by an indicator.
 pub fn dif(frame: &Engine) -> &SampledDif {
     frame.dif().expect("an indicator makes the field")
 }
 
-/// A frame of so much DIF, in cells of edge 1, and no particles.
+/// A frame with this field, in cells of edge 1, without particles.
 pub fn sampled(dif: DifField) -> SampledDif {
     let (grid, census) = (sampling().grid, Census::default());
     SampledDif::new(
@@ -73,7 +74,7 @@ pub fn sampled(dif: DifField) -> SampledDif {
     )
 }
 
-/// A frame's recipe, and what it was calibrated by.
+/// The recipe of a frame, and its calibration.
 pub fn recipe(frame: &Engine, surfacing: &Surfacing) -> (Recipe, Calibrated) {
     let measured = surfacing.calibrate(dif(frame)).unwrap();
     (surfacing.recipe(dif(frame), &measured.calibration), measured)
@@ -92,7 +93,7 @@ pub fn reconstruct(
     (frame, Reconstructed { mesh, iso })
 }
 
-/// Cells that hold particles.
+/// Number of cells with particles.
 pub fn full_cells(bins: &Bins) -> u64 {
     let of_bin = |bin: usize| {
         let contents = bins.contents(bin).unwrap();
@@ -102,7 +103,7 @@ pub fn full_cells(bins: &Bins) -> u64 {
     (0..bins.keys().len()).map(of_bin).sum()
 }
 
-/// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a
+/// Blobs, a sheet and spray around the origin, about 40 cells across, with about two particles per
 /// cell.
 pub fn splashes(seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
@@ -136,8 +137,8 @@ pub fn shuffle<T>(items: &mut [T], random: &mut Random) {
     }
 }
 
-/// Particles of a lattice with `per_axis` particles along a cell's edge, jittered by a share of
-/// their spacing, where `inside` holds.
+/// Particles of a lattice where `inside` holds, with `per_axis` particles along a cell's edge,
+/// jittered by a share of their spacing.
 pub fn fill(
     half: f64,
     per_axis: f64,
@@ -162,7 +163,7 @@ pub fn fill(
     particles
 }
 
-/// A tank around the middle of [`splashes`], its walls on cell faces.
+/// A tank around the middle of [`splashes`], with its walls on cell faces.
 pub fn tank(grid: &Grid) -> Domain {
     Domain::new(grid, DVec3::new(-13.0, -15.0, -11.0), DVec3::new(12.0, 9.0, 14.0)).unwrap()
 }

@@ -1,16 +1,16 @@
-//! What an opened file of particles holds, all of it in memory.
+//! The content of an opened particle file, in memory.
 
 use meniscus::internals::io::ParticleFile;
 use meniscus::internals::particles::Particles;
 
-/// Where its particles are.
+/// The positions of the particles.
 pub fn positions(file: &ParticleFile) -> Vec<[f64; 3]> {
     let mut positions = vec![[f64::NAN; 3]; file.particles.len()];
     file.particles.positions(0, &mut positions);
     positions
 }
 
-/// The values of the attribute of that name, one particle's behind the other's.
+/// The values of the attribute with this name, particle by particle.
 pub fn attribute(file: &ParticleFile, name: &str) -> Vec<f32> {
     let attributes = file.particles.attributes();
     let index = attributes.iter().position(|attribute| attribute.name == name).expect(name);

@@ -1,5 +1,4 @@
-//! A fluid in a periodic box, what it is when it is repeated in so many words, and the parts of
-//! meshes in that box.
+//! A fluid in a periodic box, its explicit copies, and parts of meshes in that box.
 
 use std::collections::BTreeSet;
 
@@ -11,9 +10,9 @@ use super::scene::Random;
 /// The faces of the box along each axis; `None` for an open one.
 pub type Faces = [Option<[f64; 2]>; 3];
 
-/// Water at spacing 1 in a box of whole spacings from the origin on: a pool with waves through the
-/// side faces, a ball across the corner at the origin, another across an edge, and spray, all of it
-/// on multiples of 2^-10 and within the box.
+/// Water with spacing 1 in a box of whole spacings from the origin: a pool with waves through the
+/// side faces, a ball across the corner at the origin, another across an edge, and spray. All
+/// coordinates are multiples of 2^-10 within the box.
 pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let near = |p: DVec3, centre: DVec3| {
@@ -44,7 +43,7 @@ pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     particles
 }
 
-/// The fluid and all its neighbours along the periodic axes.
+/// The fluid and its copies along the periodic axes.
 pub fn repeated(particles: &[[f64; 3]], faces: Faces) -> Vec<[f64; 3]> {
     let shifts = faces.map(|faces| match faces {
         Some([lo, hi]) => vec![0.0, lo - hi, hi - lo],
@@ -61,11 +60,11 @@ pub fn repeated(particles: &[[f64; 3]], faces: Faces) -> Vec<[f64; 3]> {
     all
 }
 
-/// A vertex as it was made: its position, its normal and its attributes, to the bit.
+/// A vertex: its position, its normal and its attributes, to the bit.
 type Vertex = Vec<u64>;
 
-/// The triangles between the faces, but for a margin before them, by all that their vertices have:
-/// each from its least vertex on.
+/// The triangles between the faces, without a margin, by the data of their vertices, each from its
+/// least vertex on.
 pub fn triangles_within(mesh: &Mesh, faces: Faces, margin: f64) -> BTreeSet<[Vertex; 3]> {
     let within = |p: &[f64; 3]| {
         let between =

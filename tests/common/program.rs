@@ -1,22 +1,21 @@
-//! The program, run in a folder: its command, what it says where its exit code is known, and by a
-//! shell.
+//! Runs the program in a folder, directly or in a shell, and checks its exit code.
 
 use std::path::Path;
 use std::process::{Child, Command, Output};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// The program; tests of a device alone are built without it.
+/// The path of the program; `None` in tests of a device, which are built without it.
 const MENISCUS: Option<&str> = option_env!("CARGO_BIN_EXE_meniscus");
 
-/// The program in a folder, which is not started yet.
+/// A command of the program in a folder, not started yet.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(MENISCUS.unwrap());
     command.current_dir(folder).args(arguments);
     command
 }
 
-/// What a run says on standard error, which ends with `code`.
+/// Runs the program, which must exit with `code`, and returns its standard error.
 #[track_caller]
 pub fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     let Output { status, stderr, .. } = command(folder, arguments).output().unwrap();
@@ -26,15 +25,15 @@ pub fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     errors
 }
 
-/// A run by a shell that first does what `before` says, such as to set limits; it takes the
-/// arguments apart.
+/// Runs the program in a shell, after the commands in `before`, such as limits. The shell splits
+/// the arguments.
 pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");
     command.current_dir(folder).args(["-c", &script, MENISCUS.unwrap()]).output().unwrap()
 }
 
-/// Waits until `reached` returns true, which is before `child` ends.
+/// Waits until `reached` returns true, which must happen before `child` ends.
 #[track_caller]
 pub fn wait_until(child: &mut Child, what: &str, mut reached: impl FnMut(&Child) -> bool) {
     while !reached(child) {
@@ -43,7 +42,7 @@ pub fn wait_until(child: &mut Child, what: &str, mut reached: impl FnMut(&Child)
     }
 }
 
-/// Kills `child` as soon as `reached` returns true, which is while it works.
+/// Kills `child` when `reached` returns true, which must happen before it ends.
 #[track_caller]
 pub fn kill_when(mut child: Child, what: &str, reached: impl FnMut(&Child) -> bool) {
     wait_until(&mut child, what, reached);

@@ -1,6 +1,6 @@
-//! Meshes whose every property is known beforehand.
+//! Meshes with known properties.
 
-// `tools/evaluate` uses a part of it, too.
+// `tools/evaluate` uses some of them.
 #![allow(dead_code)]
 
 use std::f64::consts::TAU;
@@ -27,8 +27,8 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     let mut mesh = cone(&[[1., 0., 0.], [0., 1., 0.], [-1., 0., 0.], [0., -1., 0.]], [0., 0., 1.]);
     let below = cone(&[[0., -1., 0.], [-1., 0., 0.], [0., 1., 0.], [1., 0., 0.]], [0., 0., -1.]);
     mesh.positions.push([0., 0., -1.]);
-    // The lower rim runs the other way round: its vertices 0, 1, 2, 3 are the upper rim's 3, 2, 1,
-    // 0.
+    // The lower rim runs in the opposite direction: its vertices 0, 1, 2, 3 are the upper rim's 3,
+    // 2, 1, 0.
     mesh.triangles.extend(below.triangles.iter().map(|t| t.map(|v| if v < 4 { 3 - v } else { 5 })));
     for _ in 0..depth {
         mesh = split(&mesh);
@@ -40,7 +40,7 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     mesh
 }
 
-/// Triangles from every edge of a closed rim to an apex, the last vertex; open below.
+/// Triangles from every edge of a closed rim to an apex, the last vertex; open at the bottom.
 pub fn cone(rim: &[[f64; 3]], apex: [f64; 3]) -> Mesh {
     let n = rim.len() as u32;
     Mesh {
@@ -50,7 +50,7 @@ pub fn cone(rim: &[[f64; 3]], apex: [f64; 3]) -> Mesh {
     }
 }
 
-/// Every triangle into four.
+/// Splits every triangle into four.
 fn split(mesh: &Mesh) -> Mesh {
     let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|t| sides(*t)).collect();
     edges.sort_unstable();
@@ -73,7 +73,7 @@ fn sides([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)])
 }
 
-/// `around` times `across` quads, each in two triangles.
+/// A torus of `around` times `across` quads, each of two triangles.
 pub fn torus(around: u32, across: u32) -> Mesh {
     let mut mesh = Mesh::default();
     for i in 0..around {
@@ -90,7 +90,7 @@ pub fn torus(around: u32, across: u32) -> Mesh {
     mesh
 }
 
-/// Both, side by side in one mesh.
+/// Both in one mesh.
 pub fn union(one: &Mesh, other: &Mesh) -> Mesh {
     let first = one.positions.len() as u32;
     let shifted = other.triangles.iter().map(|t| t.map(|v| v + first));
@@ -109,8 +109,7 @@ pub fn moved(mesh: &Mesh, by: [f64; 3]) -> Mesh {
     mesh
 }
 
-/// With normals that point away from the origin, velocities, and a value that is each vertex's
-/// number.
+/// Adds normals that point away from the origin, velocities, and each vertex's number as a value.
 pub fn dressed(mut mesh: Mesh) -> Mesh {
     let values = |f: fn(usize, &[f64; 3]) -> Vec<f32>| {
         mesh.positions.iter().enumerate().flat_map(|(n, p)| f(n, p)).collect::<Vec<_>>()

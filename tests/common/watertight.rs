@@ -1,19 +1,19 @@
-//! Whether a mesh is closed, oriented and manifold, told by nothing that the library knows: from
-//! its definition, and plain.
+//! Checks that a mesh is closed, oriented and manifold, directly by the definition and without the
+//! library.
 
 use std::collections::HashMap;
 
 use meniscus::internals::surface::mesh::Mesh;
 
-/// What is wrong with a mesh; `None` for a closed, oriented 2-manifold of vertices that all are
-/// used, lie somewhere and are told apart.
+/// The defect of a mesh; `None` for a closed, oriented 2-manifold whose vertices are all used,
+/// finite and distinct.
 pub fn defect(mesh: &Mesh) -> Option<String> {
     let count = mesh.positions.len();
     if let Some(at) = mesh.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
         return Some(format!("vertex {at} is nowhere"));
     }
-    // The edges that go out from every vertex, each with the corner after it: going from one to the
-    // next goes around the vertex.
+    // The outgoing edges of every vertex, each with the corner after it: following them goes around
+    // the vertex.
     let mut around: Vec<HashMap<u32, u32>> = vec![HashMap::new(); count];
     for (number, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         if [a, b, c].iter().any(|&v| v as usize >= count) {

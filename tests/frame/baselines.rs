@@ -1,5 +1,5 @@
-//! The kernel methods against their definitions on one dense array, and what every mesh of theirs
-//! must be.
+//! The kernel methods against their definitions on one dense array, and properties of all their
+//! meshes.
 
 use std::f64::consts::PI;
 
@@ -40,13 +40,13 @@ fn spaced(spacing: f64) -> Sampling {
     Sampling { spacing: Some(spacing), ..sampling() }
 }
 
-/// Moves particles to where offsets of 13 bits put them.
+/// Rounds particles to the positions of 13-bit offsets.
 fn on_steps(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.map(|x| ((x * 8192.0).floor() + 0.5) / 8192.0)).collect()
 }
 
-/// Each method as METHOD.md and its authors say it, on all particles, in cells of edge 1; positive
-/// inside.
+/// Each method as METHOD.md and its authors define it, on all particles, in cells of edge 1;
+/// positive inside.
 struct Oracle {
     particles: Vec<DVec3>,
     /// m / rho over the scale of W.
@@ -221,7 +221,7 @@ fn a_particle_alone_is_a_ball_of_the_radius_that_the_kernel_gives() {
 
 #[test]
 fn anisotropic_kernels_leave_a_flat_pool_flatter_than_isotropic_ones() {
-    // Two cells a spacing: flat kernels are thinner than one.
+    // Two cells per spacing: flat kernels are thinner than one.
     let pool = fill(24.0, 0.5, 0.3, 11, |p| p.z < 0.0 && p.z > -14.0);
     let roughness = |method| {
         let mesh = surface(&pool[..], &spaced(2.0), method);

@@ -1,5 +1,5 @@
-//! The isovalue in cells of any size: what is interior is told in spacings, clumps tell nothing,
-//! and what 16 bits cannot hold is refused.
+//! The isovalue in cells of any size: the interior is defined in spacings, clumps do not affect it,
+//! and cells for which 16 bits are too few are refused.
 
 use std::collections::HashMap;
 
@@ -29,18 +29,18 @@ use crate::common::{INDICATORS, dif, fill, recipe, sampling, surfacing};
 const CLOUD: IndicatorKind = IndicatorKind::Cloud;
 const COUNTING: IndicatorKind = IndicatorKind::Counting;
 
-/// How particles stand in a box.
+/// The arrangement of particles in a box.
 #[derive(Debug, Clone, Copy)]
 enum Disorder {
-    /// On a lattice, but for so much of a spacing.
+    /// On a lattice, moved by up to this share of a spacing.
     Jittered(f64),
     Random,
-    /// As FLIP leaves them: one anywhere in each cell of a lattice, a quarter of them beside
+    /// As in FLIP: at a random position in each cell of a lattice, and a quarter of them beside
     /// another.
     Clumped,
 }
 
-/// A cube of edge `edge` from the origin, with so many particles in a unit of volume.
+/// A cube with this edge from the origin, with this number of particles per unit of volume.
 fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let step = density.cbrt().recip();
@@ -67,14 +67,14 @@ fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]>
     particles
 }
 
-/// In cells of edge 1, of particles `spacing` of them apart.
+/// Settings with cells of edge 1, for particles with this spacing.
 fn sampling_at(spacing: f64, method: impl Into<frame::Method>) -> Sampling {
     let method = method.into();
     let side = method.brick_side();
     Sampling { method, spacing: Some(spacing), side, ..sampling() }
 }
 
-/// Whether such cells are refused before there is a DIF.
+/// Whether these cells are refused before sampling.
 fn asked(
     surfacing: &Surfacing,
     spacing: f64,
@@ -97,7 +97,7 @@ fn draw(frame: &Engine, surfacing: &Surfacing) -> Stitched {
     frame.surface(surfacing, &mut Timings::default()).unwrap()
 }
 
-/// The median of a field over the cells that lie deeper in a cube than so many.
+/// The median of a field over the cells deeper in a cube than `depth`.
 fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
     let deep = CellBox { lo: IVec3::splat(depth), hi: IVec3::splat(edge as i32 - depth) };
     let mut deep: Vec<f64> =
@@ -106,8 +106,8 @@ fn deep_median(field: &Dense<f64>, edge: f64, depth: i32) -> f64 {
     *deep.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The plateau of a cube of particles, and by how much it differs from that of a dense oracle in
-/// f64: in the isovalue, which is a share of it, or in the density that clouds tell.
+/// The plateau of a cube of particles, and its difference from that of a dense oracle in f64: in
+/// the isovalue, which is a share of it, or in the density of clouds.
 fn off_from_oracle(particles: &[[f64; 3]], frame: &Engine, edge: f64) -> (f64, Plateau) {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
     let (recipe, measured) = recipe(frame, &surfacing());
@@ -146,9 +146,9 @@ fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
     let mut cases = Vec::new();
     for (i, density) in [0.5_f64, 1.0, 2.0, 4.0, 8.0].into_iter().enumerate() {
         for (j, disorder) in disorders.into_iter().enumerate() {
-            // Each with two of them, and each of them with all.
+            // Pairs each with two cell sizes, and each cell size with all.
             for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
-                // Clouds tell no more than four times as many particles as there should be.
+                // Clouds measure at most four times the expected number of particles.
                 cases.extend(
                     [(density, COUNTING), (density.min(3.5), CLOUD)]
                         .map(|(density, indicator)| (density, disorder, cell, indicator)),
@@ -157,8 +157,8 @@ fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
         }
     }
     let off = cases.into_par_iter().filter_map(|(density, disorder, cell, indicator)| {
-        // Counts of a lattice beat with the cells, and only over many beats is their median the
-        // same everywhere.
+        // Counts of a lattice beat with the cells, and their median is the same everywhere only
+        // over many beats.
         let beats =
             density < 1.0 && matches!((disorder, indicator), (Disorder::Jittered(0.0), COUNTING));
         let edge = if beats {
@@ -184,7 +184,7 @@ fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
     assert!(off.is_empty(), "{off:#?}");
 }
 
-/// Where a surface's vertices lie, by their cells.
+/// The vertices of a surface, by their cells.
 fn places(surface: &Stitched) -> HashMap<IVec3, Vec<DVec3>> {
     let mut places: HashMap<IVec3, Vec<DVec3>> = HashMap::new();
     for piece in 0..surface.pieces() {
@@ -195,8 +195,8 @@ fn places(surface: &Stitched) -> HashMap<IVec3, Vec<DVec3>> {
     places
 }
 
-/// How far the vertices of `one`, no nearer than so much to a place, lie from the next ones of
-/// `other`, from the least to the greatest; infinitely far where there is none within a cell.
+/// The distances from the vertices of `one`, at least this far from a place, to the nearest
+/// vertices of `other`, sorted; infinite if there is none within a cell.
 fn moved(one: &Stitched, other: &Stitched, (place, away): (DVec3, f64)) -> Vec<f64> {
     let others = places(other);
     let next = |p: DVec3| {
@@ -210,7 +210,7 @@ fn moved(one: &Stitched, other: &Stitched, (place, away): (DVec3, f64)) -> Vec<f
     moved
 }
 
-/// Bodies from deep to thin, in spacings, each with a place in it that is to get a clump.
+/// Bodies from deep to thin, in spacings, each with a place for a clump.
 fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
     let ball = |radius: f64| fill(12.0, 1.0, 0.3, 5, move |p| p.length() < radius);
     let mut random = Random::new(9);
@@ -239,8 +239,8 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
         {
             let spacing = 1.0 / cell;
             let particles = scaled(&body, spacing);
-            // Detail is drawn by the isovalue whatever that is, so it is looked at too, as
-            // particles in a cell.
+            // Detail changes the surface whatever the isovalue is, so it is also compared, as
+            // particles per cell.
             let isovalue = |frame: &Engine| match recipe(frame, &surfacing()).1.calibration {
                 Calibration::Indicator { mean, iso } => iso.value() * mean.unwrap().particles(),
                 Calibration::Clouds { plateau } => f64::from(plateau),
@@ -261,16 +261,16 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                 let with = draw(&of_with, &recovered);
                 let there = (DVec3::from(at), 4.0 * spacing);
                 for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
-                    // Along an edge that is nearly tangent to the surface a vertex moves far, and
-                    // one that comes or goes with the sign of one sample is as far as its cell from
-                    // the next.
+                    // Along an edge that is nearly tangent to the surface, a vertex moves far. A
+                    // vertex that appears or disappears with the sign of one sample is up to its
+                    // cell's size from the next.
                     let [most, all] =
                         [moved[moved.len() * 9 / 10], moved[moved.len() - 1]].map(|d| d / spacing);
                     let what = format!(
                         "{name}, {indicator:?}, cells of {cell}, {count} more: {most} spacings, {all}"
                     );
-                    // From the middle of the small ball clouds of the widest width reach all of its
-                    // surface.
+                    // From the centre of the small ball, clouds of the largest width reach its
+                    // whole surface.
                     let within = match indicator {
                         CLOUD if name == "small ball" => 0.1,
                         CLOUD => 0.01,
@@ -285,7 +285,7 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
 
 #[test]
 fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
-    // Of less disorder, symmetry and counts would tell where the lattice lies on the grid.
+    // With less disorder, symmetry and counts would depend on the lattice's position on the grid.
     let pool = cube(24.0, 1.0, Disorder::Jittered(0.5), 1);
     for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
         for indicator in INDICATORS {
@@ -299,7 +299,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
             let Plateau::Interior { median, .. } = deep else {
                 panic!("a pool of {cell}: {deep:?}")
             };
-            // Of the same mu0, which fewer particles in a cell would make another.
+            // With the same mu0, which fewer particles per cell would change.
             let sampling = sampling_at(spacing, of_pool.method());
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
@@ -354,7 +354,7 @@ fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
                 let particles = scaled(&pool, spacing);
                 let mut sampling = sampling_at(spacing, indicator);
                 if walls {
-                    // The pool ends at a wall on every side but above.
+                    // The pool ends at walls on all sides except the top.
                     let [lo, hi] = [DVec3::ZERO, DVec3::new(14.0, 30.0, 14.0) * spacing];
                     sampling.domain = Some(Domain::new(&sampling.grid, lo, hi).unwrap());
                 }
@@ -383,11 +383,11 @@ fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
     };
     for indicator in INDICATORS {
         close(&draw(&sample(&ball, &sampling_at(1.0, indicator)), &surfacing()), 0.01, "a ball");
-        // Walls on faces of cells cut off all but a cube.
+        // Walls on faces of cells cut off everything except a cube.
         let mut tank = sampling_at(1.0, indicator);
         tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
-        // Triangles cut off what bends within a cell, which is much of a drop or a sheet.
+        // Triangles cut off what bends within a cell, which is a large part of a drop or a sheet.
         let splashes = sample(
             &crate::common::splashes(3),
             &Sampling { method: indicator.into(), ..sampling() },
@@ -433,7 +433,7 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
         let (recipe, measured) = recipe(&frame, &surfacing());
         let told = measured.step_cells;
         assert!(told < COARSEST_STEP);
-        // Where vertices lie on the cube's upper face, away from its edges.
+        // The vertices on the cube's upper face, away from its edges.
         let steps = 8;
         let face = |threshold: u16| {
             let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
@@ -455,8 +455,8 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
     }
 }
 
-/// What becomes of a pool's surface in such cells: the same whether it is asked before there is a
-/// DIF or after.
+/// The result for a pool's surface with this cell size, which is the same before and after
+/// sampling.
 fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
@@ -490,7 +490,7 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
                 else {
                     panic!("{indicator:?}, cells of {cell}: {:?}", refused(cell))
                 };
-                // What is said fits, and little less does not.
+                // The suggested size fits, and a slightly smaller one does not.
                 assert_eq!(
                     refused(cell * fitting),
                     Ok(()),
@@ -522,7 +522,7 @@ fn clouds_are_refused_in_cells_that_no_surface_needs_with_some_that_fit() {
         assert_eq!(refused(fitting), Ok(()), "{told}");
         assert!(refused(fitting * 0.97).is_err(), "{told}");
     }
-    // Nothing can be told of particles whose spacing is not known.
+    // Without a spacing there is nothing to check.
     assert_eq!(surfacing().refuse_too_fine(CLOUD, None, None, &sampling().grid), Ok(()));
 }
 

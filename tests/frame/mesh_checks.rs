@@ -1,4 +1,4 @@
-//! What can be said of a mesh: defects by name and place, measures, and distances.
+//! Checks of a mesh: defects by name and place, measures, and distances.
 
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::{Found, check};
@@ -11,7 +11,7 @@ fn once<T>(place: T) -> Found<T> {
     Found { count: 1, first: Some(place) }
 }
 
-/// Two cones tip to tip: closed as long as nobody asks for their ghost layers.
+/// Two cones that share their tip: closed if their ghost layers are ignored.
 fn cones_on_one_apex() -> Mesh {
     let ghost_layer = [[1., 0., 1.], [0., 1., 1.], [-1., 0., 1.], [0., -1., 1.]];
     let mut mesh = cone(&ghost_layer, [0.; 3]);
@@ -81,7 +81,7 @@ fn two_cones_that_share_their_apex_are_pinched_there() {
 fn two_spheres_that_share_a_vertex_are_closed_but_no_manifold() {
     let mut mesh = union(&sphere(1., 2), &moved(&sphere(1., 2), [2., 0., 0.]));
     let second = mesh.positions.len() as u32 / 2;
-    // Vertex 0 of the first is the rightmost one, vertex 2 of the second the leftmost.
+    // Vertex 0 of the first is its rightmost, vertex 2 of the second its leftmost.
     for vertex in mesh.triangles.iter_mut().flatten().filter(|v| **v == second + 2) {
         *vertex = 0;
     }
@@ -248,7 +248,7 @@ fn an_empty_mesh_has_no_box_and_no_worst_triangle() {
 
 #[test]
 fn the_worst_triangle_is_named_with_its_angle() {
-    // A regular octahedron, then one with a needle, then one with a triangle of no area.
+    // A regular octahedron, one with a needle, and one with a triangle of zero area.
     let octahedron = sphere(1., 0);
     let quality = measure(&octahedron).quality;
     assert!((quality.worst_angle.unwrap() - 60.).abs() < 1e-9);
@@ -292,7 +292,7 @@ fn an_offset_sphere_lies_apart_by_the_offset_with_its_sign() {
     let ball = sphere(1., 5);
     for offset in [0.01, -0.01] {
         let found = compare(&ball, &scaled(&ball, 1. + offset)).unwrap();
-        // A sphere of chords: the facets' middles lie up to 0.0006 inside of the sphere.
+        // A sphere of chords: the centres of facets lie up to 0.0006 inside of the sphere.
         assert!((found.hausdorff - 0.01).abs() < 1e-5, "{found:?}");
         assert!((found.bias - offset).abs() < 2e-5, "{found:?}");
         for way in [&found.from_mesh, &found.from_reference] {
@@ -313,7 +313,7 @@ fn distances_far_from_the_origin_are_those_near_it() {
 
 #[test]
 fn the_greatest_distance_is_seen_from_the_side_that_has_it() {
-    // A spike on the mesh: far from the reference, while the reference lies near the mesh.
+    // A spike on the mesh is far from the reference, although the reference is near the mesh.
     let reference = sphere(1., 3);
     let mut mesh = reference.clone();
     mesh.positions[0] = [3., 0., 0.];
@@ -325,13 +325,12 @@ fn the_greatest_distance_is_seen_from_the_side_that_has_it() {
 
 #[test]
 fn signs_hold_where_the_nearest_point_is_an_edge_or_a_corner() {
-    // Seen from outside, most of a great sphere is nearest to the corners of a small box, and
-    // points near a corner's bisector lie behind the planes of some of its faces but not of the
-    // corner.
+    // For most points of a large sphere, the nearest point of a small box is a corner. Points near
+    // a corner's bisector lie behind the planes of some of its faces, but not of the corner.
     let small = cuboid([-0.1; 3], [0.1, 0.1, 0.3]);
     let found = compare(&small, &sphere(2., 2)).unwrap();
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
-    // And a small box inside of a great notched one lies inside, though nearest to the notch's
+    // A small box inside of a large notched one lies inside, although it is nearest to the notch's
     // edge.
     let notch = [[0., 0., 0.], [4., 0., 0.], [4., 4., 0.], [2., 0.5, 0.], [0., 4., 0.]];
     let found = compare(&prism(&notch, 8.), &cuboid([1.8, 0.2, 3.], [2.2, 0.3, 5.])).unwrap();
@@ -340,7 +339,7 @@ fn signs_hold_where_the_nearest_point_is_an_edge_or_a_corner() {
 
 #[test]
 fn signs_do_not_depend_on_how_a_corner_is_cut_into_triangles() {
-    // A spike along x. Slivers on one side of it pull its tip's normal there, unless angles weigh
+    // A spike along x. Slivers on one side of it pull its tip's normal there, unless angles weight
     // them.
     let quarter = std::f64::consts::FRAC_PI_2;
     let angles =
@@ -356,7 +355,7 @@ fn signs_do_not_depend_on_how_a_corner_is_cut_into_triangles() {
     assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
 }
 
-/// The outline, counter-clockwise and star-shaped seen from its fourth corner, drawn out along z.
+/// The outline, counter-clockwise and star-shaped from its fourth corner, extruded along z.
 fn prism(outline: &[[f64; 3]], height: f64) -> Mesh {
     let n = outline.len() as u32;
     let mut mesh = Mesh { positions: outline.to_vec(), ..Mesh::default() };
@@ -387,7 +386,7 @@ fn a_vertex_of_many_triangles_costs_no_more_than_others() {
     let distances = surface.signed_distances(&places);
     let seconds = begun.elapsed().as_secs_f64();
     assert!(distances.iter().zip(&places).all(|(distance, place)| *distance == place[2]));
-    // Some 20 s where every place looks at all triangles around the tip.
+    // About 20 s if every point tests all triangles around the tip.
     assert!(seconds < 5.0, "{seconds} s");
 }
 

@@ -1,5 +1,5 @@
-//! Simplified surfaces: manifold, near, and the same whatever the machine; drops stay unless they
-//! are left out.
+//! Simplified surfaces: manifold, near the original, and the same on every machine; drops stay
+//! unless they are left out.
 
 use std::collections::HashMap;
 
@@ -93,10 +93,10 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
-                // Drops of clouds are all bends.
+                // Clouds' drops are curved everywhere.
                 let share =
                     if matches!(indicator, IndicatorKind::Cloud) { share.min(4) } else { share };
-                // A calm pool has next to none.
+                // A calm pool has almost none.
                 assert!(
                     left <= (whole / share).max(30),
                     "{what}, {indicator:?}, {cells} cells: {left} of {whole}"
@@ -143,7 +143,7 @@ fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
     }
 }
 
-/// A slab that many chunks share.
+/// A slab that spans many chunks.
 fn pool() -> Vec<[f64; 3]> {
     fill(70.0, 1.0, 0.0, 1, |p| p.y.abs() < 8.0 && p.x.abs() < 69.0 && p.z.abs() < 69.0)
 }
@@ -151,8 +151,8 @@ fn pool() -> Vec<[f64; 3]> {
 #[test]
 fn a_flat_pool_is_simplified_across_the_seams_of_both_passes() {
     let (mesh, _) = simplified(&pool(), &sampling(), &within(0.1));
-    // The seams of one pass alone keep a vertex for every cell that they run through, above and
-    // below: 2384.
+    // The seams of a single pass keep a vertex for every cell that they cross, above and below:
+    // 2384.
     let flat = |p: &&[f64; 3]| p[0].abs() < 66.0 && p[2].abs() < 66.0;
     let count = mesh.positions.iter().filter(flat).count();
     assert!(count < 1000, "{count} vertices on flat ground");
@@ -161,7 +161,7 @@ fn a_flat_pool_is_simplified_across_the_seams_of_both_passes() {
 #[test]
 fn the_smallest_drop_outlives_the_largest_distance() {
     let mut particles = fill(12.0, 1.0, 0.0, 1, |p| p.length() < 10.0);
-    // A few particles each, in the middle of a block, on its corner, and across two chunks.
+    // Drops of a few particles, in the middle of a block, on its corner, and across two chunks.
     let drop = fill(4.0, 2.0, 0.0, 1, |p| p.length() < 1.8);
     for centre in [[20.5, 0.5, 0.5], [32.0, 32.0, 32.0], [32.0, 64.0, 0.5]] {
         particles.extend(drop.iter().map(|&p| (DVec3::from(p) + DVec3::from(centre)).to_array()));
@@ -176,7 +176,7 @@ fn the_smallest_drop_outlives_the_largest_distance() {
 
 #[test]
 fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
-    // Balls around a corner of eight blocks, in the middle of a block, and far away, of some 113,
+    // Balls around a corner of eight blocks, in the middle of a block, and far away, of about 113,
     // 33 and 905 cells.
     let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];
     let particles: Vec<[f64; 3]> = balls
@@ -209,8 +209,8 @@ fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
 
 #[test]
 fn the_smallest_drop_is_one_component_however_it_lies_between_eight_blocks() {
-    // Eight blocks meet at the origin. A block then names few vertices of each later one, some of
-    // which others name.
+    // Eight blocks meet at the origin. A block then names few vertices of each later one, and
+    // others name some of them too.
     let places = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0];
     for (x, y, z) in
         places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))

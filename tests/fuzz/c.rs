@@ -1,10 +1,10 @@
-//! The C interface: calls in any order, of arguments right and wrong, by
+//! Fuzzes the C interface: calls in any order, with valid and invalid arguments, by
 //! `src/bindings/c/tests/random.c`.
 
 use std::ffi::{CString, c_char};
 use std::os::unix::ffi::OsStrExt;
 
-// For its functions, which the calls are made of.
+// Links the functions that the calls use.
 use meniscus_c as _;
 
 use crate::targets::{Target, folder};

@@ -1,4 +1,4 @@
-//! What libFuzzer calls: the target that `MENISCUS_FUZZ` names. See `tools/fuzz`.
+//! The entry point for libFuzzer: runs the target that `MENISCUS_FUZZ` names. See `tools/fuzz`.
 #![cfg_attr(not(test), no_main)]
 #![allow(
     dead_code,
@@ -16,12 +16,12 @@ use libfuzzer_sys::fuzz_target;
 
 static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
 
-/// The target, whose seeds are written into the folder that `MENISCUS_SEEDS` names, and its words
+/// The target. Its seeds are written into the folder that `MENISCUS_SEEDS` names, and its words
 /// into a file beside it.
 fn chosen() -> fn(&[u8]) {
     targets::on_one_thread();
     let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();
-    // Here alone: what runs on stable Rust is the test that these calls are of.
+    // Only for libFuzzer: on stable Rust, a test makes these calls.
     let mut all = targets::all();
     all.push(c::target());
     let names = || all.iter().map(|target| target.name).collect::<Vec<_>>().join("\n");

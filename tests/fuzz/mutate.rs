@@ -1,8 +1,8 @@
-//! Mutations of small files: the same for the same number.
+//! Mutations of small files, determined by a number.
 
 use crate::scene::Random;
 
-/// Numbers at which counts and sizes go wrong.
+/// Numbers that break counts and sizes.
 const NUMBERS: [u64; 14] = [
     0,
     1,
@@ -20,7 +20,7 @@ const NUMBERS: [u64; 14] = [
     u64::MAX,
 ];
 
-/// The mutation of some seeds that has this number, which may put in some words.
+/// The mutation of the seeds with this number, which may insert words.
 pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
     let mut random = Random::new(number.wrapping_mul(0x9e37_79b9_7f4a_7c15));
     let mut pick = |below: usize| (random.bits() % below.max(1) as u64) as usize;
@@ -60,7 +60,7 @@ pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
     data
 }
 
-/// Puts a number in place of so many bytes.
+/// Replaces `width` bytes by a number.
 fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) {
     let mut bytes = number.to_le_bytes()[..width].to_vec();
     if big {
@@ -69,7 +69,7 @@ fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) 
     data[at..].iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
 }
 
-/// Puts another number in place of the next one that is written in digits.
+/// Replaces the next number in decimal digits.
 fn change_digits(data: &mut Vec<u8>, at: usize, number: u64) {
     let Some(first) = data[at..].iter().position(u8::is_ascii_digit).map(|first| at + first) else {
         return;

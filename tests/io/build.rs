@@ -13,7 +13,7 @@ use lzma_rust2::{XzOptions, XzWriter};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Positions that an f32 holds exactly, no two coordinates alike.
+/// Positions that f32 represents exactly, with distinct coordinates.
 pub fn tuples(count: usize) -> Vec<[f64; 3]> {
     (0..count).map(|i| [0, 1, 2].map(|axis| (3 * i + axis) as f64 * 0.375 - 2.0)).collect()
 }
@@ -80,8 +80,8 @@ pub fn npz(arrays: &[(&str, Vec<u8>)], compression: CompressionMethod) -> Vec<u8
     archive.finish().expect("memory takes all").into_inner()
 }
 
-/// The positions, twice as large velocities, and ids, beside an array that is none of the
-/// particles'.
+/// The positions, velocities twice as large, and ids, beside an array that does not belong to the
+/// particles.
 pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8> {
     let doubled: Vec<_> = points.iter().map(|p| p.map(|x| 2.0 * x)).collect();
     let mut ids = npy_header("<i4", false, &format!("({},)", points.len()));
@@ -96,7 +96,7 @@ pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8>
     npz(&arrays, compression)
 }
 
-/// Where a .vtu or .vtp has its numbers.
+/// The position of the numbers in a .vtu or .vtp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placed {
     Ascii,
@@ -105,7 +105,7 @@ pub enum Placed {
     AppendedBase64,
 }
 
-/// How blocks of a .vtu or .vtp are compressed.
+/// The compression of the blocks of a .vtu or .vtp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Compressor {
     None,
@@ -114,7 +114,7 @@ pub enum Compressor {
     Lzma,
 }
 
-/// How a .vtu or .vtp is laid out.
+/// The layout of a .vtu or .vtp.
 #[derive(Clone, Copy, Debug)]
 pub struct VtkXml {
     pub placed: Placed,
@@ -142,7 +142,7 @@ impl VtkXml {
         self.compressor != Compressor::None
     }
 
-    /// Points with ids and twice as large velocities, at time 1.5.
+    /// Points with ids and velocities twice as large, at time 1.5.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
         let mut appended = Vec::new();
         let mut array = |what: &str, kind: &str, numbers: &[f64]| {
@@ -222,7 +222,7 @@ impl VtkXml {
         bytes
     }
 
-    /// The header, and the data as they follow it.
+    /// The header, and the data that follows it.
     fn packed(self, data: &[u8]) -> [Vec<u8>; 2] {
         const BLOCK: usize = 32;
         if !self.is_compressed() {
@@ -241,7 +241,7 @@ impl VtkXml {
         [lengths.flat_map(|length| self.length(length)).collect(), blocks.concat()]
     }
 
-    /// A compressed array's header is encoded on its own.
+    /// The header of a compressed array is encoded separately.
     fn base64(self, data: &[u8]) -> String {
         let [header, data] = self.packed(data);
         match self.is_compressed() {
@@ -259,8 +259,8 @@ impl VtkXml {
     }
 }
 
-/// Attributes id, v, an indexed string, uv, and a second v. No bytes after the points, so that none
-/// can be spared.
+/// Attributes id, v, an indexed string, uv, and a second v. No bytes follow the points, so that
+/// none is optional.
 pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
     let mut bytes = b"BgeoV".to_vec();
     let int = |bytes: &mut Vec<u8>, x: i32| bytes.extend(x.to_be_bytes());
@@ -299,25 +299,25 @@ pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
     bytes
 }
 
-/// How a .bi4 is laid out.
+/// The layout of a .bi4.
 #[derive(Clone, Copy)]
 pub struct Bi4 {
     /// Big endian.
     pub big: bool,
-    /// Sizes of arrays in 64 bits.
+    /// Array sizes in 64 bits.
     pub wide: bool,
-    /// Positions and numbers of particles in 64 bits.
+    /// Positions and identifiers in 64 bits.
     pub double: bool,
-    /// Boundary and fluid take turns, where else the boundary comes first.
+    /// Whether boundary and fluid alternate; otherwise the boundary comes first.
     pub mixed: bool,
     pub pieces: u32,
-    /// The number of this one.
+    /// The number of this piece.
     pub piece: u32,
 }
 
 impl Bi4 {
-    /// A part with `points` as fluid numbered from 5 on, and 5 particles that are not fluid.
-    /// Spacing 0.25, velocity twice the position.
+    /// A part with `points` as fluid numbered from 5 on, and 5 other particles. The spacing is
+    /// 0.25, and velocity twice the position.
     pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
         let mut head = b"#FileJBD JPartDataBi4".to_vec();
         head.resize(58, b' ');

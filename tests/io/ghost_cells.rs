@@ -1,5 +1,5 @@
-//! Ghosts of VTKHDF and legacy .vtk whose cells are flagged, and not their points: files of VTK's
-//! own writers and of h5py.
+//! Ghosts of VTKHDF and legacy .vtk with flags on cells instead of points, in files of VTK's own
+//! writers and of h5py.
 
 use std::fs;
 use std::path::Path;
@@ -13,16 +13,16 @@ use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
 
-/// Points of a step of the files of steps, and which of them are left.
+/// The steps of the files, with the number of their points and those that remain.
 const STEPS: [(u64, usize, &[usize]); 4] = [
-    // Copies are 4, refined 3, hidden 1; that 2 is beside copies is no matter.
+    // Copies are 4, refined is 3, hidden is 1; the duplicate 2 does not matter.
     (0, 6, &[0, 2, 5]),
-    // 6 to 8 are in a partition with a line; 10 has a vertex of its own besides a copy, 12 has
-    // none.
+    // 6 to 8 are in a partition with a line; 10 has its own vertex besides a copy, 12 has no
+    // vertex.
     (1, 7, &[6, 7, 8, 10, 12]),
     // The cells of step 0, with flags of other rows.
     (2, 6, &[1, 2, 3, 4]),
-    // And as a partition of its own.
+    // The same as a separate partition.
     (3, 6, &[0, 2, 5]),
 ];
 
@@ -40,7 +40,7 @@ fn read(bytes: &[u8], step: impl Into<Option<u64>>) -> Result<ParticleFile, Read
     read.map_err(|error| error.fault)
 }
 
-/// Numbers of the points that are left, which are where the file has them.
+/// Numbers of the remaining points, from the file's order.
 fn ids(file: &ParticleFile) -> Vec<usize> {
     let ids: Vec<usize> = attribute(file, "id").iter().map(|&id| id as usize).collect();
     let points =
@@ -52,7 +52,7 @@ fn ids(file: &ParticleFile) -> Vec<usize> {
     ids
 }
 
-/// Where `from` is in the file, which must be somewhere.
+/// Offsets of `from` in the file, which must exist.
 fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     let places: Vec<usize> =
         (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
@@ -60,7 +60,7 @@ fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
     places
 }
 
-/// The file with all of `from` replaced.
+/// The file with every `from` replaced.
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
     let mut bytes = bytes.to_vec();
@@ -115,7 +115,7 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
             replaced(&bytes, name.as_bytes(), name.replacen(&name[1..2], "~", 1).as_bytes())
         };
         let mut lost = vec!["Offsets", "Connectivity", "NumberOfConnectivityIds", "CellData"];
-        // Of polygons a count is needed.
+        // Polygons need a count.
         lost.push(if kind == "poly" { "Vertices" } else { "NumberOfCells" });
         for name in lost {
             let file = read(&without(name), 0).unwrap();
@@ -128,7 +128,7 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
                 "{fault}"
             );
         }
-        // The flags are those of the cells then.
+        // The flags then belong to the cells.
         for name in ["CellDataOffsets", "vtkGhostType"] {
             let file = read(&without(name), 2).unwrap();
             let left: &[usize] =
@@ -136,11 +136,11 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
             assert_eq!(ids(&file), left, "{kind} without {name}");
         }
     }
-    // Without their types, offsets say that cells have one point each.
+    // Without types, offsets show that cells have one point each.
     let (_, bytes) = file_of_steps("grid");
     let file = read(&replaced(&bytes, b"\0Types\0", b"\0~ypes\0"), 0).unwrap();
     assert_eq!(ids(&file), [0, 2, 5]);
-    // A type that is not a vertex's, although it has one point.
+    // A type other than vertex, although the cell has one point.
     let types = [[1; 9].as_slice(), &[3], &[1; 5]].concat();
     for (at, left) in [(0, &[0, 1, 2, 3, 4, 5][..]), (6, &[0, 2, 5])] {
         let mut other = types.clone();
@@ -154,7 +154,7 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
     let (_, bytes) = file_of_steps("grid");
     let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
     let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);
-    // Of the fourth partition, behind those of the third.
+    // Of the fourth partition, after those of the third.
     let corners = |last: i64| longs(&[0, 1, 2, 0, 1, 0, 1, 1, 2, last]);
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);
@@ -177,7 +177,7 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
         assert!(fault.contains(says), "{fault} instead of {says}");
         assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
     }
-    // The faults of files in which one of several equal entries lies.
+    // The faults of files in which one of several equal entries is wrong.
     let faults = |bytes: &[u8], from: &[u8], to: &[u8], step: Option<u64>| -> Vec<String> {
         let lying = places(bytes, from).into_iter().map(|at| {
             let mut lying = bytes.to_vec();
@@ -195,14 +195,14 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
         let found = faults(&bytes, &first(6), &first(cell), Some(1));
         assert!(found.iter().any(|fault| fault.contains(says)), "{found:?} without {says}");
     }
-    // Of cells with offsets of other lengths each point stays.
+    // Points stay if cells' offsets have other lengths.
     let ends = |last: i64| longs(&[5, 0, 1, 2, 3, 4, last]);
     let file = read(&replaced(&bytes, &ends(5), &ends(6)), 1).unwrap();
     assert_eq!(ids(&file), (6..13).collect::<Vec<_>>());
-    // All flags belong to cells where there are no steps.
+    // Without steps, all flags belong to cells.
     let whole = fs::read(files::data("simulations/cells.vtkhdf")).unwrap();
     let [right, wrong] = [24, 23].map(|count| longs(&[count]));
-    // Two counts have to agree: those of cells, and of their corners.
+    // Two counts must agree: those of the cells, and of their corners.
     let lying = places(&whole, &right).into_iter().flat_map(|at| {
         let mut lying = whole.clone();
         lying[at..at + 8].copy_from_slice(&wrong);
@@ -220,12 +220,12 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
         let values = positions(&read(&whole, step).unwrap());
         let read = |bytes: &[u8]| {
             let (result, largest) = memory::largest_allocation(|| read(bytes, step));
-            // As much as any file may unpack to.
+            // The maximum for any unpacked file.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };
         for length in 0..whole.len() {
-            // What is cut off may have been padding.
+            // The missing bytes may have been padding.
             if let Ok(found) = read(&whole[..length]) {
                 assert_eq!(found, values, "{name} cut at {length}");
             }

@@ -1,4 +1,4 @@
-//! Compact glTF: what a reader of the format finds is the mesh, and what does not fit is refused.
+//! Compact glTF: a reader of the format finds the mesh, and a mesh that does not fit is refused.
 
 use std::io;
 
@@ -35,7 +35,7 @@ fn number(value: &Value) -> usize {
     value.as_u64().unwrap() as usize
 }
 
-/// The bytes of an accessor's elements, decompressed, and the file's name for their type.
+/// The bytes of an accessor's elements, decompressed, and the name of their type.
 fn elements(json: &Value, binary: &[u8], accessor: usize) -> Vec<u8> {
     let accessor = &json["accessors"][accessor];
     let view = &json["bufferViews"][number(&accessor["bufferView"])];
@@ -96,7 +96,7 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
     let narrow: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.map(|x| x as f32)).collect();
     let positions = named("POSITION");
     assert_eq!(soup(&positions, &triangles(&json, &binary)), soup(&narrow, &mesh.triangles));
-    // Vertices go together with what they carry.
+    // Vertices keep their attributes.
     let velocity = mesh.attributes.iter().find(|a| a.name == "velocity").unwrap();
     let of = |i: usize| -> [f32; 3] { velocity.values[3 * i..][..3].try_into().unwrap() };
     let whole = |p: &[f32; 3], n: &[f32; 3], v: &[f32; 3]| [p.as_slice(), n, v].concat();
@@ -109,7 +109,7 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
         (0..narrow.len()).map(|i| whole(&narrow[i], &normals[i], &of(i))).collect();
     expected.sort_by(|a, b| a.partial_cmp(b).unwrap());
     assert_eq!(found, expected);
-    // Bounds are those of what is stored.
+    // Bounds are those of the stored values.
     let accessor = &json["accessors"][number(&attributes["POSITION"])];
     for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
         let said: Vec<f32> = accessor[bound]
@@ -170,7 +170,7 @@ fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
     assert_eq!(node["scale"], serde_json::json!([step, step, step]));
     assert_eq!(json["asset"]["extras"]["positionError"], serde_json::json!(step / 2.0));
     let (plain_json, plain_binary) = written(&mesh, CoordinateWidth::F32, Layout::PLAIN);
-    // Both are in the same order but for the codec, which turns triangles round.
+    // The order is the same except for the codec, which rotates triangles.
     let positions = floats(&elements(&plain_json, &plain_binary, 0));
     let packed: Vec<u16> = elements(&json, &binary, 0)
         .chunks_exact(2)
@@ -211,7 +211,7 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
         .iter()
         .map(|x| x.as_f64().unwrap())
         .collect();
-    // Up is y; what pointed along y comes towards the viewer's back.
+    // Up is y; the former y axis points to the viewer.
     assert_eq!(translation.len(), 3);
     for (found, expected) in translation.iter().zip([1e6, 3e6, -2e6]) {
         assert!((found - expected).abs() < 1e-3, "{translation:?}");
@@ -221,7 +221,7 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
     assert!(near.iter().flatten().all(|x| x.abs() <= 1.01));
 }
 
-/// Only its counts are there.
+/// Only its counts exist.
 struct Huge(u64);
 
 impl MeshSource for Huge {

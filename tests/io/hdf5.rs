@@ -1,4 +1,4 @@
-//! Particles in HDF5, as h5py writes them: what is there is read, and whatever is damaged is
+//! Particles in HDF5, as h5py writes them: every valid file is read, and every damaged one is
 //! refused.
 
 use std::fs;
@@ -57,7 +57,7 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     assert!(exact.iter().zip(positions(&packed)).all(|(a, b)| a.map(|x| f64::from(x as f32)) == b));
     let doubled: Vec<f32> = exact.into_iter().flatten().map(|x| (2.0 * x) as f32).collect();
     assert_eq!(attribute(&packed, "velocity"), doubled);
-    // Through scratch as in memory.
+    // A scratch file gives the same as memory.
     let folder = tempfile::tempdir().unwrap();
     let unpacking = Unpacking { in_memory: 0, scratch: folder.path(), control: None };
     assert_eq!(
@@ -70,7 +70,7 @@ fn names(file: &ParticleFile) -> Vec<(&str, usize)> {
     file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect()
 }
 
-/// The points that all files are made of, moved along all axes.
+/// The points of all files, moved along all axes.
 fn points(by: f64) -> Vec<[f64; 3]> {
     let exact = positions(&open("steps.h5part#0").unwrap());
     exact.into_iter().map(|point| point.map(|x| x + by)).collect()
@@ -93,7 +93,7 @@ fn a_table_has_a_column_for_each_member_that_is_a_number() {
 fn components_along_the_first_axis_are_read_as_well() {
     let columns = open("columns.h5").unwrap();
     assert_eq!((positions(&columns), columns.time), (points(0.0), Some(0.5)));
-    // The reference configuration is no position.
+    // The reference configuration is not a position.
     assert_eq!(names(&columns), [("X", 3), ("v", 3), ("C", 9)]);
     let doubled: Vec<f32> = points(0.0).as_flattened().iter().map(|x| (2.0 * x) as f32).collect();
     assert_eq!(attribute(&columns, "v"), doubled);
@@ -153,7 +153,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic() {
         };
         let values = positions(&read(whole.clone()).unwrap());
         for length in 0..whole.len() {
-            // What is cut off may have been padding.
+            // The missing bytes may have been padding.
             if let Ok(file) = read(whole[..length].to_vec()) {
                 assert_eq!(positions(&file), values, "{name} cut at {length}");
             }

@@ -1,5 +1,4 @@
-//! Geometries of Houdini: every point is what was put in, in whatever form and arrangement, and
-//! damage is refused.
+//! Geometries of Houdini: every point is read in each form and arrangement, and damage is refused.
 
 use std::path::Path;
 
@@ -25,7 +24,8 @@ fn read(bytes: Vec<u8>) -> Result<ParticleFile, ReadFault> {
     houdini::read_particles(bytes.into(), WantedAttributes::All, Unpacking::in_memory())
 }
 
-/// Numbers that every storage holds exactly; those of the second thousand of points are alike.
+/// Numbers that every storage type represents exactly; those of the second thousand points are
+/// equal.
 fn numbers(points: usize, components: usize) -> Vec<f64> {
     let number = |point: usize, component: usize| match point {
         1024..2048 => component as f64,
@@ -43,7 +43,7 @@ fn texts(file: &ParticleFile, name: &str) -> Vec<String> {
     places.iter().map(|&place| labels[index].texts[place as usize].clone()).collect()
 }
 
-/// A position in f32, one page.
+/// A position in f32 in one page.
 fn position(points: usize) -> Value {
     let layout = Layout::Pages(1024, vec![3]);
     numeric("P", "fpreal32", 3, tuples(points).as_flattened(), &layout)
@@ -64,7 +64,7 @@ fn every_storage_reads_back_in_every_form_and_arrangement() {
     for form in Form::ALL {
         for (storage, ..) in STORAGES {
             for points in [0, 1, 1024, 1025, 2100] {
-                // Each file has all arrangements, each in an attribute.
+                // Each file has all arrangements, one per attribute.
                 let mut attributes = vec![position(points)];
                 let mut expected = Vec::new();
                 for components in [1, 2, 4] {
@@ -249,7 +249,7 @@ fn points_of_primitives_are_left_out_and_counted_by_kind() {
         let mut found = found.clone();
         found.sort();
         assert_eq!(found, kinds);
-        // All points belong to the system, which is no matter.
+        // That all points belong to the system does not matter.
         let system = geometry(10, vec![position(10)], &vertices, vec![particles.clone()]);
         let file = read(system.document(form)).unwrap();
         assert_eq!((positions(&file), file.left_out.len()), (tuples(10), 0));
@@ -309,7 +309,7 @@ fn the_extension_is_no_matter() {
     }
 }
 
-/// One small file of each form, with an attribute of each arrangement.
+/// One small file of each form, with an attribute for each arrangement.
 fn samples() -> Vec<Vec<u8>> {
     let mut files = Vec::new();
     for form in Form::ALL {
@@ -455,7 +455,7 @@ fn other_files_are_refused_by_what_they_are() {
     assert!(matches!(missing.unwrap_err().fault, ReadFault::Io(_)));
 }
 
-/// A mesh of more than a chunk, with a value of each kind.
+/// A mesh larger than a chunk, with an attribute of each kind.
 fn dressed() -> Mesh {
     let mut mesh = sphere(0.7, 6);
     let count = mesh.positions.len();
@@ -504,7 +504,7 @@ fn a_written_mesh_holds_points_with_all_values() {
         assert!(attribute(&file, "id").iter().all(|&id| id == -7.0));
         assert!(attribute(&file, "flags").iter().all(|&flags| flags == 4e9));
         assert!(attribute(&file, "rest_density") == mesh.attributes[4].values);
-        // A mesh is not taken for particles.
+        // A mesh is not read as particles.
         let fault = read(bytes).unwrap_err();
         assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
     }

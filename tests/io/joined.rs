@@ -1,4 +1,4 @@
-//! Files that are joined: colours of one scale, and none of them twice.
+//! Joined files: colours have one scale, and no colour is scaled twice.
 
 use std::fs;
 use std::path::Path;
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use crate::common::particle_files::attribute;
 
-/// Writes two particles that have one colour each, of a type of numbers.
+/// Writes two particles with one colour each, in a number type.
 fn coloured(path: &Path, scalar: &str, colours: [&str; 2]) {
     let properties: String =
         ["red", "green", "blue"].map(|name| format!("property {scalar} {name}\n")).concat();
@@ -66,7 +66,7 @@ fn bytes_become_shares_beside_shares_and_other_scales_are_refused() {
         assert_eq!((&*refused.path, &**other), (paths[1], paths[0]));
         assert_eq!([*scale, *of_other], scales);
     }
-    // Black is of any scale.
+    // Black is valid in any scale.
     for other in [&*shares, &*large, &*bytes] {
         join(&[&dark, other]).unwrap();
     }

@@ -1,4 +1,4 @@
-//! Every format in both directions: what is written is read, and damage is refused.
+//! Every format in both directions: written files are read, and damaged ones are refused.
 #![allow(clippy::unwrap_used)]
 
 mod build;

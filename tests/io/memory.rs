@@ -1,23 +1,22 @@
-//! The allocator of these tests: it refuses large blocks, and measures what a call allocates.
+//! The allocator of these tests: it refuses large blocks, and measures the allocations of a call.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicIsize, Ordering};
 
-/// The largest block that tests may allocate: more is asked for only where a file's header is
-/// believed.
+/// The largest block that tests may allocate: a larger request means that a reader trusts a file's
+/// header.
 const LARGEST_BLOCK: usize = 64 << 20;
 
 thread_local! {
-    /// The largest block that this thread has asked for since [`largest_allocation`] began.
+    /// The largest block that this thread requested since [`largest_allocation`] began.
     static LARGEST: Cell<usize> = const { Cell::new(0) };
     static UNLIMITED: Cell<bool> = const { Cell::new(false) };
 }
 
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// Bytes that all threads hold, and the most that they have held, beyond those from before
-/// counting.
+/// Bytes that all threads hold, and their maximum, beyond those from before counting.
 static HELD: AtomicIsize = AtomicIsize::new(0);
 static PEAK: AtomicIsize = AtomicIsize::new(0);
 
@@ -52,8 +51,8 @@ unsafe impl GlobalAlloc for Meter {
 #[global_allocator]
 static METER: Meter = Meter;
 
-/// Returns what `call` returns, and the size in bytes of the largest block that this thread asks
-/// for in it.
+/// Returns the result of `call`, and the size in bytes of the largest block that this thread
+/// requests in it.
 ///
 /// The caller checks the size: blocks of this thread may be larger than [`LARGEST_BLOCK`].
 pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
@@ -62,8 +61,7 @@ pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
     (result, LARGEST.get())
 }
 
-/// Runs `call` without the limit on blocks that this thread allocates: for tests that make large
-/// inputs.
+/// Runs `call` without the limit on this thread's blocks: for tests that make large inputs.
 pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     UNLIMITED.set(true);
     let result = call();
@@ -71,9 +69,9 @@ pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
     result
 }
 
-/// The most bytes that all threads hold at once in `call`, beyond those held before it.
+/// The maximum of bytes that all threads hold at once in `call`, beyond those before it.
 ///
-/// Other tests in the process would be counted too: the caller runs in a process of its own.
+/// Other tests in the process would be counted too, so the caller must run in its own process.
 pub fn peak_of_process(call: impl FnOnce()) -> usize {
     HELD.store(0, Ordering::Relaxed);
     PEAK.store(0, Ordering::Relaxed);

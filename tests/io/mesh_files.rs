@@ -1,4 +1,5 @@
-//! Mesh files: what goes in comes out, damage is refused, and a failed write leaves nothing.
+//! Mesh files: a written mesh is read unchanged, damage is refused, and a failed write leaves
+//! nothing.
 
 use std::fs;
 use std::io::{self, Read};
@@ -35,7 +36,7 @@ fn written(format: MeshFormat, mesh: &Mesh, width: CoordinateWidth) -> Vec<u8> {
     bytes
 }
 
-/// Every coordinate as an f32 would have it.
+/// The mesh with every coordinate rounded to f32.
 fn narrowed(mesh: &Mesh) -> Mesh {
     let mut mesh = mesh.clone();
     mesh.positions.iter_mut().flatten().for_each(|x| *x = f64::from(*x as f32));
@@ -53,7 +54,7 @@ fn every_format_returns_what_it_says_it_holds_to_the_bit() {
         for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
             let read = format.read(&written(format, &mesh, width)).unwrap();
             let wide = width == CoordinateWidth::F64 && format.holds_f64();
-            // Decimal text of an f32 reads as an f64 near it, which is the same f32.
+            // The decimal text of an f32 reads as an f64 that rounds to the same f32.
             let (read, expected) =
                 if wide { (read, mesh.clone()) } else { (narrowed(&read), narrowed(&mesh)) };
             assert_eq!(soup(&read), soup(&expected), "{format:?} {width:?}");
@@ -157,7 +158,7 @@ fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
             "{format:?}: {:?}",
             read.attributes
         );
-        // Whatever is called otherwise is told of.
+        // A renamed attribute is reported.
         let renamed = format.renamed(&infos, true);
         for (attribute, name) in read.attributes.iter().zip(names) {
             let told = renamed.iter().find(|[from, _]| from == name).map_or(name, |[_, to]| to);
@@ -226,9 +227,9 @@ fn obj_files_of_others_are_read() {
     let mesh = MeshFormat::Obj.read(text).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3]]);
-    // One normal for four corners is no normal of theirs alone.
+    // One normal for four corners does not belong to them alone.
     assert_eq!(mesh.normals, None);
-    // Nor are as many normals as vertices their own, if corners name them in another order.
+    // A normal for each vertex is not the vertices' own if corners use them in another order.
     let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n";
     let normals =
         |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;
@@ -298,7 +299,7 @@ fn stl_files_of_others_are_read() {
     let mesh = MeshFormat::Stl.read(text.as_bytes()).unwrap();
     assert_eq!(mesh.positions, [[0., 0., 0.], [1., 0., 0.], [0., 0.5, 0.]]);
     assert_eq!(mesh.triangles, [[0, 1, 2]]);
-    // Binary, though it starts as text does.
+    // Binary, although it starts like text.
     let mut binary = written(MeshFormat::Stl, &mesh, CoordinateWidth::F32);
     binary[..6].copy_from_slice(b"solid ");
     assert_eq!(MeshFormat::Stl.read(&binary).unwrap(), mesh);
@@ -463,8 +464,8 @@ fn a_truncated_file_is_refused_at_every_prefix() {
     for length in 0..VTP_TEXT.len() {
         assert!(MeshFormat::Vtp.read(&VTP_TEXT.as_bytes()[..length]).is_err(), "{length}");
     }
-    // These two do not say how much is to come: a file that ends between two sections or lines is
-    // whole.
+    // These two formats do not store how much follows: a file that ends between two sections or
+    // lines is complete.
     for format in [MeshFormat::Obj, MeshFormat::Vtk] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);
         let readable =
@@ -549,7 +550,7 @@ fn the_extension_chooses_the_format_in_any_case() {
 
 #[test]
 fn an_existing_file_is_replaced_only_with_permission_and_only_by_a_whole_one() {
-    // Memory that is a folder among the devices is a folder nevertheless.
+    // A folder in memory, under /dev, is also a folder.
     let shared = Path::new("/dev/shm").is_dir().then(|| tempfile::tempdir_in("/dev/shm").unwrap());
     for folder in shared.into_iter().chain([tempfile::tempdir().unwrap()]) {
         let path = folder.path().join("a.ply");
@@ -617,7 +618,7 @@ fn a_folder_removed_during_the_work_is_an_error() {
 #[cfg(unix)]
 #[test]
 fn a_write_that_runs_out_of_room_leaves_nothing() {
-    // Files may not grow beyond 8 blocks of 512 or 1024 bytes.
+    // Files may not exceed 8 blocks of 512 or 1024 bytes.
     let limit = "trap '' XFSZ; ulimit -f 8";
     alone_after(limit, "mesh_files::a_write_that_runs_out_of_room_leaves_nothing", || {
         let folder = tempfile::tempdir().unwrap();

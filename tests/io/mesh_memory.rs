@@ -1,4 +1,4 @@
-//! Writing a mesh takes memory by the size of its pieces, not by their number.
+//! The memory of writing a mesh depends on the size of its pieces, not on their number.
 
 use std::borrow::Cow;
 use std::io;
@@ -11,7 +11,7 @@ use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 use crate::common::alone::alone;
 use crate::memory::peak_of_process;
 
-/// So many pieces, each made when it is asked for.
+/// Pieces that are generated on request.
 struct Strip {
     pieces: usize,
 }
@@ -64,8 +64,8 @@ fn write_strips() {
         peak(format, 16);
         let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
         let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };
-        // Buffers for eight pieces, of at most 110 bytes a triangle as they double, and two pieces
-        // as they are.
+        // Buffers for eight pieces, of at most 110 bytes per triangle as they double, and two
+        // unchanged pieces.
         assert!(few - whole / 3 < (8 * 110 + 2 * 100) * TRIANGLES, "{format}: {few} bytes");
         assert!(
             (whole..whole + few / 4 * 5).contains(&many),

@@ -1,4 +1,4 @@
-//! A mesh in pieces, however it is cut, is written as the whole mesh is, and a piece that fails
+//! A mesh in pieces is written like the whole mesh, however it is cut, and a piece that fails
 //! leaves no file.
 
 use std::borrow::Cow;
@@ -24,16 +24,16 @@ const FORMATS: [MeshFormat; 7] = [
     MeshFormat::Usdc(UpAxis::Y),
 ];
 
-/// Hands out a mesh by these ranges of vertices and triangles.
+/// Gives a mesh in these ranges of vertices and triangles.
 struct Cut {
     mesh: Mesh,
     pieces: Vec<[Range<usize>; 2]>,
-    /// Of vertices and of triangles, the piece that cannot be read.
+    /// The piece of vertices and that of triangles that cannot be read.
     lost: [Option<usize>; 2],
 }
 
 impl Cut {
-    /// Cuts behind the given numbers of vertices and of triangles; the last pieces hold the rest.
+    /// Cuts after the given numbers of vertices and triangles; the last pieces contain the rest.
     fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
         let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {
             let ends = sizes.iter().scan(0, |end, size| {
@@ -98,7 +98,7 @@ fn written(format: MeshFormat, mesh: &dyn MeshSource, width: CoordinateWidth) ->
     bytes
 }
 
-/// Empty pieces, pieces of one, all vertices in one and all triangles in another.
+/// Empty pieces, pieces of one, all vertices in one, and all triangles in another.
 fn cuts(mesh: &Mesh) -> [Cut; 4] {
     let [vertices, triangles] = [mesh.positions.len(), mesh.triangles.len()];
     let ones: Vec<_> = (0..99).map(|i| i % 2).collect();
@@ -140,7 +140,7 @@ fn a_mesh_in_any_pieces_is_written_as_the_whole_mesh() {
 fn a_source_without_pieces_is_read_back_as_an_empty_mesh() {
     let none = Cut { mesh: Mesh::default(), pieces: Vec::new(), lost: [None; 2] };
     let folder = tempfile::tempdir().unwrap();
-    // .usdc is not read.
+    // .usdc cannot be read.
     for format in FORMATS.into_iter().filter(|format| !matches!(format, MeshFormat::Usdc(_))) {
         let path = folder.path().join(format!("a{format}"));
         fs::write(&path, written(format, &none, CoordinateWidth::F32)).unwrap();

@@ -1,4 +1,4 @@
-//! The frame file: the same field from disk as from memory, and no damage that goes unnoticed.
+//! The packed frame file: the same field from disk as from memory, and no undetected damage.
 
 use std::fs;
 use std::io::Write;
@@ -25,7 +25,7 @@ use crate::common::{INDICATORS, full_cells, sampling, splashes, tank};
 
 const SIDES: [BrickSide; 3] = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
 
-/// The DIF of `particles`, and all else that a frame is.
+/// The field of `particles`, and the rest of a frame.
 fn sample(
     particles: &(impl Particles + ?Sized),
     grid: Grid,
@@ -59,7 +59,7 @@ fn encoded(frame: &SampledDif) -> Vec<u8> {
     bytes
 }
 
-/// A few pages of very few particles, in a tank.
+/// A few pages with very few particles, in a tank.
 fn small() -> SampledDif {
     let mut particles: Vec<[f64; 3]> = splashes(5).into_iter().step_by(25).collect();
     particles.push([f64::NAN; 3]);
@@ -81,8 +81,7 @@ impl Folder {
     }
 }
 
-/// Why `bytes` are refused, after their checksums were made to fit again: damage that was done on
-/// purpose.
+/// The error for `bytes` with corrected checksums, which is deliberate damage.
 fn refusal(folder: &Folder, bytes: &[u8]) -> String {
     open_frame(&folder.file(bytes), 1 << 20).expect_err("damage goes unnoticed").fault.to_string()
 }
@@ -161,7 +160,7 @@ fn facts_survive_at_their_extremes() {
     }
 }
 
-/// A frame of a box that is periodic along y, between the walls of a tank.
+/// A frame with a box that is periodic along y, between the walls of a tank.
 fn small_periodic() -> SampledDif {
     let (open, mut frame) = (f64::INFINITY, small());
     let grid = frame.facts.grid;
@@ -250,7 +249,7 @@ fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
     assert!(matches!(kind(&longer, "a byte more"), ReadFault::Malformed { .. }));
 }
 
-/// Parts of the file as the module's table has them.
+/// Parts of the file, as in the module's table.
 struct Layout {
     footer: usize,
     index: usize,
@@ -263,7 +262,7 @@ impl Layout {
         Self { footer, index: footer + 144 }
     }
 
-    /// Makes the footer's checksum fit.
+    /// Corrects the footer's checksum.
     fn seal(&self, bytes: &mut [u8]) {
         let tail = bytes.len() - 20;
         let mut hasher = crc32fast::Hasher::new();
@@ -323,7 +322,7 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         bad[at..at + patch.len()].copy_from_slice(&patch);
         layout.seal(&mut bad);
         if expected.is_empty() {
-            // Another frame, or none: no panic is all that is asked.
+            // Another frame or an error, but no panic.
             let _ = open_frame(&folder.file(&bad), 0);
             continue;
         }
@@ -395,7 +394,7 @@ fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
     samples[0] = 1;
     assert!(refusal(&folder, &written(&samples)).contains("page 0 contains other cells"));
 
-    // As many particles as a file can speak of.
+    // The maximum number of particles that a file can state.
     let layout = Layout::of(&whole);
     whole[layout.footer + 104..][..8].fill(0xff);
     layout.seal(&mut whole);
@@ -414,7 +413,7 @@ fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
     assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
 }
 
-/// Takes so many bytes and no more.
+/// Accepts only this number of bytes.
 struct FullDisk(usize);
 
 impl Write for FullDisk {

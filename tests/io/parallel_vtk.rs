@@ -1,5 +1,5 @@
-//! VTK's lists of pieces: the particles of all of them are read once, a mesh is whole again, and
-//! damage names the piece that it is in.
+//! VTK's lists of pieces: the particles of all pieces are read once, a mesh is complete again, and
+//! an error names its piece.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ fn open(path: &Path) -> Result<ParticleFile, ReadError> {
     open_particles(path, Unpacking::in_memory())
 }
 
-/// A list of pieces and a folder with two, each of two points and of four.
+/// A list and a folder with two pieces, of two and four points.
 struct Set(TempDir);
 
 impl Set {
@@ -63,7 +63,7 @@ fn list(sources: &[&str]) -> String {
     )
 }
 
-/// Points at (i, 2 i, 3 i) + 0.1, whose attributes are i, some of them flagged.
+/// Points at (i, 2 i, 3 i) + 0.1 with attributes i, some of them flagged.
 fn piece(kind: &str, points: &[usize], attributes: &[&str], ghosts: &[usize]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = String>| values.collect::<Vec<_>>().join(" ");
     let where_ = numbers(
@@ -105,7 +105,7 @@ fn pieces_that_vtk_wrote_are_one_set_of_particles_without_ghosts() {
         assert_eq!(names, [("velocity", 3), ("id", 1)], "{name}");
         assert_eq!(attribute(&file, "id"), (0..24).map(|i| i as f32).collect::<Vec<_>>(), "{name}");
         assert!(!holds_mesh(&data(name)).unwrap(), "{name}");
-        // Any range is the same as in the whole, across ghosts and pieces.
+        // Every range is the same as in the whole, across ghosts and pieces.
         for first in 0..=points.len() {
             for count in 0..=points.len() - first {
                 let mut part = vec![[0.0; 3]; count];
@@ -175,7 +175,7 @@ fn pieces_in_one_file_are_one_set_whatever_their_encodings_and_types() {
     let points: Vec<[f64; 3]> = tuples(5);
     for layout in VtkXml::all() {
         let one = String::from_utf8_lossy(&layout.build(&points)).into_owned();
-        // Appended data stand once, and two pieces may name the same.
+        // Appended data occur once, and two pieces may use the same.
         let bytes = layout.build(&points);
         let (start, end) = (one.find("<Piece").unwrap(), one.find("</Unstr").unwrap());
         let text = piece("Float64", &[0, 1], &["id"], &[]);
@@ -228,7 +228,7 @@ fn a_list_of_blocks_gives_its_particles_and_names_what_else_it_holds() {
     set.write("a.vtm", &list(solid));
     let fault = open(&set.path("a.vtm")).unwrap_err().fault;
     assert!(matches!(&fault, ReadFault::Unsupported(what) if what.contains("solid")), "{fault}");
-    // A list that names itself has no end.
+    // A list that contains itself is endless.
     set.write("a.vtm", &list("<DataSet file=\"b.vtm\"/>"));
     set.write("b.vtm", &list("<DataSet file=\"a.vtm\"/>"));
     let fault = open(&set.path("a.vtm")).unwrap_err().fault;
@@ -326,7 +326,7 @@ fn a_folder_of_lists_does_not_take_their_pieces_for_frames() {
         let arguments = ["reconstruct", inputs, "-o", "m/", "--spacing", "1", "--overwrite"];
         let output = command(&set.path(""), &arguments).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        // The list without a number is no frame of a folder.
+        // In a folder, the list without a number is not a frame.
         let expected = if inputs == "." { Some(0) } else { output.status.code() };
         assert_eq!(output.status.code(), expected, "{said}");
         if inputs == "." {
@@ -358,7 +358,7 @@ fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
     assert_eq!(read_mesh(&path).unwrap(), mesh);
     assert!(holds_mesh(&path).unwrap());
 
-    // Neither the list nor the folder is replaced unless that is allowed, and nothing else ever is.
+    // The list and the folder are replaced only if allowed, and nothing else ever is.
     let exists = |fault: &WriteFault| matches!(fault, WriteFault::Exists);
     assert!(exists(&write(Replace::Refuse).unwrap_err().fault));
     fs::remove_file(&path).unwrap();
@@ -374,13 +374,13 @@ fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
         "{fault}"
     );
     assert_eq!(tree(folder.path()).len(), before.len() + 1);
-    // A piece that is lost is told of.
+    // A missing piece is reported.
     fs::remove_file(folder.path().join("torus/torus_0.vtp")).unwrap();
     assert!(read_mesh(&path).unwrap_err().path.ends_with("torus_0.vtp"));
 }
 
-/// Points as by [`piece`], with a vertex each in this order of points, and flags of these vertices
-/// under a name.
+/// Points as in [`piece`], with one vertex each in this order, and flags of these vertices under a
+/// name.
 fn with_cells(polydata: bool, order: &[usize], name: &str, flags: &[u8]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = usize>| {
         values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
@@ -421,7 +421,7 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
     for polydata in [true, false] {
         for (name, flags, left) in [
             ("vtkGhostType", [1, 0, 0, 8, 0, 32], &[1, 3, 4][..]),
-            // High and low connectivity, and the exterior, say nothing of the cell itself.
+            // High and low connectivity and exterior do not concern the cell itself.
             ("vtkGhostType", [2, 4, 16, 0, 0, 0], &[0, 1, 2, 3, 4, 5]),
             ("vtkGhostLevels", [2, 1, 0, 0, 0, 0], &[0, 1, 2, 3]),
             ("vtkGhostType", [1; 6], &[]),
@@ -430,10 +430,10 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
             let found = points_left(polydata, &with_cells(polydata, &order, name, &flags)).unwrap();
             assert_eq!(found, left, "{name} {flags:?}");
         }
-        // A point with another vertex that is its own stays, and so does one without any.
+        // A point with another vertex of its own stays, and so does a point without a vertex.
         let text = with_cells(polydata, &[0, 0, 1, 2, 2], "vtkGhostType", &[1, 0, 1, 1, 1]);
         assert_eq!(points_left(polydata, &text).unwrap(), [0, 3, 4, 5]);
-        // Cells of several points say nothing of each.
+        // Flags of cells with several points do not apply to the points.
         let text = with_cells(polydata, &order, "vtkGhostType", &[1; 6]);
         let line = text.replace(">1 2 3 4 5 6<", ">1 2 3 4 5 7<");
         assert_eq!(points_left(polydata, &line).unwrap().len(), 6);

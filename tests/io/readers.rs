@@ -1,5 +1,4 @@
-//! Particle files: what is read is what was written, and nothing damaged gets through or brings the
-//! reader down.
+//! Particle files: the reader returns what was written, refuses damage, and never panics.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -21,7 +20,7 @@ use crate::common::files::data;
 use crate::common::particle_files::{attribute, positions};
 use crate::memory;
 
-/// Packs the bytes of a file.
+/// Compresses the bytes of a file.
 type Packer = fn(&[u8]) -> Vec<u8>;
 
 /// Compressions of whole files, by their extensions.
@@ -50,7 +49,7 @@ fn read_text(
     text_format::read_particles(bytes, hint, (None, step), wanted, Unpacking::in_memory())
 }
 
-/// With as much memory as unpacking takes.
+/// Opens particles with enough memory to unpack them.
 fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
     input::open_particles(
         path,
@@ -81,7 +80,7 @@ fn fault(result: Result<ParticleFile, ReadFault>) -> String {
     result.expect_err("a fault").to_string()
 }
 
-/// One small file of every binary format and layout.
+/// A small file of every binary format and layout.
 fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     let points = tuples(7);
     let mut samples: Vec<(&str, Reader, Vec<u8>)> = vec![
@@ -106,7 +105,7 @@ fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     samples
 }
 
-/// The same of formats that hold their numbers encoded, or may.
+/// The same for formats with encoded numbers.
 fn encoded_samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     let points = tuples(7);
     let mut samples: Vec<(&str, Reader, Vec<u8>)> =
@@ -178,8 +177,8 @@ fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
     }
 }
 
-/// Counted and measured by a separate program: it looked for the array tags in the bytes, and took
-/// the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
+/// A separate program counted and measured this: it searched for the array tags in the bytes, and
+/// took the rows whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
 #[test]
 fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
     let file = open_particles(&data("dualsphysics_dambreak/Part_0005.bi4")).unwrap();
@@ -306,7 +305,7 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
     }
 }
 
-/// What a reader makes of a file's first bytes, in words: all numbers, or a fault.
+/// The result of a reader as text: all numbers, or a fault.
 fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
     let numbers = |file: ParticleFile| {
         let values: Vec<_> =
@@ -368,7 +367,7 @@ fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_
             file.set_len(left as u64).unwrap();
             match reader(opened) {
                 Err(ReadFault::Changed) => {}
-                // Of columns that begin where it was cut nothing was read so far.
+                // Columns that begin after the cut have not been read yet.
                 Ok(file) => assert_eq!(file.particles.check(), Err(Unread::Changed), "{name}"),
                 Err(fault) => panic!("{name}: {fault}"),
             }
@@ -380,7 +379,7 @@ fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_
 fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
     let points = tuples(7);
     let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
-    // LZ4's blocks have none.
+    // LZ4 blocks have no checksum.
     let compressed = |layout: &VtkXml| {
         matches!(layout.compressor, Compressor::Zlib | Compressor::Lzma)
             && layout.placed != build::Placed::Ascii
@@ -439,7 +438,7 @@ fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
         assert_eq!(positions(&file), positions(&read(reader, &bytes).unwrap()));
         scratched += usize::from(file.particles.scratch_bytes() > 0);
     }
-    // All but what is appended raw, and stored.
+    // All except the file whose appended data is raw, and the stored one.
     assert_eq!(scratched, 32 + 12 - 4 + 1);
     let nowhere = Unpacking { in_memory: 100, scratch: Path::new("nowhere"), control: None };
     let path = folder.path().join("a.npz");
@@ -584,7 +583,7 @@ fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
         assert!(error.to_string().contains(said), "{error}");
         std::fs::write(path(piece), right).unwrap();
     }
-    // Each is read in its own byte order.
+    // Each piece is read in its own byte order.
     std::fs::write(path(1), Bi4 { big: true, ..layout(1) }.build(&points[3..6])).unwrap();
     assert_eq!(positions(&open_particles(&path(0)).unwrap()), points);
     std::fs::remove_file(path(1)).unwrap();
@@ -612,7 +611,7 @@ fn a_compressed_file_is_refused_at_every_prefix_and_flipped_bytes_are_found_or_n
                 let mut damaged = packed.clone();
                 damaged[at] ^= flip;
                 std::fs::write(&path, damaged).unwrap();
-                // Without a checksum, as zstd writes here, numbers may be others.
+                // Without a checksum, as zstd writes it here, numbers may differ.
                 if let Ok(file) = open_particles(&path)
                     && extension != "zst"
                 {
@@ -637,7 +636,7 @@ fn compressed_streams_one_after_the_other_are_one_file() {
                 .unwrap();
             assert_eq!(open_particles(&path).unwrap().particles.len(), count, "{extension}");
         }
-        // What follows a stream and is none is damage.
+        // Bytes after a stream that are not a stream are damage.
         let begun = &pack(&two)[..4];
         std::fs::write(&path, [&pack(&one), begun, b"rest"].concat()).unwrap();
         let fault = open_particles(&path).expect_err("refused").fault;
@@ -679,7 +678,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
             .build(&points);
         let tags = bytes.windows(6).enumerate().filter(|(_, tag)| tag == b"\nARRAY");
         for tag in tags.map(|(at, _)| at).collect::<Vec<_>>() {
-            // Past the tag, a name of 3 letters (all three are), the flag and the type.
+            // After the tag, a name of 3 letters (as all three have), the flag and the type.
             let count_at = tag + 6 + 4 + 3 + 4 + 4;
             let mut bytes = bytes.clone();
             let width = if wide { 8 } else { 4 };
@@ -724,7 +723,7 @@ fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() 
             for field in 0..if layout.is_compressed() { 3 } else { 1 } {
                 let width = if layout.wide { 8 } else { 4 };
                 let mut bytes = bytes.clone();
-                // Of the points' array, which the last element names.
+                // The offset of the points' array, which the last element names.
                 let offset: usize = text
                     .split("Name=\"Points\"")
                     .nth(1)
@@ -770,7 +769,7 @@ fn an_array_of_a_last_block_and_none_in_all_is_refused() {
         .into_iter()
         .filter(|l| l.is_compressed() && l.placed == build::Placed::AppendedRaw)
     {
-        // Of two points the coordinates are one block, which is not full.
+        // The coordinates of two points are one block, which is not full.
         let mut bytes = layout.build(&tuples(2));
         let text = String::from_utf8_lossy(&bytes).into_owned();
         let offset: usize = text
@@ -956,7 +955,7 @@ fn a_cell_is_parsed_only_where_its_column_is_wanted() {
     assert_eq!(file.unread.len(), 1);
     assert!(positions(&file)[3][0].is_nan() && attribute(&file, "v")[9].is_nan());
     assert!(matches!(read(&["p"]), Err(ReadFault::Line { line: 4, .. })));
-    // Where all are wanted, a column with text in it is none.
+    // If all columns are wanted, a column with text is left out.
     assert_eq!(attributes(&text(table).unwrap()), [("v", 3)]);
 }
 
@@ -1217,7 +1216,7 @@ fn frames_of_a_compressed_file_are_unpacked_once_and_again_when_it_changes() {
     write("a.xyz", frames(0).as_bytes());
     write("b.xyz.gz", &gzip(frames(0).as_bytes()));
     for name in ["a.xyz", "b.xyz.gz"] {
-        // Without a scratch folder memory serves.
+        // Without a scratch folder, memory is used.
         for scratch in [Path::new("nowhere"), folder.path(), Path::new("nowhere")] {
             for (number, x) in [(2, 2.5), (0, 0.5), (1, 1.5)] {
                 let read = open(&format!("{name}#{number}"), scratch).unwrap();

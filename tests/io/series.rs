@@ -1,5 +1,5 @@
-//! What tells other programs of a simulation: listings that are whole after each frame, and a stage
-//! of layers.
+//! Files that describe a simulation to other programs: listings that are complete after each frame,
+//! and a USD stage of layers.
 
 use std::fs;
 use std::path::Path;

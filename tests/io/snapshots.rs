@@ -1,5 +1,5 @@
-//! Frames of large simulation codes in HDF5, each written by its own library: what is there is
-//! read, and whatever is damaged is refused.
+//! Frames of large simulation codes in HDF5, each written by its own library: every valid file is
+//! read, and every damaged one is refused.
 //!
 //! `MENISCUS_EVERY_BYTE=1` cuts each file at every byte, and flips each.
 
@@ -21,7 +21,7 @@ use crate::common::program::command;
 use crate::memory;
 
 const GADGET: [&str; 3] = ["gadget_005.0.hdf5", "gadget_005.1.hdf5", "gadget_005.2.hdf5"];
-/// Every file that is one frame, and how many of its particles are ghosts.
+/// Every file with one frame, and the number of its ghosts.
 const FRAMES: [(&str, usize); 6] = [
     ("swift_0003.hdf5", 0),
     ("gadget_005.0.hdf5", 0),
@@ -44,12 +44,12 @@ fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<Partic
     open_wanted(path, wanted, Unpacking::in_memory())
 }
 
-/// The points that every file holds.
+/// The points of every file.
 fn points() -> Vec<[f64; 3]> {
     positions(&open("points.csv").unwrap())
 }
 
-/// A copy of the files whose names begin so.
+/// A copy of the files with this prefix.
 fn copied(prefix: &str) -> TempDir {
     let folder = TempDir::new().unwrap();
     for entry in fs::read_dir(data("")).unwrap().map(Result::unwrap) {
@@ -67,11 +67,11 @@ fn every_code_s_frame_holds_the_same_particles_with_their_velocities_and_no_ghos
         let file = open(name).unwrap();
         let mut expected = points();
         if name == "grid.vtkhdf" {
-            // Those that are flagged.
+            // The flagged points.
             expected.remove(5);
             expected.remove(1);
         }
-        // In GADGET's third file and in the steps as f32; openPMD's are computed.
+        // In GADGET's third file and in the steps as f32; openPMD computes them.
         let exact = ["swift_0003.hdf5", "pysph_40.hdf5", "grid.vtkhdf"].contains(&name);
         let tolerance = if exact { 0.0 } else { 1e-6 };
         let shift = if name == "steps.vtkhdf#2" { 20.0 } else { 0.0 };
@@ -174,11 +174,11 @@ fn a_snapshot_is_read_whole_from_any_of_its_files_and_from_a_view_of_them() {
         assert_eq!(snapshot_pieces(&data(name)), Some(3));
         assert_eq!(positions(&open(name).unwrap()), whole, "{name}");
     }
-    // The first file's are f64 and the third's f32: neither is rounded to the other.
+    // The first file's numbers are f64 and the third's f32: neither is rounded to the other.
     assert_eq!(whole[..9], points()[..9]);
     let single: Vec<_> = points()[9..].iter().map(|p| p.map(|x| f64::from(x as f32))).collect();
     assert_eq!(whole[9..], single);
-    // Of a type that one of them lacks, and without the view.
+    // A type that one of the files lacks, without the view.
     let folder = copied("gadget_005.");
     fs::remove_file(folder.path().join("gadget_005.hdf5")).unwrap();
     assert_eq!(open_type(&folder.path().join(GADGET[2]), None).unwrap().particles.len(), 24);
@@ -205,12 +205,12 @@ fn whatever_is_wrong_with_a_file_of_a_snapshot_names_that_file() {
         let error = open_type(&start, None).unwrap_err();
         assert!(error.path == path && matches!(error.fault, ReadFault::Io(_)), "{error}");
     }
-    // Twice the same: the header says how many particles there are.
+    // A duplicated file: the header states the number of particles.
     let folder = copied("gadget");
     fs::copy(data(GADGET[2]), folder.path().join(GADGET[0])).unwrap();
     let error = open_type(&folder.path().join(GADGET[0]), None).unwrap_err();
     assert!(error.to_string().contains("announces 24 particles of PartType0"), "{error}");
-    // Without one of the attributes: its name begins otherwise.
+    // Without one of the attributes: its name is changed.
     let folder = copied("gadget");
     let path = folder.path().join(GADGET[2]);
     let mut bytes = fs::read(&path).unwrap();
@@ -275,7 +275,7 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
         assert_eq!(positions(&file), positions(&open(GADGET[0]).unwrap()));
         bytes.push(file.particles.scratch_bytes());
     }
-    // Nine of f64 and fifteen of f32; 12 bytes of velocity and 8 of identifiers for each.
+    // Nine of f64 and fifteen of f32; each has 12 bytes of velocity and 8 of identifiers.
     let positions = 9 * 24 + 15 * 12;
     assert_eq!(bytes, [12, 8, 0, 20, 8, 20].map(|wide| positions + 24 * wide));
 }
@@ -290,7 +290,7 @@ fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");
     }
-    // Chunks have to be put together.
+    // Chunks must be assembled.
     let error = open_wanted(&data("grid.vtkhdf"), wanted, nowhere).unwrap_err();
     assert!(matches!(error.fault, ReadFault::Scratch(_)), "{error}");
 }
@@ -312,7 +312,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
                 let _ = (steps(&path(name)), holds_mesh(&path(name)), snapshot_pieces(&path(name)));
                 open_type(&opened, None)
             });
-            // As much as any file may unpack to.
+            // The maximum for any unpacked file.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };
@@ -323,7 +323,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
         };
         let prefixes = (0..whole.len()).step_by(stride([3, 41]));
         for length in prefixes {
-            // What is cut off may have been padding.
+            // The missing bytes may have been padding.
             if let Ok(found) = read(&whole[..length]) {
                 assert_eq!(found, values, "{name} cut at {length}");
             }
@@ -369,7 +369,7 @@ fn the_files_of_snapshots_in_a_folder_are_a_frame_each() {
         let arguments = [&inputs[..], &["-o", "m/", "--spacing", "1", "--overwrite"]].concat();
         assert_eq!(run(&arguments), expected, "{inputs:?}");
     }
-    // With a view of the first, that stands for it.
+    // With a view of the first snapshot, which represents it.
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_005.hdf5")).unwrap();
     fs::copy(data("gadget_005.hdf5"), path.join("gadget_006.hdf5")).unwrap();
     assert_eq!(run(&[".", "-o", "m/", "--spacing", "1", "--overwrite"]), expected);

@@ -1,4 +1,5 @@
-//! The slots that binning fills. What stands first here is what the file is given by its folder.
+//! The slots that binning fills. The first items replace those that the file imports from its
+//! folder.
 
 use loom::sync::atomic;
 
@@ -14,7 +15,7 @@ use loom::sync::Arc;
 use loom::thread;
 use slots::Slots;
 
-/// As runs that were spilled are read: threads take slots of the same bins, one after the other.
+/// The way spilled runs are read: threads fill slots of the same bins one after the other.
 #[test]
 fn what_threads_put_into_slots_is_there_when_they_are_joined() {
     loom::model(|| {

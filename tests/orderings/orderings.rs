@@ -1,6 +1,6 @@
-//! Every order that threads can come in, as far as the library's own files rely on it: the slots
-//! that binning fills, and the gate of frames side by side. The files are those of the library;
-//! what is loom's in place of the standard library's they are given here.
+//! Tries every order of threads, as far as the library's files depend on it: the slots that binning
+//! fills, and the gate of parallel frames. The files are the library's; loom's types replace those
+//! of the standard library.
 #![allow(dead_code, reason = "a test uses what it tests of a file")]
 
 mod brick;

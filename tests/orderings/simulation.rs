@@ -1,4 +1,5 @@
-//! The gate of frames side by side. What stands first here is what the file is given by its folder.
+//! The gate of parallel frames. The first items replace those that the file imports from its
+//! folder.
 
 mod sync {
     pub use loom::sync::{Condvar, Mutex, MutexGuard};
@@ -13,12 +14,11 @@ use loom::sync::Arc;
 use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread;
 
-/// Whoever is inside with others, and at most so many; who is alone is alone, and everybody comes
-/// through.
+/// At most `lanes` frames are inside together, a frame that needs to be alone is alone, and all
+/// come through.
 fn try_gate(lanes: usize, alone: &'static [bool]) {
     let mut model = loom::model::Builder::new();
-    // So many changes of thread where none waits: with them most orders are tried, and without a
-    // bound it takes for ever.
+    // Limits the preemptions: this tries most orders, and without a limit it would not end.
     model.preemption_bound = Some(3);
     model.check(move || {
         let gate = Arc::new(Gate::new(lanes, 1));

@@ -1,4 +1,4 @@
-//! What the program promises to whoever calls it: results, exit codes, and nothing left behind.
+//! The program for its callers: results, exit codes, and no leftover files.
 
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,7 @@ fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
     command(folder, arguments).output().unwrap()
 }
 
-/// A folder with a ball of particles at spacing 0.5 in `ball.xyz`.
+/// A folder with a ball of particles with spacing 0.5 in `ball.xyz`.
 fn folder_with_ball() -> TempDir {
     let folder = TempDir::new().unwrap();
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
@@ -27,8 +27,7 @@ fn folder_with_ball() -> TempDir {
     folder
 }
 
-/// Runs `reconstruct`, which must fail with `code`, say something of `says`, and leave the folder
-/// as it was.
+/// Runs `reconstruct`, which must fail with `code`, print `says`, and leave the folder unchanged.
 #[track_caller]
 fn assert_refused(folder: &Path, arguments: &[&str], code: i32, says: &[&str]) {
     let before = names(folder);
@@ -250,7 +249,7 @@ fn an_existing_output_is_replaced_only_when_allowed() {
     fs::write(&out, "precious").unwrap();
     assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply"], 2, &["out.ply", "--overwrite"]);
     assert_eq!(fs::read(&out).unwrap(), b"precious");
-    // A failure keeps what was there, even where it may be replaced.
+    // A failure keeps the existing file, even if it may be replaced.
     assert_refused(
         folder.path(),
         &["ball.xyz", "-o", "out.ply", "--overwrite", "--indicator", "counting", "--iso", "0.999"],
@@ -282,14 +281,14 @@ fn an_input_is_never_its_own_output() {
 fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
     let folder = folder_with_ball();
     assert_refused(folder.path(), &["ball.xyz", "-o", "ball.xyz/no/out.ply"], 4, &["ball.xyz/no"]);
-    // The output is tried first: the input is not even looked at.
+    // The output is checked first, before the input is opened.
     assert_refused(
         folder.path(),
         &["missing.xyz", "-o", "ball.xyz/no/out.ply"],
         4,
         &["ball.xyz/no"],
     );
-    // A folder that was made for an output does not outlive a run that fails.
+    // A folder that was created for an output is removed if the run fails.
     assert_refused(folder.path(), &["missing.xyz", "-o", "made/for/out.ply"], 3, &["missing.xyz"]);
     fs::create_dir(folder.path().join("out.ply")).unwrap();
     let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
@@ -300,7 +299,7 @@ fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
 #[test]
 fn a_full_disk_is_exit_4_and_leaves_nothing() {
     let folder = folder_with_ball();
-    // A limit on file size stands in for a full disk; the signal it sends is ignored by the shell.
+    // A limit on file size simulates a full disk; the shell ignores its signal.
     let run = in_shell(folder.path(), "ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
     let errors = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(4), "{errors}");
@@ -428,7 +427,7 @@ fn invalid_particles_are_left_out_and_counted_when_asked() {
 #[test]
 fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let folder = TempDir::new().unwrap();
-    // Spray: every particle has a bin of its own.
+    // Spray: every particle has its own bin.
     let mut random = Random::new(1);
     let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 1e5 * random.unit())).collect();
     fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
@@ -460,7 +459,7 @@ fn a_dry_run_estimates_and_writes_nothing() {
     let said = String::from_utf8_lossy(&run.stdout).into_owned();
     assert!(said.contains("memory"), "{said}");
     assert_eq!(names(folder.path()), ["ball.xyz"]);
-    // The triangles of a small frame are those that it gets, for all of it is made.
+    // The predicted number of triangles of a small frame is exact, because all of it is computed.
     let figure = |name: &str| -> u64 {
         let line = said.lines().find_map(|line| line.strip_prefix(&format!("{name}: about ")));
         line.unwrap().split(' ').next().unwrap().parse().unwrap()
@@ -506,7 +505,7 @@ fn info_tells_particles_from_meshes() {
     let spacing = infos[0]["spacing"].as_f64().unwrap();
     assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
     assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
-    // A file that is bad hides none of the others.
+    // A bad file does not prevent the output for the others.
     let run =
         meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
     assert_eq!(run.status.code(), Some(3));
@@ -526,7 +525,7 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
     assert_eq!(good.status.code(), Some(0));
     let checked: serde_json::Value = serde_json::from_slice(&good.stdout).unwrap();
     assert_eq!(checked[0]["measures"]["genus"], 0);
-    // One face less is a hole.
+    // One missing face is a hole.
     let text = fs::read_to_string(folder.path().join("ball.obj")).unwrap();
     let last_face = text.trim_end().rfind("\nf ").unwrap();
     fs::write(folder.path().join("hole.obj"), &text[..=last_face]).unwrap();
@@ -706,7 +705,7 @@ fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
                 stats["backend"].as_str().unwrap().starts_with("Vulkan"),
                 "{arguments:?}: {stats}"
             );
-            // The ball is around the origin: a bin and a block of every octant hold a part of it.
+            // The ball is around the origin, so every octant has a bin and a block.
             let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
             assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did a part of it");
         }
@@ -807,7 +806,7 @@ fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
     assert!(fs::read(folder.path().join("less.glb")).unwrap().starts_with(b"glTF"));
 }
 
-/// The mesh in a folder, and what the program said.
+/// The mesh in a folder, and the program's output.
 #[track_caller]
 fn drawn(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
     let options = ["reconstruct", input, "-o", "drawn.ply", "--overwrite"];
@@ -858,7 +857,7 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let folder = TempDir::new().unwrap();
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
-    // The one finds an interior, the other none.
+    // The first finds an interior, the second does not.
     for (indicator, told) in
         [("cloud", "because no fluid is deep enough"), ("counting", "computed from the spacing")]
     {
@@ -972,7 +971,7 @@ fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     assert!(!notes(&[]).contains("warning"));
     let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
-    // A ball, and three times as much spray.
+    // A ball, and three times as many particles of spray.
     let mut random = Random::new(3);
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
@@ -1173,7 +1172,7 @@ fn figures_for_people_have_as_many_digits_as_tell_something_and_all_are_in_json(
     for command in ["info", "check"] {
         let text = String::from_utf8(meniscus(folder.path(), &[command, "a.ply"]).stdout).unwrap();
         let corners = text.lines().find(|line| line.trim().starts_with("box")).unwrap();
-        // Six numbers of six digits, and the noughts before their points.
+        // Six numbers of six digits, and the zeros before their points.
         assert!((12..=42).contains(&digits(corners)), "{corners}");
     }
     let json = meniscus(folder.path(), &["check", "--json", "a.ply"]);
@@ -1207,7 +1206,7 @@ fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason(
     }
 }
 
-/// Packs a particle and draws it, saying what is the default anyway.
+/// Packs a particle and draws it, with the default method given explicitly.
 fn run_pack_with_the_default_method(folder: &Path) {
     let given = ["--spacing", "1", "--method", "dif"];
     let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "said.mnf"], &given[..]].concat());
@@ -1241,7 +1240,7 @@ fn a_format_that_is_named_is_read_whatever_files_are_called() {
     }
     let said = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
     assert!(said.contains("extension") && said.contains("--format"), "{said}");
-    // As what it is not.
+    // As another format.
     run(&["reconstruct", "dump_1.out", "-o", "other.ply", "--format", "bgeo"], 3);
     fs::copy(path("ball.xyz"), path("dump_3.out")).unwrap();
     run(&["reconstruct", "dump_{}.out", "-o", "out/m_{}.ply", "--format", "xyz"], 0);

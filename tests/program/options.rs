@@ -1,7 +1,7 @@
-//! All options in seeded pairs and triples on a small frame: a result that is whole, closed and the
-//! same for any threads, budget and backend, or a refusal that leaves nothing.
+//! Seeded pairs and triples of all options on a small frame: the result is complete, closed and the
+//! same for all threads, budgets and backends, or a refusal leaves no file.
 //!
-//! `MENISCUS_OPTIONS=5000` tries so many, and `MENISCUS_OPTION=77` one of them again.
+//! `MENISCUS_OPTIONS=5000` tries that many, and `MENISCUS_OPTION=77` repeats one.
 
 use std::fs;
 use std::path::Path;
@@ -15,10 +15,10 @@ use crate::common::fill;
 use crate::common::program::{command, run};
 use crate::common::scene::Random;
 
-/// Combinations in a run that nobody asked for more of.
+/// Default number of combinations.
 const COMBINATIONS: u64 = 60;
 
-/// Options with values that have a meaning, at least with some others, and some that have none.
+/// Options with values, most of them valid with at least some other options, and some invalid.
 const OPTIONS: [(&str, &[&str]); 33] = [
     ("--spacing", &["1", "0.9", "0", "-1", "nan", "1e300"]),
     ("--radius", &["0.5", "0"]),
@@ -55,7 +55,7 @@ const OPTIONS: [(&str, &[&str]); 33] = [
     ("--dry-run", &[""]),
 ];
 
-/// Ways to run the same request: none of them changes a byte.
+/// Options that do not change the result.
 const OTHERWISE: [[&str; 2]; 3] = [["--threads", "1"], ["--memory", "96MiB"], ["--backend", "cpu"]];
 
 struct Run {
@@ -85,7 +85,7 @@ impl Run {
         assert!(is, "{}: {what}, code {}: {}", self.arguments.join(" "), self.code, self.errors);
     }
 
-    /// Looks at the end of a run in a folder that held `before`.
+    /// Checks the result of a run in a folder that contained `before`.
     fn look(&self, folder: &Path, before: &[String]) {
         self.must([0, 2, 3].contains(&self.code), "no code for a request or an input");
         self.must(!self.errors.contains("panicked"), "a panic");
@@ -129,7 +129,7 @@ fn combination(random: &mut Random) -> Vec<String> {
     arguments
 }
 
-/// A ball with a few drops around it, and now and then a particle that is no number.
+/// A ball with a few drops around it, and sometimes a NaN particle.
 fn frame(random: &mut Random) -> Vec<u8> {
     let mut particles = fill(12.0, 1.0, 0.3, 1, |p| p.length() < 5.0);
     if random.bits().is_multiple_of(4) {
@@ -159,7 +159,7 @@ fn try_combination(seed: u64) {
         }
         let more = [option, value, "--overwrite"].map(str::to_owned);
         let again = Run::of(folder.path(), output, &[&arguments[..], &more].concat());
-        // Less memory may be too little.
+        // With less memory it may fail.
         if again.code == 0 {
             again.must(fs::read(&mesh).unwrap() == bytes, "other bytes");
         } else {

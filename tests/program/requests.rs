@@ -1,5 +1,5 @@
-//! What the program does where it is used in ways that nobody planned: nothing is lost, nothing is
-//! overwritten, and what is refused is refused before the work.
+//! Unplanned uses of the program: nothing is lost, nothing is overwritten, and refusals come before
+//! the work.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,7 +19,7 @@ use crate::common::fill;
 use crate::common::program::{command, run, wait_until};
 use crate::common::scene::Random;
 
-/// A run that is refused with code 2, and leaves all as it was.
+/// Runs the program, which must refuse with code 2 and leave the folder unchanged.
 #[track_caller]
 fn refused(folder: &Path, arguments: &[&str], says: &str) {
     let before = tree(folder);
@@ -32,7 +32,7 @@ fn ball(radius: f64) -> Vec<[f64; 3]> {
     fill(2.0 * radius, 1.0, 0.3, 1, |p| p.length() < radius)
 }
 
-/// Particles as a .ply file that could be a mesh's.
+/// Particles as a .ply file that could be a mesh.
 fn ply(particles: &[[f64; 3]]) -> Vec<u8> {
     let count = particles.len();
     let header = format!(
@@ -42,7 +42,7 @@ fn ply(particles: &[[f64; 3]]) -> Vec<u8> {
     [header.into_bytes(), raw(particles)].concat()
 }
 
-/// A folder with such frames, of a ball each.
+/// A folder with frames of these names, a ball each.
 fn frames(names: &[&str]) -> TempDir {
     let folder = TempDir::new().unwrap();
     for name in names {
@@ -158,12 +158,12 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
             made.keys().filter(|name| name.ends_with(&format!("_1.{extension}"))).count(),
             1
         );
-        // Those of this run, and those of the runs before.
+        // The outputs of this run, and those of earlier runs.
         let again = ["reconstruct", ".", "-o", &output, "--spacing", "1", "--resume"];
         assert!(run(folder.path(), &again, 0).contains("2 of 2 frames are already finished"));
     }
     run(folder.path(), &["reconstruct", "*.xyz", "-o", "g_{}.ply", "--spacing", "1"], 0);
-    // A simulation that runs, into its own folder.
+    // Watches a simulation, with its own folder as output.
     let watching = frames(&["f_1.xyz"]);
     let arguments =
         ["reconstruct", ".", "-o", "m_{}.vtk", "--spacing", "1", "--watch=30", "--end", "3"];
@@ -247,7 +247,7 @@ fn inputs_are_not_overwritten_by_whatever_name_they_go() {
     ] {
         refused(folder.path(), &all(&["--stats", stats]), stats);
     }
-    // The same of one frame.
+    // The same for one frame.
     let one = [
         "reconstruct",
         "f_2.xyz",
@@ -367,7 +367,7 @@ fn a_mesh_with_another_byte_is_made_again() {
     fs::write(&path, flipped).unwrap();
     assert!(run(folder.path(), &all, 0).contains("1 of 2 frames are already finished"));
     assert!(fs::read(&path).unwrap() == whole);
-    // A copy of the same bytes is believed.
+    // A copy with the same bytes is accepted.
     fs::write(&path, &whole).unwrap();
     assert!(run(folder.path(), &all, 0).contains("2 of 2 frames are already finished"));
 }
@@ -419,7 +419,7 @@ fn values_that_32_bits_do_not_hold_are_said() {
     );
     let mesh = read_mesh(&folder.path().join("m_2.ply")).unwrap();
     assert!(mesh.attributes[0].values.iter().all(|value| (value - 7.0).abs() < 1e-4));
-    // The same within a budget that spills them.
+    // The same with a budget that spills the particles.
     let spilled = [&all[..], &["--overwrite", "--memory", "16MiB", "--threads", "1"]].concat();
     assert!(
         run(folder.path(), &spilled, 0)
@@ -445,7 +445,7 @@ fn a_scene_of_other_particles_is_doubted_with_both_spacings() {
         .unwrap();
     let notes = run(folder.path(), &["reconstruct", "f_1.xyz", "-o", "b.ply"], 0);
     assert!(!notes.contains("looks too"), "{notes}");
-    // What is given is taken, and doubted.
+    // A given spacing is used, with a warning.
     for arguments in [["f_1.xyz", "-o", "c.ply"], ["f_{}.xyz", "-o", "n_{}.ply"]] {
         for spacing in ["20", "1e9", "1e300"] {
             let given = ["--spacing", spacing, "--overwrite"];
@@ -479,7 +479,7 @@ fn drops_of_a_handful_of_triangles_keep_a_volume_when_they_are_simplified() {
         let report: Value = serde_json::from_slice(&checked.stdout).unwrap();
         assert_eq!(report[0]["measures"]["flat_components"], 0, "cells of {cell}: {report:#}");
         assert_eq!(checked.status.code(), Some(0), "cells of {cell}");
-        // Nor does one turn inside out.
+        // No drop turns inside out either.
         let mesh = read_mesh(&folder.path().join("drops.ply")).unwrap();
         let mut volumes: BTreeMap<[i32; 3], f64> =
             places().map(|place| (place.to_array(), 0.0)).collect();
@@ -656,7 +656,7 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
     ];
     let kernels = run(folder.path(), &kernels, 0);
     assert!(kernels.contains("missing from the surface"), "{kernels}");
-    // A simulation tells the sum, of frames with nothing else, too.
+    // A simulation reports the sum over its frames, even if they contain nothing else.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);
     assert!(
         notes.contains(&format!("at least 202 of {} particles", 3 * body.len() + 202)),

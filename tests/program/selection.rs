@@ -1,4 +1,4 @@
-//! Particles chosen by conditions on their attributes: the surface is that of the chosen ones alone.
+//! Particles selected by conditions on their attributes: the surface is that of the selected ones.
 
 use std::fmt::Write;
 use std::fs;
@@ -58,7 +58,7 @@ fn xyz(comment: &str, particles: &[([f64; 3], u32)]) -> String {
     format!("{}\n{comment}\n{}", particles.len(), rows.collect::<String>())
 }
 
-/// A folder with the tank in some formats, and with its fluid alone.
+/// A folder with the tank in several formats, and with its fluid alone.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
     let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
@@ -138,7 +138,7 @@ fn packed_frames_parts_and_sequences_hold_the_chosen_particles() {
     reconstruct(folder, &[&["tank/{}.csv", "-o", "tanks/{}.obj"], &chosen[..]].concat(), 0);
     reconstruct(folder, &["fluid/{}.csv", "-o", "fluids/{}.obj"], 0);
     assert_eq!(read("tanks/2.obj"), read("fluids/2.obj"));
-    // Meshes of other particles are not gone on with.
+    // A conversion of other particles is not resumed.
     let other = ["tank/{}.csv", "-o", "tanks/{}.obj", "--resume", "--where", "Type=1"];
     assert!(reconstruct(folder, &other, 2).contains("where"));
 }
@@ -152,7 +152,7 @@ fn conditions_that_cannot_be_applied_are_refused_with_what_there_is() {
         ("tank.csv", "Type=wall", 2, &["wall", "numbers"]),
         ("tank.csv", "Type.y=5", 2, &["Type.y", "1 components"]),
         ("words.csv", "phase<2", 2, &["phase", "texts"]),
-        // Another frame may have some.
+        // Another frame may have matching particles.
         ("tank.csv", "Type=5", 3, &["Type=5", "0 (", "1 ("]),
         ("words.csv", "Phase=solid", 3, &["Phase=solid", "fluid (", "the wall ("]),
     ] {

@@ -1,4 +1,4 @@
-//! Inputs that are written to while they are read: an error of that frame, by name, and never a
+//! Inputs that change while they are read: the frame fails with an error that names it, without a
 //! signal or a wrong mesh.
 
 use std::fs::{self, File, OpenOptions};
@@ -26,7 +26,7 @@ fn written(folder: &TempDir) -> PathBuf {
     path
 }
 
-/// What becomes of a frame whose file is changed after it was opened.
+/// The error for a frame whose file is changed after it was opened.
 fn after(change: impl FnOnce(&Path)) -> Error {
     let folder = TempDir::new().unwrap();
     let path = written(&folder);
@@ -57,7 +57,7 @@ fn a_file_that_grows_or_is_rewritten_is_an_error() {
         OpenOptions::new().append(true).open(path).unwrap().write_all(&[0; 12]).unwrap()
     });
     assert!(is_changed(&error), "{error}");
-    // As many bytes, at another time.
+    // The same size, but another time.
     let error = after(|path| {
         let bytes = fs::read(path).unwrap();
         let modified = fs::metadata(path).unwrap().modified().unwrap();
@@ -82,7 +82,7 @@ fn a_file_that_is_replaced_by_its_name_is_read_as_it_was() {
     assert_eq!(surface.mesh().triangle_count(), whole.mesh().triangle_count());
 }
 
-/// The same particles in formats that are decoded: texts, and what is encoded or compressed.
+/// The same particles in formats that are decoded: text, encoded or compressed.
 fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
     let particles = fill(40.0, 2.0, 0.2, 3, |p| p.length() < 20.0);
     let count = particles.len();
@@ -121,8 +121,8 @@ fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
         .to_vec()
 }
 
-/// The bytes that a process has read, of all its files; the largest number where the system does
-/// not count them.
+/// The bytes that a process has read, from all its files; the maximum if the system does not count
+/// them.
 fn bytes_read(child: &Child) -> u64 {
     let counts = fs::read_to_string(format!("/proc/{}/io", child.id())).unwrap_or_default();
     let read = counts.lines().find_map(|line| line.strip_prefix("rchar: "));
@@ -162,7 +162,7 @@ fn a_file_that_is_shortened_while_it_is_decoded_is_an_error_or_read_as_it_was() 
     assert!(changed > 0, "no file was shortened while it was read");
 }
 
-/// Particles one of which moves after they were read so often.
+/// Particles, of which one moves after this number of readings.
 struct Restless {
     particles: Vec<[f64; 3]>,
     still: usize,
@@ -185,11 +185,12 @@ impl Particles for Restless {
 
 #[test]
 fn a_particle_that_moves_to_another_bin_between_two_readings_is_an_error_in_memory_and_beyond() {
-    // To a bin that there is, to one that is empty, and to none.
+    // To an existing bin, to an empty one, and to none.
     for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
         for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
-            // Of so fine cells no places are kept from the first reading: there is a second.
+            // For such fine cells, no positions are kept from the first reading, so there is a
+            // second.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
             let restless =
                 |still| Restless { particles: particles.clone(), still, readings: 0.into(), by };

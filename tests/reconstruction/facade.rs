@@ -1,4 +1,4 @@
-//! The facade: what a caller of the library has, beside the program that has the same.
+//! The facade: what the library offers beside the program.
 
 use std::error::Error as _;
 use std::fs;
@@ -95,7 +95,7 @@ fn packed_frames_are_drawn_as_their_particles() {
 fn positions_are_read_where_they_are_however_wide_and_far_apart() {
     let particles: Vec<[f32; 3]> = ball().iter().map(|p| p.map(|x| x as f32)).collect();
     let wide: Vec<[f64; 3]> = particles.iter().map(|p| p.map(f64::from)).collect();
-    // A structure of two other numbers before and one behind.
+    // A structure with two other numbers before and one after.
     let structures: Vec<f32> =
         particles.iter().flat_map(|&[x, y, z]| [7.0, -1.0, x, y, z, f32::NAN]).collect();
     let strided = StridedPositions::new(&structures, 2, 6).unwrap();
@@ -133,7 +133,7 @@ fn a_report_tells_what_was_chosen_measured_and_left_out() {
     assert!(again.report().measured.is_none() && bytes_of(&again) == bytes_of(&surface));
 }
 
-/// The key of the setting that an error is about.
+/// The key of the setting that an error concerns.
 fn key(error: &Error) -> String {
     match error {
         Error::Unit(unit) => unit.name().to_owned(),
@@ -164,7 +164,7 @@ fn numbers_out_of_range_are_refused_before_any_work() {
         ("memory", asked().memory(MemoryBudget(1 << 10))),
         ("memory", asked().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
     ] {
-        // There is no such file: nobody looked.
+        // The file does not exist: the check happens before it is opened.
         let error = request.run_file("there/is/none.bgeo").unwrap_err();
         assert_eq!(error.cause(), Cause::Request, "{what}: {error}");
         assert_eq!(key(&error), what, "{error}");
@@ -314,18 +314,18 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_
     assert!(!empty(&simulation.frame(&ball()).unwrap()) && simulation.is_settled());
     assert!(empty(&simulation.frame(&none).unwrap()));
     let drop = simulation.frame(&[[0.0; 3]]).unwrap();
-    // What is left out on request is not lost.
+    // Particles that are left out on request are not counted as lost.
     let left_out = drop.report().too_small.map(|too_small| too_small.drops);
     assert!(empty(&drop) && drop.report().lost == 0 && left_out == Some(1), "{:?}", drop.report());
     let warned =
         |warning: &Warning| matches!(warning, Warning::Empty { why: EmptyReason::TooSmall(_), .. });
     assert!(drop.report().warnings.iter().any(warned), "{:?}", drop.report().warnings);
-    // A file of it is as any other.
+    // Its file is like any other.
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("empty.ply");
     drop.write(&path).unwrap();
     assert_eq!(read_mesh(&path).unwrap().triangles.len(), 0);
-    // What cannot be placed is an error still.
+    // A particle without a valid position is still an error.
     let error = simulation.frame(&[[f64::NAN; 3]]).unwrap_err();
     assert_eq!(error.cause(), Cause::Input, "{error}");
 }
@@ -342,7 +342,7 @@ fn keep_surfaces_and_count_threads() {
     let ball = ball();
     let one = || Reconstruction::new().spacing(0.5).threads(16).run(&ball).unwrap();
     let surfaces: Vec<Surface> = (0..8).map(|_| one()).collect();
-    // They end soon after.
+    // The threads end soon after.
     let few = (0..200).any(|_| {
         std::thread::sleep(std::time::Duration::from_millis(20));
         threads() < 8 * 16
@@ -385,7 +385,7 @@ fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
     let numbers =
         |input: &str| listed(input).unwrap().iter().map(|frame| frame.number).collect::<Vec<_>>();
     assert_eq!(numbers(""), [9, 10]);
-    // A mesh beside them is none of the particles' frames.
+    // A mesh beside the particles is not a frame.
     Reconstruction::new().run(&ball()).unwrap().write(dir.path().join("mesh_1.ply")).unwrap();
     assert_eq!(
         [numbers(""), numbers("pool_{}.xyz"), numbers("pool_*")],
@@ -394,7 +394,7 @@ fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
     let of_one = listed("pool_9.xyz").unwrap();
     assert_eq!((of_one.len(), &*of_one[0].path), (1, &*dir.path().join("pool_9.xyz")));
     let none = listed("none_{}.xyz").unwrap_err().to_string();
-    assert!(none.ends_with("none_{}.xyz: no frames found"), "{none}");
+    assert!(none.ends_with("none_{}.xyz: no file matches this pattern"), "{none}");
     write("sand_1.xyz", &raw(&ball()));
     let several = listed("").unwrap_err().to_string();
     assert!(several.contains("pool_{}.xyz (2), sand_{}.xyz (1)"), "{several}");
@@ -411,7 +411,7 @@ fn a_frame_knows_which_axis_points_up_in_its_particles() {
     assert_eq!(up(Reconstruction::new().particles_up(UpAxis::Z)), UpAxis::Z);
 }
 
-/// Particles that count how often all of them are read.
+/// Particles that count complete readings.
 struct Watched {
     particles: Vec<[f64; 3]>,
     readings: AtomicUsize,

@@ -1,5 +1,5 @@
-//! One frame as a caller has it: the facade, spacing, periodic boxes, parts, and the use of memory,
-//! files and threads.
+//! One frame for a caller: the facade, spacing, periodic boxes, parts, and the use of memory, files
+//! and threads.
 #![allow(clippy::unwrap_used)]
 
 mod changed_inputs;

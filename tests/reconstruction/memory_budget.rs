@@ -1,4 +1,4 @@
-//! A frame within its memory budget: the same bytes, whatever goes through scratch files.
+//! A frame within its memory budget: the same bytes with scratch files.
 
 use std::fs;
 use std::path::Path;
@@ -48,7 +48,7 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
             let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
-            // Far less than the program itself takes: every share is as small as it gets.
+            // Far less than the program itself needs: every share has its minimum.
             for budget in [1 << 18, 1 << 20, 1 << 22] {
                 let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };
@@ -86,7 +86,8 @@ fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_littl
     for (of_narrow, of_wide) in narrow.values.chunks(3).zip(wide.values.chunks(WIDE)) {
         assert!(of_wide.iter().enumerate().all(|(i, value)| *value == of_narrow[i % 3]));
     }
-    // What threads smooth in does not grow with the components; what is carried does.
+    // The threads' memory for smoothing does not grow with the components; that of the vertex
+    // attributes does.
     let meshing = |carried| {
         let sampling = carrying(carried);
         Counted::for_surface(&particles, &sampling, &surfacing(), None).unwrap().estimate().meshing
@@ -117,7 +118,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
             .into_iter()
             .flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            // Two particles a cell.
+            // Two particles per cell.
             let spacing_cells = 2_f64.cbrt().recip();
             let rule = PageRule { indicator, spacing_cells, side, walls: None };
             let plan = BinPlan::count(
@@ -204,7 +205,8 @@ fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
 #[test]
 fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
     let folder = folder_with_splash();
-    // A limit on file size stands in for a full disk. What fails: spilled particles, or the mesh.
+    // A limit on file size simulates a full disk. Either spilled particles or the mesh cannot be
+    // written.
     for kib in [64, 3600] {
         let limits = format!("trap '' XFSZ; ulimit -f {kib}");
         let run = in_shell(
@@ -243,7 +245,7 @@ fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         String::from_utf8(run.stdout).unwrap()
     };
-    // What the program takes for itself, its code above all, is no part of the budget.
+    // The program's own memory, mostly its code, is not part of the budget.
     fs::write(folder.path().join("drop.xyz"), [0; 12]).unwrap();
     let drop =
         "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
@@ -271,7 +273,7 @@ fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
     }
 }
 
-/// The bytes of the files without a name in `scratch` that a process has open.
+/// The bytes of the unnamed files in `scratch` that a process has open.
 #[cfg(target_os = "linux")]
 fn scratch_bytes(child: &Child, scratch: &Path) -> u64 {
     let Ok(open) = fs::read_dir(format!("/proc/{}/fd", child.id())) else { return 0 };
@@ -359,7 +361,7 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("whole.ply") == bytes("small.ply"));
     assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
-    // Without room to unpack it: exit 4; cut short: exit 3.
+    // Without space to unpack it: exit 4; truncated: exit 3.
     let full = in_shell(
         folder.path(),
         "trap '' XFSZ; ulimit -f 1024",
@@ -388,7 +390,7 @@ fn a_frame_that_fits_its_budget_touches_no_scratch() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// 1.5 M particles as a table, a .ply and a .vtk, all of text, some 45 MB each, and their surface
+/// 1.5 M particles as a table, a .ply and a .vtk, all as text, about 45 MB each, and their surface
 /// in `whole.ply`.
 fn folder_with_texts() -> TempDir {
     let folder = TempDir::new().unwrap();
@@ -427,7 +429,7 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
         let run = in_shell(folder.path(), "", &arguments);
         assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
         assert!(bytes("whole.ply") == bytes("small.ply"), "{name}");
-        // The program itself, mapped from its file, counts too, and is larger without optimisation.
+        // The program's mapped file counts too, and is larger without optimization.
         let peak = peak(folder.path());
         assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
         let full = in_shell(
@@ -446,7 +448,7 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
 #[test]
 fn a_frame_that_no_machine_can_hold_is_refused_before_it_is_begun() {
     let mut particles = moving(splashes(31));
-    // Attributes of exbibytes; nobody gets to read them.
+    // Attributes of exbibytes, which are never read.
     particles.attributes[0].components = 1 << 36;
     let scratch = TempDir::new().unwrap();
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());

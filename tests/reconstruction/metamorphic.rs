@@ -1,7 +1,7 @@
-//! Relations between the meshes of a frame and of the same frame moved, mirrored, scaled, repeated or
-//! made otherwise.
+//! Relations between the mesh of a frame and the meshes of the same frame moved, mirrored, scaled,
+//! repeated or computed differently.
 //!
-//! `MENISCUS_RELATIONS=500` tries so many frames, and `MENISCUS_RELATION=77` one of them again.
+//! `MENISCUS_RELATIONS=500` tries that many frames, and `MENISCUS_RELATION=77` repeats one.
 
 use glam::DVec3;
 use meniscus::internals::field::calibration::Calibration;
@@ -13,17 +13,18 @@ use crate::common::periodic::{repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::{shuffle, watertight};
 
-/// Frames in a run that nobody asked for more of.
+/// Default number of frames.
 const FRAMES: u64 = 4;
 
-/// Edge of a cell, in spacings; all lengths are of few binary digits.
+/// Edge of a cell, in spacings; all lengths have few binary digits.
 const CELL: f64 = 0.5;
-/// Steps of coordinates in a spacing; those of particles are odd, so that none is on a cell's face.
+/// Steps of coordinates per spacing; those of particles are odd, so that none is on a cell's face.
 const STEPS: f64 = 64.0;
-/// Distance between vertices that are one, in spacings: numbers are rounded otherwise elsewhere.
+/// Maximum distance of equal vertices, in spacings: numbers are rounded differently at other
+/// positions.
 const NEAR: f64 = 1e-9;
-/// Distance between vertices that mirror one another: places in a cell are rounded down, which moves
-/// the surface most where it is nearly level with the field, as at the rims of sheets.
+/// Maximum distance of mirrored vertices: positions in a cell are rounded down, which moves the
+/// surface most where it is nearly level with the field, as at the rims of sheets.
 const NEAR_IN_MIRROR: f64 = 0.1;
 
 /// Water at spacing 1 within 6 spacings of the origin: a pool, a ball or two, and spray.
@@ -57,7 +58,7 @@ fn arrays(particles: impl IntoIterator<Item = DVec3>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.to_array()).collect()
 }
 
-/// A frame, and how its surface is asked for.
+/// A frame, and the request for its surface.
 struct Frame {
     seed: u64,
     particles: Vec<DVec3>,
@@ -79,7 +80,8 @@ impl Frame {
             .threads(1);
         let surface = request.run(&arrays(particles.clone())).unwrap();
         let calibration = surface.report().calibration.unwrap();
-        // What is measured on a frame depends on how it lies; relations are of what is drawn by it.
+        // A frame's calibration depends on its orientation; the relations concern the surface for a
+        // given calibration.
         let request = request.calibrated(calibration);
         Self { seed, particles, request, mesh: surface.to_mesh().unwrap(), calibration }
     }
@@ -92,12 +94,12 @@ impl Frame {
         mesh
     }
 
-    /// The mesh of particles that are moved in some way.
+    /// The mesh of moved particles.
     fn moved(&self, what: &str, place: impl Fn(DVec3) -> DVec3) -> Mesh {
         self.of(&self.request, &arrays(self.particles.iter().map(|&p| place(p))), what)
     }
 
-    /// A mesh whose vertices are those of the frame at other places, in any order.
+    /// Checks that a mesh has the frame's vertices at other positions, in any order.
     fn assert_placed(&self, found: &Mesh, near: f64, what: &str, place: impl Fn(DVec3) -> DVec3) {
         let expected = self.mesh.positions.iter().map(|&p| place(p.into()));
         assert_same_places(found, expected, near, &format!("frame {}, {what}", self.seed));
@@ -106,7 +108,7 @@ impl Frame {
     }
 }
 
-/// The vertices of a mesh are near these places, as many as there are.
+/// Checks that a mesh has vertices near these positions, and as many.
 fn assert_same_places(
     mesh: &Mesh,
     expected: impl IntoIterator<Item = DVec3>,
@@ -147,7 +149,7 @@ fn moving_a_frame_by_blocks_moves_its_mesh(frame: &Frame, random: &mut Random) {
     frame.assert_placed(&recentred(found, by), NEAR, "moved", |p| p);
 }
 
-/// A mesh moved back, so that its volume is told near the origin.
+/// A mesh moved back, so that its volume is computed near the origin.
 fn recentred(mut mesh: Mesh, by: DVec3) -> Mesh {
     mesh.positions.iter_mut().for_each(|p| *p = (DVec3::from(*p) - by).to_array());
     mesh
@@ -212,7 +214,7 @@ fn threads_and_memory_change_no_byte(frame: &Frame, _: &mut Random) {
 }
 
 fn finer_cells_hold_about_as_much(frame: &Frame, _: &mut Random) {
-    // A calibration is of cells of one size.
+    // A calibration is valid for one cell size.
     let Calibration::Clouds { .. } = frame.calibration else { return };
     let request = Reconstruction::new().spacing(1.0).origin([0.0; 3]).threads(2);
     let particles = arrays(frame.particles.clone());

@@ -1,4 +1,5 @@
-//! Inputs in more pieces, and meshes in more parts, than a process may have open files.
+//! Inputs in more pieces, and meshes in more parts, than the number of files that a process may
+//! open.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
@@ -13,7 +14,7 @@ use tempfile::TempDir;
 use crate::common::files::raw;
 use crate::common::{fill, program};
 
-/// More than may be open in these tests.
+/// More than these tests may open.
 const PIECES: usize = 700;
 const MAY_BE_OPEN: usize = 256;
 
@@ -25,7 +26,7 @@ fn piece(folder: &Path, number: usize) -> PathBuf {
     folder.join(format!("ball_{number}.vtp"))
 }
 
-/// A ball in so many pieces, each appended raw and so read where it lies; and in one file.
+/// A ball in this number of pieces, each appended raw and so read in place; and in one file.
 fn scene() -> (TempDir, PathBuf, PathBuf) {
     let folder = TempDir::new().unwrap();
     let particles = ball();
@@ -49,7 +50,7 @@ fn scene() -> (TempDir, PathBuf, PathBuf) {
     (folder, pieces, whole)
 }
 
-/// Runs the program where so few files may be open.
+/// Runs the program with a low limit on open files.
 fn limited(folder: &Path, arguments: &str) -> Output {
     let arguments = format!("reconstruct {arguments} --backend cpu -q");
     program::in_shell(folder, &format!("ulimit -n {MAY_BE_OPEN}"), &arguments)
@@ -99,7 +100,7 @@ fn a_mesh_is_merged_of_more_parts_than_may_be_open() {
     assert!(one == many);
 }
 
-/// The outcome of a frame of which pieces are changed after it was opened.
+/// The outcome of a frame whose pieces change after it was opened.
 fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
     let (folder, pieces, _) = scene();
     let opened = Reconstruction::new().spacing(0.5).open(&pieces).unwrap();
@@ -125,15 +126,15 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
             fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
         File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
     };
-    // Any may have been closed since, but not the last.
+    // Any except the last may have been closed since.
     for change in [shorter as fn(&Path), longer, later] {
         for changed in [PIECES / 2, PIECES - 20] {
             assert!(is_changed(&after(changed..changed + 1, change).unwrap_err()));
         }
     }
-    // So many that some are not open any more.
+    // So many that some have been closed.
     let many = 0..MAY_BE_OPEN;
-    // Another file of its name, size and time.
+    // Another file with the same name, size and time.
     let replaced = |path: &Path| {
         let (bytes, modified) =
             (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());

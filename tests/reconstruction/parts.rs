@@ -1,4 +1,4 @@
-//! One frame's mesh in parts: the bytes of a single run, whatever the parts, and nothing else.
+//! One frame's mesh in parts: the bytes of a single run, however it is divided.
 
 use std::fs;
 use std::path::Path;
@@ -27,7 +27,7 @@ fn command(folder: &Path, arguments: &[&str]) -> Command {
     program::command(folder, &[&["reconstruct"], arguments, &["--backend", "cpu"]].concat())
 }
 
-/// Runs `reconstruct`, which must end with `code`, and returns what it says on standard error.
+/// Runs `reconstruct`, which must exit with `code`, and returns its standard error.
 #[track_caller]
 fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     program::run(folder, &[&["reconstruct"], arguments, &["--backend", "cpu"]].concat(), code)
@@ -52,7 +52,7 @@ fn in_parts(
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
 }
 
-/// A folder with a real frame of a dam break, spray, and a ball in disorder whose particles have
+/// A folder with a real frame of a dam break, spray, and a disordered ball whose particles have
 /// velocities.
 fn scenes() -> TempDir {
     let folder = TempDir::new().unwrap();
@@ -68,7 +68,7 @@ fn scenes() -> TempDir {
     folder
 }
 
-/// The last of the lines that a run says of its mesh, without its time.
+/// The last lines that a run prints about its mesh, without the time.
 fn said(text: &str, about: &str) -> Vec<String> {
     let timed = |line: &str| line.split(" in ").next().unwrap().to_owned();
     // Parts are not searched for walls.
@@ -124,7 +124,7 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
                 "{input} in {count} {options:?}"
             );
             assert_eq!(names(&folder.join(format!("{many}.meniscus-parts"))).len(), 1 + count);
-            // All that is said of the surface is said again.
+            // All messages about the surface are repeated.
             let count = count.to_string();
             let merge =
                 [&[input, "-o", &many, "--parts", &count, "--merge", "--overwrite"], options]
@@ -143,8 +143,8 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
 fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
     let folder = TempDir::new().unwrap();
     let folder = folder.path();
-    // Twice as dense as the spacing says, with drops that hold no cell's centre; and some values
-    // that are not there.
+    // Twice as dense as the spacing says, with drops that contain no cell's centre, and some
+    // missing values.
     let mut random = Random::new(11);
     let mut particles = fill(12.0, 2.0, 0.3, 1, |p| p.length() < 10.0);
     particles.extend((0..40).map(|_| std::array::from_fn(|_| 400.0 * random.unit() - 200.0)));
@@ -199,8 +199,8 @@ fn a_part_is_one_file_however_often_and_by_however_many_at_once_it_is_made() {
     }
     let once = fs::read(&path).unwrap();
     assert!(run(folder, &with(&["--part", "1"]), 0).contains("made earlier"));
-    // What is damaged is made again, to the same bytes, and what a process that was killed has left
-    // goes.
+    // A damaged part is made again with the same bytes, and leftovers of a killed process are
+    // removed.
     fs::write(&path, &once[..once.len() / 2]).unwrap();
     let left = folder.join("m.ply.meniscus-parts/.meniscus-abc.tmp");
     fs::write(&left, "half").unwrap();
@@ -237,9 +237,9 @@ fn what_has_changed_since_the_plan_is_refused_by_its_name() {
         let other = [&["dam.bgeo", "-o", "m.ply", "--parts", "4"], step].concat();
         assert!(run(folder, &other, 2).contains("(parts)"));
     }
-    // Settings of the machine are nobody's concern.
+    // Settings of the machine do not matter.
     run(folder, &with(&["--part", "0", "--threads", "1", "--memory", "1GiB"]), 0);
-    // A plan that is the same is kept, and another is made only when asked for.
+    // An equal plan is kept, and another replaces it only on request.
     assert!(run(folder, &with(&["--plan"]), 0).contains("exists already"));
     assert!(run(folder, &with(&["--plan", "--normals"]), 2).contains("--resume or --overwrite"));
     assert_eq!(fs::read(&plan).unwrap(), kept);
@@ -267,7 +267,7 @@ fn what_has_changed_since_the_plan_is_refused_by_its_name() {
     assert!(run(folder, &with(&["--merge"]), 2).contains("--overwrite replaces it"));
     assert!(run(folder, &with(&["--part", "0"]), 2).contains("--overwrite replaces it"));
 
-    // The same particles at another time.
+    // The same particles with another time.
     let bytes = fs::read(folder.join("dam.bgeo")).unwrap();
     fs::write(folder.join("dam.bgeo"), bytes).unwrap();
     for step in [&["--part", "0", "--overwrite"][..], &["--merge", "--overwrite"]] {
@@ -303,7 +303,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
     for name in ["part_0", "part_2"] {
         fs::rename(folder.join(name), parts.join(name)).unwrap();
     }
-    // Any byte that is another, near both ends and all over the rest.
+    // Changes a byte, near both ends and across the rest.
     let all = whole.len();
     let places = (0..all).step_by(all / 25).chain(0..4).chain(all - 64..all);
     for at in places.collect::<Vec<_>>() {
@@ -325,7 +325,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
     fs::write(&part, &whole).unwrap();
     run(folder, &merge, 0);
 
-    // A plan in which any number is another.
+    // Changes a number of the plan.
     let plan = parts.join("plan.json");
     let text = fs::read_to_string(&plan).unwrap();
     let digits: Vec<usize> =
@@ -392,7 +392,7 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         assert!(errors.contains(says), "{arguments:?}: {errors}");
         assert_eq!(names(folder), before, "{arguments:?} left something behind");
     }
-    // What the input is to blame for is no fault of the request.
+    // An error of the input is not reported as one of the request.
     fs::write(folder.join("none.xyz"), "").unwrap();
     run(folder, &["none.xyz", "-o", "m.ply", "--parts", "2", "--plan", "--spacing", "1"], 3);
     assert!(!folder.join("m.ply.meniscus-parts").exists());
@@ -438,7 +438,7 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
         (many.facts, many.calibration, many.measured)
     );
     assert_eq!((&one.cells, one.lost, &one.warnings), (&many.cells, many.lost, &many.warnings));
-    // By the calibration of another frame, which the plan keeps.
+    // With the calibration of another frame, which the plan stores.
     let other = request.calibrated(Calibration::Clouds { plateau: 15_000 });
     assert!(matches!(
         other.parts(&input, &output, 4).merge(),
@@ -469,7 +469,7 @@ fn a_full_disk_is_exit_4_and_the_part_can_be_made_when_there_is_room() {
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
 }
 
-/// The field on some cells by a recipe, of those particles that lie in some cells.
+/// The field in some cells by a recipe, of the particles in other cells.
 fn field_of(
     particles: &[[f64; 3]],
     seen: CellBox,
@@ -484,7 +484,7 @@ fn field_of(
     field(&recipe(&frame), dif(&frame), cells)
 }
 
-/// All six boxes that are one cell narrower on one side.
+/// All six boxes that are narrower by one cell on one side.
 fn narrower(cells: CellBox) -> [CellBox; 6] {
     std::array::from_fn(|side| {
         let mut less = cells;
@@ -504,12 +504,12 @@ fn needed(normals: Normals) -> CellBox {
 
 #[test]
 fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds() {
-    // The widest Gaussians reach farthest where the water is calm, and what counts as inside where
-    // it is not.
+    // The widest Gaussians reach farthest where the water is calm, and the test for inside where it
+    // is not.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling =
             Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
-        // Cells that are needed end in the middle of wide ones, of which those beyond tell most.
+        // The needed cells end in the middle of wide ones, where the cells beyond matter most.
         for (sides, normals) in [(0..3, Normals::None), (3..6, Normals::Gradient)] {
             let surfacing =
                 Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
@@ -520,8 +520,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
                 let surfacing = &surfacing;
                 move |frame: &Engine| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
             };
-            // Particles that wide cells hold all in the same way, and that lie in the outermost
-            // cells that are seen.
+            // Particles with the same arrangement in all wide cells, in the outermost cells that
+            // matter.
             let lattice: Vec<[f64; 3]> = (seen.grown(20, 20).cubes(1))
                 .filter(|cell| (*cell - outermost) % spacing as i32 == IVec3::ZERO)
                 .map(|cell| (cell.as_dvec3() + 0.5).to_array())
@@ -530,7 +530,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
             let of = |seen: CellBox, plateau: u16| {
                 field_of(&lattice, seen, &sampling, by(plateau), cells)
             };
-            // The greatest plateau by which all of it is inside: a little less fluid is not.
+            // The greatest plateau at which all cells are inside: with slightly less fluid, not all
+            // are.
             let inside = |plateau: u16| of(all, plateau).samples().iter().all(|&x| x == u16::MAX);
             let (mut is, mut is_not) = (1_u16, u16::MAX);
             assert!(inside(is) && !inside(is_not));
@@ -538,8 +539,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds()
                 let middle = is + (is_not - is) / 2;
                 *(if inside(middle) { &mut is } else { &mut is_not }) = middle;
             }
-            // Where nothing is inside it is the filters that see so far: so shallow that the fine
-            // surface counts, too.
+            // Where nothing is inside, the filters reach farthest: so shallow that the fine surface
+            // counts, too.
             let plateau = if smooth > 2.0 { is / 2 * 3 } else { is };
             let whole = of(all, plateau);
             assert!(of(seen, plateau) == whole, "{spacing} {smooth}");
@@ -578,8 +579,8 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
         let all = CellBox { lo: IVec3::splat(-1000), hi: IVec3::splat(1000) };
         for (side, less) in narrower(seen).into_iter().enumerate() {
             let (axis, up) = (side % 3, if side < 3 { -1 } else { 1 });
-            // A cell that is seen farthest, one from which its details are recovered in the
-            // outermost of those that are needed.
+            // The outermost cell that matters, and a cell whose details are recovered in the
+            // outermost of the needed cells.
             let at = |place: i32| {
                 let mut cell = IVec3::splat(16);
                 cell[axis] = place;
@@ -597,8 +598,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
             let mut threshold = 1000;
             if detail == Detail::Recovered {
                 particles.push(middle(between));
-                // What smoothing leaves of that cell alone is just lost, and with the other near it
-                // is not.
+                // After smoothing, that cell alone is just lost, but not with the other nearby.
                 let alone =
                     Engine::sample(&particles[1..], &sampling, &mut Timings::default()).unwrap();
                 let none = Surfacing { detail: Detail::Smoothed, ..plain.clone() };
@@ -607,7 +607,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
                     .at(between);
             }
             let whole = field_of(&particles, all, &sampling, by(threshold), cells);
-            // So that there is a frame at all.
+            // So that the frame has a surface.
             particles.push(middle(at(edge - 16 * up)));
             let whole_with = field_of(&particles, all, &sampling, by(threshold), cells);
             assert!(field_of(&particles, seen, &sampling, by(threshold), cells) == whole_with);
@@ -623,7 +623,7 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
 
 #[test]
 fn particles_decide_a_blocks_attributes_from_exactly_as_far_as_they_are_wanted() {
-    // Of the paper's indicators attributes see as far as the field; of clouds less far.
+    // With the paper's indicators, attributes reach as far as the field; with clouds less far.
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };

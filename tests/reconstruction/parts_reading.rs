@@ -1,5 +1,5 @@
-//! Parts of a mesh read what touches their stretch of the curve, and see where any of that is not
-//! as it was planned.
+//! Parts of a mesh read only data near their range of the curve, and notice changes there since the
+//! plan.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -13,16 +13,16 @@ use crate::common::files::raw;
 use crate::common::scene::Random;
 use crate::common::shuffle;
 
-/// A long pool along x, in the order of a simulation that goes through its cells: x by x. Blocks at
-/// its sides, where hardly a surface passes, come first along the curve, and are the first part's;
-/// the last is at its end.
+/// A long pool along x, in the order of a simulation that traverses its cells: x by x. Blocks at
+/// its sides, with almost no surface, come first along the curve, and belong to the first part; the
+/// last is at its end.
 fn pool() -> Vec<[f64; 3]> {
     let mut random = Random::new(3);
     let at = |i: usize| [i / 100, i / 10 % 10, i % 10].map(|c| 1.75 + 0.5 * c as f64);
     (0..100_000).map(|i| at(i).map(|x| x + 0.1 * random.unit())).collect()
 }
 
-/// A .vtp of points alone, with a flag of ghosts each, appended raw.
+/// A .vtp of points alone, each with a ghost flag, appended raw.
 fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     let points = raw(particles);
     let mut bytes = format!(
@@ -43,8 +43,8 @@ fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Writes particles as a .pvtp of so many pieces, in which the first particles of the next one are
-/// ghosts.
+/// Writes particles as a .pvtp with this number of pieces, each with the first particles of the
+/// next as ghosts.
 fn in_pieces(folder: &Path, particles: &[[f64; 3]], pieces: usize) -> PathBuf {
     let path = folder.join("pool.pvtp");
     let mut list = String::from("<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData>\n");
@@ -68,7 +68,7 @@ fn asked() -> Reconstruction {
     Reconstruction::new().spacing(0.5).cell(0.5).threads(2)
 }
 
-/// Changes some of a file's bytes, so that neither its size nor its time tells.
+/// Changes bytes of a file, but neither its size nor its time.
 fn change_unseen(path: &Path, change: impl FnOnce(&mut [u8])) {
     let modified = fs::metadata(path).unwrap().modified().unwrap();
     let mut bytes = fs::read(path).unwrap();
@@ -77,7 +77,7 @@ fn change_unseen(path: &Path, change: impl FnOnce(&mut [u8])) {
     File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
 }
 
-/// The bytes of a part that is made anew, and how many particles were read for it.
+/// The bytes of a part that is made again, and the number of particles that were read for it.
 fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
     let made = parts.part(part).unwrap();
@@ -110,15 +110,14 @@ fn a_part_reads_the_chunks_of_a_file_that_touch_it_and_no_others() {
     let least = whole.iter().map(|(_, read)| read).min().unwrap();
     assert!(4 * least < particles.len(), "{least} of {}", particles.len());
 
-    // All that a part has to know is near it: what is at the other end may be anything, and not
-    // even a number.
+    // A part depends only on nearby particles: those at the other end may be anything, even NaN.
     change_unseen(&input, |bytes| bytes[..12 * 8192].fill(0xff));
     assert_eq!(made(&parts, 7), whole[7]);
-    // A part that has to know particles of those is none.
+    // A part that depends on changed particles is not made.
     is_refused(&parts, 0);
     change_unseen(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
     assert_eq!(made(&parts, 0), whole[0]);
-    // Of particles at its end one has moved to the other.
+    // A particle moved from this end to the other.
     change_unseen(&input, |bytes| bytes.copy_within(..12, 12 * (particles.len() - 1)));
     is_refused(&parts, 7);
 }
@@ -137,7 +136,7 @@ fn a_part_opens_the_pieces_that_touch_it_and_no_others() {
     assert_eq!(made(&parts, 4), whole[4]);
     fs::remove_file(parts.folder().join("part_0")).unwrap();
     assert!(parts.part(0).unwrap_err().to_string().contains("piece_0.vtp: "));
-    // A piece that is gone is known by the stamp, wherever it is.
+    // A missing piece is noticed by the stamp, wherever it is.
     fs::remove_file(piece(folder.path(), 0)).unwrap();
     is_refused(&parts, 4);
 }
@@ -173,8 +172,8 @@ fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_d
     }
 }
 
-/// Water in a periodic box along x and z, which is as long as some number of cells and a bit, up to
-/// a calm level: x by x.
+/// Water in a periodic box along x and z, whose length is no whole number of cells, up to a calm
+/// level: x by x.
 fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
     let (edge, mut random) = ([200.2, 0.0, 13.7], Random::new(5));
     let particle = |i: usize| {
@@ -183,7 +182,7 @@ fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
         at.map(|x| x + 0.1 * random.unit())
     };
     let mut particles: Vec<_> = (0..403 * 224).map(particle).collect();
-    // On a face each, as single precision has it, where nothing else is.
+    // One particle on each face, in single precision, with nothing nearby.
     particles.extend((0..20).map(|i| [200.2, 14.0, 0.4 * f64::from(i)]));
     particles.extend((0..50).map(|i| [f64::from(i), 18.0, 13.7]));
     (edge, particles)

@@ -1,5 +1,4 @@
-//! Periodic boxes, as a caller and the program have them: what is drawn, what is counted, what is
-//! kept and what is refused.
+//! Periodic boxes for a caller and in the program: surfaces, counts, states and refusals.
 
 use std::fs;
 
@@ -35,8 +34,8 @@ const METHODS: [KernelMethod; 3] = [
     KernelMethod::YuTurk { iso: 0.4 },
 ];
 
-/// Particles that have a direction each: those of `first` for as many of them, again and again. All
-/// directions have a 1, so that what they are rounded to is the same whichever are seen together.
+/// Particles with a direction each, which repeat those of `first`. All directions contain a 1, so
+/// that they are rounded in the same way in any selection.
 fn turned(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))
@@ -47,7 +46,7 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-/// In cells of an edge, with particles 1 apart.
+/// With this cell size, and particles 1 apart.
 fn in_box(method: impl Into<Method>, cell: f64, faces: Faces) -> Sampling {
     let (method, grid) = (method.into(), Grid::new(DVec3::ZERO, cell).unwrap());
     let periodic =
@@ -179,7 +178,7 @@ fn a_slab_through_the_faces_is_as_high_there_as_anywhere() {
         let (near, far) = (level(&mesh, edge, 0.5..1.5), level(&mesh, edge, 6.0..20.0));
         assert!((near - far).abs() < 0.02, "{ends:?}: {near} at the faces, {far} elsewhere");
     }
-    // An end of the fluid is rounded off.
+    // The end of a fluid is rounded off.
     let alone = usual().run(&particles[..]).unwrap().to_mesh().unwrap();
     assert!(level(&alone, edge, 6.0..20.0) - level(&alone, edge, 0.5..1.5) > 0.02);
 }
@@ -210,7 +209,7 @@ fn images_are_counted_nowhere() {
     let faces = [Some([0.0, 32.0]), None, Some([0.0, 32.0])];
     let mut particles = fluid(13, edges);
     particles.retain(|p| p[1] < 12.0);
-    // Alone along an edge of the box: each has three images.
+    // Particles along an edge of the box, each with three images.
     particles.extend((0..30).map(|i| [0.25, 40.0 + 6.0 * f64::from(i), 31.75]));
     let counting = in_box(IndicatorKind::Counting, 1.0, faces);
     let (frame, _) = drawn(&particles[..], &counting, &surfacing());
@@ -231,7 +230,7 @@ fn images_are_counted_nowhere() {
             "{periodic_mesh:?}: {lost} of 30 and what spray there is"
         );
         assert_eq!(frame.shortfall(&surface).unwrap(), None, "{periodic_mesh:?}");
-        // Next to nothing is above this.
+        // Almost nothing is above this.
         let high = Surfacing { iso: Some(Isovalue::new(0.95).unwrap()), ..usual };
         let surface = frame.surface(&high, timings).unwrap();
         shares.push(frame.shortfall(&surface).unwrap().expect("little is left"));
@@ -256,7 +255,7 @@ fn a_narrow_reach_is_enough_and_less_is_refused() {
     assert!(needed > there, "{needed} cells are needed, {there} are there");
 }
 
-/// A pool at spacing 1 in a box from 0 to 24 along x and z, in `pool.xyz`.
+/// A pool with spacing 1 in a box from 0 to 24 along x and z, in `pool.xyz`.
 fn pool() -> (TempDir, Vec<[f64; 3]>) {
     let folder = TempDir::new().unwrap();
     let particles = fluid(17, DVec3::splat(24.0));
@@ -321,7 +320,7 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
 #[test]
 fn a_particle_on_an_upper_face_is_on_the_lower_one_whatever_its_coordinate_is_rounded_to() {
     let folder = TempDir::new().unwrap();
-    // In single precision 24.1 is more than 24.1.
+    // In single precision, 24.1 is more than 24.1.
     assert!(f64::from(24.1_f32) > 24.1);
     for (name, x) in [("low", 0.0), ("high", 24.1)] {
         let mut particles = fluid(19, DVec3::splat(24.0));

@@ -1,8 +1,8 @@
-//! Random particles, options and walls: what comes of them is closed, oriented and manifold, lies
-//! where it may, and is the same by whatever threads, order, memory, bricks, device and packing; or
-//! it is refused, the same way each time.
+//! Random particles, options and walls: the surface is closed, oriented and manifold, lies within
+//! its bounds, and is the same for all threads, orders, memory, brick sizes, devices and packing;
+//! or the request is refused in the same way each time.
 //!
-//! `MENISCUS_FRAMES=100000` tries so many, and `MENISCUS_FRAME=77` one of them again.
+//! `MENISCUS_FRAMES=100000` tries that many, and `MENISCUS_FRAME=77` repeats one.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -22,15 +22,15 @@ use meniscus::{
 use crate::common::scene::Random;
 use crate::common::{device, shuffle, watertight};
 
-/// Frames in a run that nobody asked for more of.
+/// Default number of frames.
 const FRAMES: u64 = 400;
-/// So many that less than half of them have a surface would try little.
+/// The share of frames, as one over this, that must have a surface, so that the test tries enough.
 const SHARE: u64 = 2;
 
-/// Particles with a velocity, and a number that is none for some.
+/// Particles with a velocity, and a number that is NaN for some.
 struct Water {
     positions: Vec<[f64; 3]>,
-    /// By which their attributes are told, whatever their order.
+    /// Numbers that determine the attributes, independent of the order.
     numbers: Vec<u32>,
     attributes: Vec<AttributeInfo>,
 }
@@ -77,11 +77,11 @@ impl Particles for Water {
     }
 }
 
-/// What is asked for, by which it can be asked for again.
+/// A frame with its request.
 struct Frame {
     seed: u64,
     spacing: f64,
-    /// Where the middle of the particles is.
+    /// The centre of the particles.
     centre: DVec3,
     water: Water,
     walls: Option<[DVec3; 2]>,
@@ -106,7 +106,7 @@ fn anywhere(random: &mut Random, half: f64) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|_| between(random, -half, half)))
 }
 
-/// Particles at spacing 1 around the origin.
+/// Particles with spacing 1 around the origin.
 fn some_particles(random: &mut Random) -> Vec<DVec3> {
     let lattice = |random: &mut Random,
                    half: i32,
@@ -167,7 +167,7 @@ impl Frame {
             let mut half =
                 || DVec3::from_array(std::array::from_fn(|_| between(random, 0.5, 6.0))) * spacing;
             let [lo, hi] = [half(), half()];
-            // Some in no order, which are no walls.
+            // Random ones, which are not walls.
             if seed.is_multiple_of(50) {
                 [centre + hi, centre - lo]
             } else {
@@ -201,7 +201,7 @@ impl Frame {
         let mut random = Random::new(self.seed.wrapping_add(1));
         let random = &mut random;
         let mut request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
-        // Most frames are too odd for it to be estimated.
+        // Most frames are too unusual for an estimate.
         if !one_in(random, 20) {
             request = request.spacing(self.spacing * pick(random, &[1.0, 1.0, 1.0, 0.8, 1.3]));
         }
@@ -242,7 +242,7 @@ impl Frame {
         if one_in(random, 3) { request.attributes(["velocity", "heat"]) } else { request }
     }
 
-    /// How the surface is drawn, which is the same of a packed frame.
+    /// The settings of drawing, which also apply to a packed frame.
     fn drawing(&self, mut request: Reconstruction) -> Reconstruction {
         let mut random = Random::new(self.seed.wrapping_add(2));
         let random = &mut random;
@@ -261,7 +261,7 @@ impl Frame {
         if one_in(random, 4) && self.faces.iter().any(Option::is_some) {
             request = request.periodic_mesh(PeriodicMesh::Overlap);
         }
-        // Not all go together, and what does not is refused.
+        // Not all settings fit together; conflicts are refused.
         let any = one_in(random, 10);
         let (clouds, kernels) = (self.indicator == IndicatorKind::Cloud, self.kernels);
         match random.bits() % 8 {
@@ -273,7 +273,7 @@ impl Frame {
         }
     }
 
-    /// Whatever is wrong with its mesh.
+    /// The defect of a mesh, if any.
     fn defect(&self, surface: &Surface, mesh: &Mesh) -> Option<String> {
         if mesh.triangles.is_empty() {
             return None;
@@ -288,7 +288,7 @@ impl Frame {
                 a.dot(b.cross(c))
             })
             .sum();
-        // As far as it can be told in rounded numbers.
+        // As far as rounded numbers can show it.
         if volume.is_nan() || volume < -1e-6 * self.spacing.powi(3) {
             wrong = wrong.or(Some(format!("it encloses {volume}")));
         }
@@ -334,12 +334,12 @@ impl Frame {
     }
 }
 
-/// What is drawn of a frame, as far as it has to be the same each time.
+/// The result of a frame, as far as it must be the same each time.
 fn outcome(surface: Result<Surface, Error>) -> Result<Mesh, String> {
     surface.map(|surface| surface.to_mesh().unwrap()).map_err(|error| error.to_string())
 }
 
-/// The same mesh, to the bit: not even one that is no number is another.
+/// Compares meshes to the bit, including NaN.
 fn assert_same(found: &Result<Mesh, String>, expected: &Result<Mesh, String>, what: &str) {
     let bits = |mesh: &Mesh| -> Vec<Vec<u32>> {
         let of = |values: &[f32]| values.iter().map(|x| x.to_bits()).collect();
@@ -366,7 +366,7 @@ fn assert_same(found: &Result<Mesh, String>, expected: &Result<Mesh, String>, wh
     }
 }
 
-/// Tries one frame in every way. Whether it has a surface.
+/// Tries one frame in every way. Returns whether it has a surface.
 fn try_frame(seed: u64) -> bool {
     let frame = Frame::new(seed);
     let request = frame.drawing(frame.sampling());
@@ -393,7 +393,7 @@ fn try_frame(seed: u64) -> bool {
     let threads = 2 + (random.bits() % 3) as usize;
     let other = frame.water.shuffled(random);
     let found = outcome(request.clone().threads(threads).run(&other));
-    // Which of several particles is told of first depends on their order.
+    // Which of several particles is reported first depends on their order.
     if expected.is_ok() || found.is_ok() {
         assert_same(
             &found,
@@ -425,7 +425,7 @@ fn try_frame(seed: u64) -> bool {
     mesh.is_some_and(|mesh| !mesh.triangles.is_empty())
 }
 
-/// What is drawn of a frame that was packed.
+/// The mesh of a packed frame.
 fn packed(frame: &Frame) -> Result<Mesh, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mnf");
@@ -438,7 +438,7 @@ fn packed(frame: &Frame) -> Result<Mesh, String> {
     Ok(mesh)
 }
 
-/// Bricks of all sizes hold the same field.
+/// Bricks of all sizes contain the same field.
 fn in_bricks(frame: &Frame) {
     let Ok(surface) = frame.sampling().run(&frame.water) else { return };
     let facts = surface.report().facts;
@@ -514,7 +514,7 @@ fn the_definition_of_watertight_tells_meshes_that_are_not() {
     assert!(told(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
     assert!(told(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));
     assert!(told(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("two corners alike"));
-    // Two balls that have a vertex in common, and nothing else.
+    // Two balls that share only one vertex.
     let joined = told(|mesh| {
         let last = mesh.positions.len() as u32 - 1;
         let other = |t: &[u32; 3]| t.map(|v| if v == 0 { 0 } else { v + last });

@@ -10,8 +10,9 @@ use crate::common::watertight;
 /// Particles along an edge of a sheet.
 const EDGE: u32 = 14;
 
-/// A sheet that was stretched along both of its axes, so that layers of it lie closer together;
-/// turned against the grid, with every particle moved by up to a fifth of a spacing along each axis.
+/// A sheet that was stretched along both of its axes, so that its layers are closer together,
+/// rotated against the grid, with every particle moved by up to a fifth of a spacing along each
+/// axis.
 fn sheet(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.5 + random.unit(), random.unit(), 0.3);
     let mut particles = Vec::new();

@@ -11,7 +11,7 @@ use meniscus::{Cloud, Reconstruction, SpacingSource, SpacingWarning, Warning};
 use crate::common::scene::Random;
 use crate::common::watertight;
 
-/// Particles, and the size of each.
+/// Particles with their sizes.
 #[derive(Default, Clone)]
 struct Sized {
     positions: Vec<[f64; 3]>,
@@ -33,7 +33,7 @@ impl Sized {
         self
     }
 
-    /// Pools of some sizes side by side along x, each as wide as it is long.
+    /// Pools of particles of several sizes beside each other along x, each as wide as it is long.
     fn pools(sizes: &[f64]) -> Self {
         let mut random = Random::new(5);
         let pool = |all: Self, (i, &size): (usize, &f64)| {
@@ -97,7 +97,7 @@ fn pools_of_several_sizes_are_level_in_their_own_spacings() {
         let [bias, rms] = level(&mesh, [seam - 2.0 * sizes[i], seam + 2.0 * sizes[i]], sizes[i]);
         assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
     }
-    // One size for all loses the coarse water.
+    // With one size for all, the coarse water is lost.
     let one = measure(&water.mesh(&request().size("none")));
     assert!(one.components > 10 && one.volume.unwrap() < 0.7 * water.volume());
 }
@@ -133,7 +133,7 @@ fn a_lone_drop_of_any_size_holds_about_its_volume() {
 
 #[test]
 fn sizes_mixed_in_one_place_have_no_bubbles() {
-    // Each cube holds one large particle, or eight small ones.
+    // Each cube contains one large particle, or eight small ones.
     let mut random = Random::new(9);
     let mut water = Sized::default();
     for i in 0..24 * 24 * 12 {
@@ -166,7 +166,7 @@ fn the_same_particles_give_the_same_bytes() {
     ] {
         assert!(mesh(&request) == expected);
     }
-    // In the opposite order, and by other attributes that mean the same.
+    // In the opposite order, and with other attributes of the same meaning.
     let turned = |values: &[f32]| values.iter().rev().copied().collect::<Vec<_>>();
     let positions: Vec<[f64; 3]> = water.positions.iter().rev().copied().collect();
     let (heat, diameters) = (turned(&heat), turned(&water.sizes));
@@ -213,7 +213,7 @@ fn radii_that_mean_something_else_are_corrected_by_the_fluid() {
 fn one_size_is_as_without_the_attribute() {
     let water = Sized::pools(&[1.0]);
     let mut radii = water.radii();
-    // Sizes that differ by less than a tenth are one.
+    // Sizes that differ by less than a tenth count as one.
     radii.iter_mut().step_by(3).for_each(|radius| *radius *= 1.08);
     let cloud = Cloud::new(&water.positions).with("radius", &radii);
     let with = request().run(&cloud).unwrap().to_mesh().unwrap();

@@ -19,17 +19,18 @@ use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
 use crate::common::watertight;
 
-/// Size of a pool along x and z, and the level of its water.
+/// Size of a pool along x and z, and its water level.
 const SIZE: f64 = 30.0;
 const LEVEL: f64 = 13.0;
-/// A ball, most of it under water.
+/// A ball that is mostly under water.
 const CENTRE: DVec3 = DVec3::new(15.0, 8.0, 15.0);
 const RADIUS: f64 = 9.0;
-/// Half of a box that is turned about the middle of the ball.
+/// Half of a box that is rotated about the centre of the ball.
 const HALF: DVec3 = DVec3::new(7.0, 3.0, 6.0);
 const ANGLE: f64 = 0.5;
 
-/// Water around what `distance` says is a solid, each particle moved by up to a share of a spacing.
+/// Water outside of the solid that `distance` describes, each particle moved by up to a share of a
+/// spacing.
 fn pool(jitter: f64, distance: impl Fn(DVec3) -> f64) -> Vec<[f64; 3]> {
     let mut random = Random::new(11);
     let mut water = Vec::new();
@@ -134,7 +135,7 @@ fn water_ends_on_a_ball_and_a_turned_box_and_its_level_goes_on_to_them() {
             let (level, _) = summed(&of(&|p, d| is_level(p, d) && d > 4.0, &|p, _| p.y));
             let near = of(&|p, d| is_level(p, d) && d < 4.0, &|p, _| p.y - level);
             let (bias, rms) = summed(&near);
-            // Of the noise in water that is jittered by 0.5 the level far away has 0.07.
+            // With a jitter of 0.5, the level far away already has noise of 0.07.
             let most = if jitter < 0.4 { 0.11 } else { 0.14 };
             assert!(bias.abs() < 0.05 && rms < most, "{what}: level beside it {bias}, {rms}");
         }
@@ -187,7 +188,7 @@ fn a_wall_divides_water_that_is_deep_on_both_sides_and_one_thinner_than_cells_is
     let surface = divided("wall.obj", 0.3, 0.0);
     assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
     assert!(!surface.report().warnings.iter().any(is_thin));
-    // A gap that makes up for it.
+    // A gap that compensates for it.
     let surface = divided("sheet.obj", 0.05, 0.25);
     assert_eq!(measure(&surface.to_mesh().unwrap()).components, 2);
     assert!(!surface.report().warnings.iter().any(is_thin));

@@ -1,5 +1,5 @@
-//! Spacings, wherever they come from: estimated, given, in a file, a scene, a state or a packed
-//! frame, each doubted where the particles say otherwise; particles in a plane, in one place, and
+//! Spacings from every source: estimated, given, in a file, a scene, a state or a packed frame,
+//! each with a warning if the particles contradict it; particles in a plane, at one position, and
 //! far from the origin.
 
 use std::fmt::Write as _;
@@ -33,7 +33,7 @@ fn moved(particles: &[[f64; 3]], by: [f64; 3]) -> Vec<[f64; 3]> {
     particles.iter().map(|&p| (DVec3::from(p) + DVec3::from(by)).into()).collect()
 }
 
-/// A sheet of particles in the plane y = `at`, its edges 30 and 24 spacings long.
+/// A sheet of particles in the plane y = `at`, with edges of 30 and 24 spacings.
 fn plane(at: f64) -> Vec<[f64; 3]> {
     let sheet = fill(15.0, 1.0, 0.2, 5, |p| p.y > 0.0 && p.y < 1.0 && p.z.abs() < 12.0);
     sheet.into_iter().map(|[x, _, z]| [SPACING * x, at, SPACING * z]).collect()
@@ -95,7 +95,7 @@ fn a_given_spacing_is_doubted_from_a_fifth_off_on_and_the_mistake_is_named() {
 
 #[test]
 fn many_particles_bear_out_a_spacing_while_they_are_counted() {
-    // More than are held in memory to tell it.
+    // More particles than an estimate keeps in memory.
     let pool = fill(45.0, 1.0, 0.25, 7, |_| true);
     assert!(pool.len() > 600_000);
     for (given, doubted) in
@@ -161,7 +161,7 @@ fn the_spacing_of_a_packed_frame_is_doubted_when_it_is_packed_and_when_it_is_dra
     }
 }
 
-/// The doubts that a simulation's events tell of.
+/// The spacing warnings among a simulation's events.
 fn warnings_of(simulation: &Simulation) -> Vec<SpacingWarning> {
     let mut warnings = Vec::new();
     let hear = |event| {
@@ -190,7 +190,7 @@ fn a_simulation_doubts_a_given_spacing_once_and_one_of_its_state_when_it_goes_on
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(contradiction(&warnings).is_some());
     assert_eq!(warnings_of(&by(SPACING).overwrite()), []);
-    // Frames that come later are of another scale.
+    // Later frames have another scale.
     frame(4, 3.0);
     frame(5, 3.0);
     let warnings = warnings_of(&by(SPACING).resume());
@@ -235,7 +235,7 @@ fn particles_in_a_plane_are_a_slab_of_one_spacing_with_flat_ends() {
             heights.iter().filter(|y| (**y - lo).abs() < 1e-9 || (**y - hi).abs() < 1e-9).count();
         assert!(heights.iter().all(|y| (lo - 1e-9..=hi + 1e-9).contains(y)));
         assert!(2 * ends > heights.len(), "{ends} of {} vertices are on the faces", heights.len());
-        // The same as by walls that are asked for.
+        // The same as with walls on request.
         let [x, z] = [f64::NEG_INFINITY; 2];
         let walled =
             Reconstruction::new().domain([x, lo, z], [-x, hi, -z]).spacing(spacing).run(&particles);

@@ -1,4 +1,4 @@
-//! The library sets nothing for the rest of the program.
+//! The library changes nothing in the rest of the program.
 
 use meniscus::Reconstruction;
 
@@ -6,7 +6,7 @@ use crate::common::alone::alone;
 
 #[test]
 fn a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program() {
-    // A process has one such pool, which is made once.
+    // A process has one such pool, which is created once.
     let name =
         "thread_pool::a_reconstruction_leaves_the_pool_of_threads_that_all_share_to_the_program";
     alone(name, reconstruct_and_make_the_shared_pool);
@@ -20,7 +20,7 @@ fn reconstruct_and_make_the_shared_pool() {
     let folder = tempfile::TempDir::new().unwrap();
     surface.write(folder.path().join("mesh.ply")).unwrap();
     assert!(!surface.to_mesh().unwrap().triangles.is_empty());
-    // It can be made only by whoever is the first to use it.
+    // Only its first user can create it.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().unwrap();
     assert_eq!(rayon::current_num_threads(), 1);
 }

@@ -1,4 +1,4 @@
-//! Simulations by the library: the program's bytes, events, an early end, frames from memory, and
+//! Simulations by the library: the program's bytes, events, cancellation, frames from memory, and
 //! frames that are sampled once.
 
 use std::collections::BTreeMap;
@@ -19,10 +19,10 @@ use crate::common::files::{bytes_of, raw, tree};
 use crate::common::fill;
 use crate::common::program::command;
 
-/// A way to ask for more than what is usual.
+/// Changes a request.
 type Ask = fn(Reconstruction) -> Reconstruction;
 
-/// A drop of particles at spacing 0.5 that falls, from one frame to the next.
+/// A falling drop of particles with spacing 0.5.
 fn falling(frame: u64) -> Vec<[f32; 3]> {
     let drop = fill(10.0, 2.0, 0.2, 3 + frame, |p| p.length() < 5.0);
     drop.iter().map(|&[x, y, z]| [x as f32, (y - 0.3 * frame as f64) as f32, z as f32]).collect()
@@ -32,7 +32,7 @@ fn write(path: &Path, particles: &[[f32; 3]]) {
     fs::write(path, raw(particles)).unwrap();
 }
 
-/// A folder with so many frames.
+/// A folder with this number of frames.
 fn simulated(frames: u64) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
@@ -144,15 +144,15 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     assert!(!summary.is_complete());
 }
 
-/// Converts four frames, the first of which is `early` until it is measured or made, and then is as
-/// it will stay. Returns the files, and those of the frames as they stay.
+/// Converts four frames. The first is `early` until it is measured or made, and then has its final
+/// content. Returns the files, and those of the final frames.
 fn converted_while_changed(
     ask: fn(Simulation) -> Simulation,
     is_time: fn(&Event) -> bool,
 ) -> [BTreeMap<String, Vec<u8>>; 2] {
     let (folder, still) = (simulated(4), simulated(4));
     let first = folder.path().join("sim/drop_1.xyz");
-    // A spacing and a place of their own.
+    // A different spacing and position.
     let early: Vec<[f32; 3]> = falling(7).iter().map(|p| p.map(|x| 1.3 * x)).collect();
     write(&first, &early);
     let mut is_early = true;
@@ -172,7 +172,7 @@ fn converted_while_changed(
     by(still.path()).run(|_| ()).unwrap().iter().for_each(|summary| assert!(summary.is_complete()));
     [folder, still].map(|folder| {
         let mut files = tree(&folder.path().join("mesh"));
-        // The state and the records tell when inputs were written.
+        // The state and the records contain the times of the inputs.
         files.retain(|name, _| !name.contains(".meniscus"));
         files
     })
@@ -355,7 +355,7 @@ fn a_frame_reports_progress_while_it_is_calibrated_measured_and_simplified() {
         .run(&fill(30.0, 1.0, 0.3, 5, |_| true))
         .unwrap();
     let told = told.lock().unwrap();
-    // The first tenth of either stage is to calibrate, and to measure components.
+    // The first tenth of either stage is calibration, or measuring components.
     for stage in [Stage::Meshing, Stage::Simplifying] {
         let shares = told.iter().filter(|progress| progress.stage == stage).map(|of| of.done);
         let shares: Vec<f64> = shares.filter(|&done| done > 0.0 && done < 1.0).collect();
@@ -377,7 +377,7 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
         .run_file(&input)
         .unwrap();
     surface.write(folder.path().join("mesh.ply")).unwrap();
-    // Nobody holds it when the last file is written.
+    // The lock is free once the file is written.
     let told = std::mem::take(&mut *told.lock().unwrap());
     let stages: Vec<_> = told.chunk_by(|a, b| a.stage == b.stage).collect();
     let names: Vec<_> = stages.iter().map(|stage| stage[0].stage).collect();
@@ -397,7 +397,7 @@ fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
         });
         assert!(matches!(request.run_file(&input), Err(Error::Cancelled)), "{last}");
     }
-    // A file that is being written does not get its name.
+    // A file has its name only when it is complete.
     let cancel = Cancel::new();
     let output = asked()
         .cancel(cancel.clone())
@@ -443,7 +443,7 @@ fn frames_from_memory_are_those_from_files() {
 
 #[test]
 fn what_a_live_simulation_has_measured_holds_for_all_later_frames() {
-    // A sheet tells nothing of the fluid's inside.
+    // A sheet has no interior to measure.
     let sheet: Vec<[f64; 3]> = fill(20.0, 2.0, 0.1, 7, |p| (0.0..0.5).contains(&p.y));
     let mut live = LiveSimulation::new(&Reconstruction::new().spacing(0.5)).unwrap();
     live.frame(&sheet[..]).unwrap();
@@ -454,7 +454,7 @@ fn what_a_live_simulation_has_measured_holds_for_all_later_frames() {
     let mut live = LiveSimulation::new(&Reconstruction::new()).unwrap();
     let first = live.frame(&falling(1)[..]).unwrap();
     assert!(live.is_settled());
-    // Half of the particles would be another spacing and another plateau.
+    // Half of the particles would give another spacing and another plateau.
     let thinned: Vec<[f32; 3]> = falling(2).into_iter().step_by(2).collect();
     let second = live.frame(&thinned[..]).unwrap();
     let [one, other] = [&first, &second].map(|surface| surface.report());
@@ -535,7 +535,7 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
 #[test]
 fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
     let folder = simulated(1);
-    // Particles eight times as far apart have an eighth of the plateau and less.
+    // Particles eight times as far apart have at most an eighth of the plateau.
     let far: Vec<[f32; 3]> = falling(1).into_iter().step_by(9).collect();
     write(&folder.path().join("sim/drop_2.xyz"), &far);
     let mut found = Vec::new();
@@ -555,7 +555,7 @@ fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
     assert!(found.iter().all(|warning| !warning.to_string().contains("--")), "{found:?}");
 }
 
-/// A tank from 0 to 24 along x and z that is open above, with waves.
+/// A tank from 0 to 24 along x and z, open at the top, with waves.
 fn tank(frame: u64) -> Vec<[f32; 3]> {
     let waves = move |x: f64| 12.0 + 2.0 * (x / 3.0 + frame as f64).sin();
     let water = fill(12.0, 1.0, 0.3, 3 + frame, |_| true).into_iter();
@@ -567,7 +567,7 @@ fn tank(frame: u64) -> Vec<[f32; 3]> {
 fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_left_out() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
-    // Looked at are 1, 3, 5, 7, 9, 11 and 13.
+    // The walls are measured on frames 1, 3, 5, 7, 9, 11 and 13.
     for frame in 1..=13 {
         let mut water = tank(frame);
         if frame == 6 {
@@ -613,7 +613,7 @@ fn walls_that_are_found_are_those_of_all_frames_and_are_kept_and_no_particle_is_
             assert_eq!((passed.len(), walls), (0, [lo, hi]), "frame {number}");
         }
     }
-    // Gone on with, it has the same walls.
+    // A resumed conversion has the same walls.
     fs::remove_file(folder.path().join("mesh/drop_9.ply")).unwrap();
     let (again, done) = convert(simulation(folder.path(), "mesh").resume());
     assert_eq!((again, done.len()), (found, 1));

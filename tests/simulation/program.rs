@@ -1,5 +1,5 @@
-//! What the program promises for the frames of a simulation: the same bytes however they are made,
-//! every frame that can be, and nothing left behind.
+//! The frames of a simulation in the program: the same bytes in all ways to run, every frame that
+//! is possible, and no leftover files.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -28,7 +28,7 @@ fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
     program::run(folder, &[&["reconstruct"], arguments].concat(), code)
 }
 
-/// A ball that falls, in `in/f_N.xyz`, with particles in disorder.
+/// A falling ball of disordered particles, in `in/f_N.xyz`.
 fn falling(frames: std::ops::RangeInclusive<u64>) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("in")).unwrap();
@@ -100,14 +100,14 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
     let again: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
     assert_eq!(again, [2, 3, 4, 5]);
 
-    // An input that has changed is another frame.
+    // A changed input is another frame.
     fs::write(folder.path().join("in/f_7.xyz"), raw(&ball(11))).unwrap();
     let errors = run(folder.path(), &with(&["--resume"]), 0);
     assert!(errors.contains("7 of 8 frames"), "{errors}");
     let other = tree(&out);
     assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
 
-    // Other settings are refused, unless all may be made again.
+    // Other settings are refused, unless all frames may be made again.
     let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
     assert!(errors.contains("smooth") && errors.contains("--overwrite"), "{errors}");
     let errors = run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 2);
@@ -154,7 +154,7 @@ fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
     assert_eq!(lines.iter().filter(|line| line["error"].is_string()).count(), 2);
     assert!(lines.iter().all(|line| line["frame"].is_u64()));
 
-    // A bad first frame does not keep the others from being measured.
+    // A bad first frame does not prevent the measurement on the others.
     fs::write(input(1), "").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 1);
     assert!(errors.contains("frame 1: in/f_1.xyz: the file is empty"), "{errors}");
@@ -419,7 +419,7 @@ fn a_conversion_goes_on_after_one_that_could_not_measure_its_changed_input() {
     let folder = falling(1..=3);
     run(folder.path(), &ALL, 0);
     let before = tree(&folder.path().join("out"));
-    // It was measured on the first frame, which is written anew just then.
+    // The measured first frame is replaced during the run.
     fs::write(folder.path().join("in/f_1.xyz"), "seven").unwrap();
     run(folder.path(), &with(&["--resume", "--frames", "1..1"]), 1);
     for frame in 2..=3 {
@@ -466,7 +466,7 @@ fn a_mesh_of_others_that_came_after_the_conversion_began_is_not_replaced_by_goin
     }
     run(folder.path(), &with(&["--resume", "--overwrite"]), 0);
     assert_ne!(fs::read(&mesh).unwrap(), b"mine");
-    // A mesh of its own that was damaged since is made again.
+    // A mesh of this conversion that was damaged is made again.
     fs::write(&mesh, "mine").unwrap();
     run(folder.path(), &with(&["--resume"]), 0);
     assert_ne!(fs::read(&mesh).unwrap(), b"mine");
@@ -492,7 +492,7 @@ fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_
         fs::create_dir(folder.path().join("none")).unwrap();
         fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("none/f_1.xyz")).unwrap();
         std::thread::sleep(Duration::from_secs(3));
-        // Some programs clear their folder, and begin anew.
+        // Some programs clear their folder and start again.
         fs::rename(folder.path().join("none"), folder.path().join("gone")).unwrap();
         std::thread::sleep(Duration::from_millis(700));
         fs::rename(folder.path().join("gone"), folder.path().join("none")).unwrap();
@@ -511,7 +511,7 @@ fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_
 #[test]
 fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_its_own() {
     let folder = falling(1..=1);
-    // Twice as dense, which alone has another mu0 and another isovalue.
+    // Twice as dense, so that alone it would have another mu0 and another isovalue.
     let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
     for indicator in ["counting", "symmetry"] {
@@ -570,7 +570,7 @@ fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own()
     };
     assert!(single(1) == made["m_1.ply"], "by its own");
     assert!(single(2) != made["m_2.ply"], "by that of another");
-    // The plateau alone tells the others apart: by a third of it there is more fluid than by all.
+    // Only the plateau distinguishes them: with a third of it, there is more fluid.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
     let (by_dense, dense) = shared(&more);
@@ -604,8 +604,8 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
         );
         assert!(tree(folder.path()) == before, "{more:?}");
     }
-    // As the program before wrote it, with an option that is gone: other settings, which
-    // --overwrite makes anew.
+    // A state of an earlier version with an option that no longer exists: other settings, which
+    // --overwrite replaces.
     let settings = state["settings"].as_object_mut().unwrap();
     settings.insert("smooth".into(), 2.0.into());
     settings.insert("adaptive".into(), false.into());
@@ -634,8 +634,7 @@ fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a
             fs::write(folder.path().join(format!("f_{number}.csv")), rows.collect::<String>())
                 .unwrap();
         }
-        // The spacing says more than a third too many particles, so that it would tell another
-        // plateau.
+        // The spacing implies more than a third too many particles, and so another plateau.
         run(
             folder.path(),
             &["f_{}.csv", "-o", "m_{}.ply", "--spacing", "0.45", "--origin", "0,0,0"],
@@ -764,7 +763,7 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_r
         for frame in [1, 2] {
             let mesh = read_mesh(&folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
             assert_eq!((mesh.positions.len(), mesh.triangles.len()), (0, 0), "{extension}");
-            // Not by reading: what has no vertices has no values to tell an attribute by.
+            // The file does not show it: without vertices there are no values of an attribute.
             let bytes = fs::read(folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
             let names = |word: &[u8]| bytes.windows(word.len()).any(|window| window == word);
             assert_eq!(
@@ -779,7 +778,7 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_r
 #[test]
 fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
     let folder = TempDir::new().unwrap();
-    // All is measured on a fluid four times as dense as the next.
+    // Everything is measured on a fluid four times as dense as the next.
     let dense = fill(10.0, 2.0, 0.3, 1, |p| p.length() < 6.0);
     let thin = fill(20.0, 1.26, 0.3, 1, |p| p.length() < 6.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&dense)).unwrap();
@@ -824,7 +823,7 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     let symmetry = shared("s.ply.meniscus");
     assert_eq!(symmetry["frame"], 1);
     assert!((number(&symmetry["isovalue"]) - 0.2093).abs() < 0.01, "{symmetry}");
-    // Counts on a lattice are all 1, and its plateau too: a share of that would thin the splash by
+    // Counts on a lattice are all 1, and so is the plateau: a share of it would thin the splash by
     // a third.
     let counting =
         ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--cell", "1", "--indicator", "counting"];
@@ -834,7 +833,7 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     assert_eq!(number(&counting["mu0"]), 1.0);
     assert!(number(&counting["isovalue"]) < 0.4, "{counting}");
 
-    // Clouds are the same wherever they fall.
+    // Clouds are the same wherever the lattice is.
     run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "d_{}.ply", "--cell", "1"], 0);
     let clouds = shared("d.ply.meniscus");
     assert_eq!(clouds["frame"], 1);
@@ -849,7 +848,7 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     }
 }
 
-/// A settled pool, level or on a slope, its particles so many spacings from their places.
+/// A settled pool, level or on a slope, with this jitter of the particles in spacings.
 fn pool(slope: DQuat, jitter: f64, shift: [f64; 3]) -> Vec<[f64; 3]> {
     let mut random = Random::new(9);
     let mut particles = Vec::new();
@@ -891,7 +890,7 @@ fn a_fluid_at_rest_does_not_flicker() {
         run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
         let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
         assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
-        // Where the surface is against the particles, its rounded ghost layer with it, in spacings.
+        // The surface relative to the particles, including its rounded ghost layer, in spacings.
         let level = |frame: usize| {
             let up = slope * DVec3::Y;
             level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())
@@ -903,7 +902,7 @@ fn a_fluid_at_rest_does_not_flicker() {
     }
 }
 
-/// How high the upper side of a mesh lies on average, along `up`.
+/// The mean height of the upper side of a mesh along `up`.
 fn level(mesh: &Mesh, up: DVec3) -> f64 {
     let (mut area, mut sum) = (0.0, 0.0);
     for triangle in &mesh.triangles {
@@ -946,8 +945,7 @@ fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
         run(folder.path(), &[&arguments[..], options, &["--stats", &stats]].concat(), 0);
         let text = fs::read_to_string(folder.path().join(stats)).unwrap();
         let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
-        // Resident pages of mapped inputs count too: four megabytes each, in as many lanes as there
-        // are.
+        // Resident pages of mapped inputs count too: four megabytes per lane.
         let budget: u64 = memory.trim_end_matches("MiB").parse::<u64>().unwrap() << 20;
         assert!(last["peak_resident_bytes"].as_u64().unwrap() <= budget, "{memory}: {last}");
     }
@@ -999,7 +997,7 @@ fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame()
         .unwrap();
     let path = |frame: u64| -> PathBuf { folder.path().join(format!("in/f_{frame}.xyz")) };
     for frame in 3..=5 {
-        // A writer that pauses for longer than a file has to rest.
+        // A writer that pauses for longer than the time after which a file counts as complete.
         let bytes = raw(&ball(frame));
         let half = bytes.len() / 2 / 12 * 12 + 5;
         fs::write(path(frame), &bytes[..half]).unwrap();
@@ -1109,7 +1107,7 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
             assert!(many == one, "{options:?}: {name}");
             sizes.push(one.len());
         }
-        // Each is one of the settings that a simulation keeps to.
+        // Each is a setting that a simulation must keep.
         let refused = [&["f_{}.xyz", "-o", &many], &shared[..], &["--simplify", "0.3"]].concat();
         let errors = run(folder.path(), &refused, 2);
         assert!(errors.contains("simplify"), "{errors}");
@@ -1147,7 +1145,7 @@ fn up_turns_places_normals_and_directions_and_back() {
     assert_eq!(values(&z, "velocity")[..3], [1.0, -3.0, 2.0]);
     assert_eq!(values(&y, "mass"), values(&z, "mass"));
     assert_eq!(y.triangles, z.triangles);
-    // What has z up already stays, or turns the other way.
+    // A mesh with z up stays, or is rotated in the opposite direction.
     assert!(mesh("zz.vtk", &["--particles-up", "z"]) == y);
     let back = mesh("zy.vtk", &["--particles-up", "z", "--up", "y"]);
     assert_eq!(y.positions.len(), back.positions.len());
@@ -1196,14 +1194,14 @@ fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
         assert!(alone.len() > frames, "{:?}", alone.keys());
         assert!(alone.iter().all(|(name, bytes)| out[name] == *bytes), "{prefix}");
     }
-    // Bad files of one fluid are no matter to the other.
+    // Bad files of one fluid do not affect the other.
     for frame in 1..=3 {
         fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "no").unwrap();
     }
     run(folder.path(), &["in", "-o", "again/"], 1);
     let again = tree(&folder.path().join("again"));
     assert!(again["oil_4.ply"] == out["oil_4.ply"] && !again.contains_key("f_1.ply"));
-    // The same fluid in two formats would be two simulations of one name.
+    // The same fluid in two formats would be two simulations with one name.
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
@@ -1216,7 +1214,7 @@ fn halves(frame: u64) -> [Vec<[f64; 3]>; 2] {
     [low.to_vec(), high.to_vec()]
 }
 
-/// The meshes in a folder, in the order of their names.
+/// The meshes in a folder, ordered by their names.
 fn meshes_in(folder: &Path) -> Vec<Vec<u8>> {
     let meshes = tree(folder).into_iter().filter(|(name, _)| name.ends_with(".ply"));
     meshes.map(|(_, bytes)| bytes).collect()
@@ -1271,7 +1269,7 @@ fn files_of_one_frame_make_the_surface_of_all_their_particles() {
         ["one.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(one == alone);
 
-    // Where a piece or a frame is lacking nothing is made.
+    // If a piece or a frame is missing, nothing is made.
     fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
     fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
     for inputs in [&["ranks"][..], &["ranks/f_{}_rank{piece}.xyz"], &["fluids", "--together"]] {
@@ -1347,7 +1345,7 @@ fn a_colour_that_fades_to_black_or_comes_from_it_keeps_its_scale() {
             assert!(!values.is_empty() && values.iter().all(is_it), "{colour}: {:?}", values[0]);
         }
     }
-    // Bright bytes among shares fail by their frame, and no other does.
+    // A byte colour among fractions fails for its frame only.
     coloured(&folder.path().join("f_4.ply"), 4, 200.0);
     for frame in 1..4 {
         coloured(&folder.path().join(format!("f_{frame}.ply")), frame, 0.5);
@@ -1372,7 +1370,7 @@ fn a_frame_that_a_selection_leaves_empty_and_what_frames_leave_out_are_reported(
     assert!(matches!(warnings[..], [only] if only.contains("f_2.csv")), "{said}");
     assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().triangles.is_empty());
 
-    // Of two inputs of each frame one lacks the attribute.
+    // One of the two inputs of each frame lacks the attribute.
     for frame in 1..=3 {
         fs::write(folder.path().join(format!("g_{frame}.xyz")), raw(&ball(frame + 3))).unwrap();
     }

@@ -1,8 +1,8 @@
-//! Random events in the life of a conversion: jobs side by side, killed and interrupted, inputs
-//! that come, grow and are written again, outputs that are damaged. Whatever they were, a last run
-//! with `--resume` leaves what one run alone makes by the same state, and nothing else.
+//! Random events during a conversion: parallel jobs that are killed or interrupted, inputs that
+//! appear, grow and are rewritten, outputs that are damaged. Afterwards a run with `--resume` gives
+//! the files of a single run with the same state, and no others.
 //!
-//! `MENISCUS_SEQUENCES=500` tries so many, and `MENISCUS_SEQUENCE=77` one of them again.
+//! `MENISCUS_SEQUENCES=500` tries that many, and `MENISCUS_SEQUENCE=77` repeats one.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -18,15 +18,15 @@ use crate::common::files::{raw, tree};
 use crate::common::scene::Random;
 use crate::common::{fill, program};
 
-/// Sequences in a run that nobody asked for more of.
+/// Default number of sequences.
 const SEQUENCES: u64 = 10;
 
-/// A conversion that things happen to.
+/// A conversion with random events.
 struct Sequence {
     folder: TempDir,
     random: Random,
     frames: u64,
-    /// How often an input was written: no two are alike.
+    /// Number of inputs that were written; all are different.
     written: u64,
     format: &'static str,
     told: String,
@@ -66,7 +66,7 @@ impl Sequence {
         self.folder.path().join(format!("in/f_{frame}.xyz"))
     }
 
-    /// Writes a frame of a ball, another each time; halfway, or at once.
+    /// Writes a frame of a ball, different each time; in two steps, or at once.
     fn write(&mut self, frame: u64) {
         self.written += 1;
         let (seed, radius) = (self.written, 3.0 + 0.1 * (self.written % 10) as f64);
@@ -100,7 +100,7 @@ impl Sequence {
         command
     }
 
-    /// A job, of all frames or of some.
+    /// A job for all frames or some of them.
     fn job(&mut self) -> Child {
         let some = self.pick(2) == 0;
         let first = 1 + self.pick(self.frames);
@@ -110,7 +110,7 @@ impl Sequence {
         self.command("out", more).spawn().unwrap()
     }
 
-    /// Waits for a job, or ends it at some moment; nothing makes it panic.
+    /// Waits for a job, or ends it at some moment; it must not panic.
     fn end(&mut self, mut job: Child) {
         let how = self.pick(4);
         if how < 3 {
@@ -129,7 +129,7 @@ impl Sequence {
         assert!(matches!(code, None | Some(0 | 1 | 3 | 130)), "{}: {code:?}: {errors}", self.told);
     }
 
-    /// Damages an output, or what is known of it.
+    /// Damages an output, or its record.
     fn damage(&mut self) {
         let out = self.folder.path().join("out");
         let files: Vec<PathBuf> = tree(&out)
@@ -144,7 +144,7 @@ impl Sequence {
         let mut bytes = fs::read(path).unwrap();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         self.note(format!("damage {name}"));
-        // A record says what it says; it can be cut off, or gone.
+        // The content of a record is trusted; it can be truncated or missing.
         match self.pick(if name.ends_with(".jsonl") { 2 } else { 3 }) {
             0 => return fs::remove_file(path).unwrap(),
             1 => bytes.truncate(bytes.len() / 2),
@@ -187,21 +187,21 @@ impl Sequence {
         }
     }
 
-    /// Makes all that is not there.
+    /// Makes all missing frames.
     fn whole(&self, out: &str) {
         let output = self.command(out, &["--resume"]).output().unwrap();
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(0), "{} {out}: {errors}", self.told);
     }
 
-    /// Lets things happen, and compares what comes of it.
+    /// Runs the events, and compares the result.
     fn live(mut self) {
         for _ in 0..3 + self.pick(6) {
             self.event();
         }
         self.whole("out");
-        // A state is measured once, on what could be read then: a frame that was just being written
-        // is passed over.
+        // A state is measured once, from the inputs that were readable then: a frame that was being
+        // written is skipped.
         let state = format!("m.{}.meniscus/state.json", self.format);
         let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
         fs::create_dir_all(to.parent().unwrap()).unwrap();

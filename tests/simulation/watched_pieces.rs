@@ -1,4 +1,4 @@
-//! Frames in pieces while a simulation writes them: a piece whose frame is to come is none.
+//! Watches frames in pieces while a simulation writes them: an incomplete frame is not converted.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use crate::common::program::command;
 use crate::common::{files, fill};
 
-/// Half a ball, that is the first or the second piece of a frame.
+/// Half a ball: the first or second piece of a frame.
 fn piece(half: usize) -> Vec<u8> {
     let inside = |p: glam::DVec3| p.length() < 4.0 && (p.x < 0.0) == (half == 0);
     let particles = fill(8.0, 2.0, 0.2, 3, inside);
@@ -48,7 +48,7 @@ fn start(folder: &Path, input: &str, more: &[&str]) -> Child {
         .unwrap()
 }
 
-/// The meshes that are there when it ends.
+/// The meshes that exist when the program ends.
 #[track_caller]
 fn meshes(child: Child, folder: &Path) -> Vec<String> {
     let output = child.wait_with_output().unwrap();
@@ -58,14 +58,14 @@ fn meshes(child: Child, folder: &Path) -> Vec<String> {
 
 #[test]
 fn pieces_that_are_there_before_their_frame_are_no_frames_of_their_own() {
-    // At the beginning, where no frame tells how pieces are called; of a folder and of a glob.
+    // At the beginning, no frame shows how pieces are named; for a folder and a glob.
     for input in ["in", "in/f*"] {
         let folder = TempDir::new().unwrap();
         let sim = folder.path().join("in");
         fs::create_dir(&sim).unwrap();
         (1..=2).for_each(|frame| write_pieces(&sim, frame));
         let child = start(folder.path(), input, &["--watch=30", "--end", "3"]);
-        // Longer than a file has to rest.
+        // Longer than the time after which a file counts as complete.
         sleep(Duration::from_millis(1800));
         (1..=2).for_each(|frame| write_index(&sim, frame));
         write_pieces(&sim, 3);
@@ -95,7 +95,7 @@ fn pieces_without_their_frame_are_known_by_those_of_another() {
 fn files_that_are_called_like_pieces_are_frames_where_nothing_names_them() {
     let folder = TempDir::new().unwrap();
     write_pieces(folder.path(), 7);
-    // After as long as anything is waited for, and by a pattern at once.
+    // After the maximum wait, and for a pattern at once.
     for (input, more) in
         [(".", &["--watch=3"][..]), ("f_7_{}.vtp", &["--watch=30", "--end", "1", "--overwrite"])]
     {

@@ -1,6 +1,6 @@
-//! Milliseconds a stage on a Vulkan device, transfers apart, beside the CPU's, and what share of
-//! the device's memory bandwidth each stage uses: by clouds, and by the paper's indicator with
-//! details. As a Markdown table. Fails where bytes differ.
+//! Prints a Markdown table of milliseconds per stage on a Vulkan device, with transfers apart, and
+//! on the CPU, and each stage's share of the device's memory bandwidth: for clouds, and for the
+//! paper's indicator with details. Fails if the bytes differ.
 //!
 //! `cargo bench --bench backends [-- --device DEVICE] [--cells 256,384,512] [--millions 1,10,100]`
 
@@ -25,10 +25,10 @@ use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError,
 };
 
-/// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as
-/// there is room for.
+/// Bytes of the copies that measure the device's bandwidth: more than caches hold, or as many as
+/// fit.
 const COPIED: [u64; 2] = [1 << 30, 64 << 20];
-/// The device's stages, in order.
+/// The stages on the device, in order.
 const STAGES: [&str; 12] = [
     "upload",
     "indicate",
@@ -43,10 +43,10 @@ const STAGES: [&str; 12] = [
     "dual marching cubes",
     "download",
 ];
-/// The surfaces that are drawn.
+/// The measured surfaces.
 const KINDS: [IndicatorKind; 2] = [IndicatorKind::Cloud, IndicatorKind::Symmetry];
 
-/// What is measured.
+/// Options of the measurement.
 #[derive(Parser)]
 pub struct Options {
     /// A device's number or a part of its name.
@@ -58,7 +58,7 @@ pub struct Options {
     /// Particles, in millions.
     #[arg(long, value_delimiter = ',', default_value = "1,10,100")]
     pub millions: Vec<f64>,
-    /// Said by `cargo bench`.
+    /// `cargo bench` passes this.
     #[arg(long, hide = true)]
     pub bench: bool,
 }
@@ -67,7 +67,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     Ok(if measure(Options::parse())? { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Prints the table, and says whether all bytes were the same.
+/// Prints the table, and returns whether all bytes were equal.
 pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
     let choice = options.device.map_or(DeviceChoice::Best, DeviceChoice::Named);
     let instance = Instance::connect(false)?;
@@ -106,7 +106,7 @@ pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
                 done => done?,
             };
             sampling.resources.backend = vulkan.clone();
-            // The first run compiles shaders and takes memory.
+            // The first run compiles shaders and allocates memory.
             run(&particles, &sampling)?;
             drop(device.take_timings());
             let start = Instant::now();
@@ -183,7 +183,7 @@ fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
     }
 }
 
-/// Bytes a second that the device reads and writes when it copies so many from itself to itself.
+/// Bytes per second that the device reads and writes in copies of this size within its memory.
 fn bandwidth(device: &Device, bytes: u64) -> Result<f64, VulkanError> {
     let from = device.buffer(Place::Device, bytes)?.whole();
     let to = device.buffer(Place::Device, bytes)?.whole();

@@ -1,5 +1,5 @@
-//! Two ways from positions on a Vulkan device to the sums of its cells: sorted by bins and added up
-//! in shared memory, or added straight to the cells in the device's memory.
+//! Compares two ways to sum positions into cells on a Vulkan device: sorted by bins and added in
+//! shared memory, or added directly to the cells in device memory.
 //!
 //! `cargo bench --bench binning [-- MILLIONS_OF_PARTICLES]`
 
@@ -56,7 +56,7 @@ fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, Vulka
     Ok(buffer.whole())
 }
 
-/// Records, submits and waits; the seconds that this took.
+/// Records, submits and waits; returns the seconds.
 fn run(
     device: &Device,
     record: impl FnOnce(&mut Batch) -> Result<(), VulkanError>,
@@ -74,7 +74,7 @@ fn best(mut work: impl FnMut() -> Result<f64, VulkanError>) -> Result<f64, Vulka
     (0..3).try_fold(f64::INFINITY, |best, _| Ok(best.min(work()?)))
 }
 
-/// The bins in a table as `bin_table.wgsl` has it, and the number of each slot's bin.
+/// The bins in a table in the layout of `bin_table.wgsl`, and the number of each slot's bin.
 fn table(bins: &DeviceBins) -> (Vec<[u32; 4]>, Vec<u32>) {
     let len = (4 * bins.keys.len()).next_power_of_two();
     let (mut slots, mut numbers) = (vec![[0; 4]; len], vec![0; len]);

@@ -1,9 +1,9 @@
-//! Measures how soon a frame ends once it is cancelled, and how long its progress stands still,
-//! stage by stage.
+//! Measures how soon a cancelled frame ends, and the longest time without a progress report, for
+//! each stage.
 //!
 //! `cargo run --release --example cancel -- INPUT OUTPUT.glb [RUNS]` reconstructs INPUT with
-//! simplification, once as a whole and then RUNS times with a cancel at another moment each,
-//! equally spaced over the whole.
+//! simplification, once completely and then RUNS times with a cancel. The cancels are equally
+//! spaced over the complete run.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use meniscus::files::Replace;
 use meniscus::{Cancel, Cause, Error, Progress, Reconstruction, Stage};
 
-/// A report of progress, and when it came.
+/// A progress report and its time.
 type Heard = (Instant, Stage, f64);
 
 /// Reconstructs and writes a frame, and adds every report of progress to `heard`.
@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let whole = start.elapsed();
     std::fs::remove_file(output)?;
     println!("whole: {:.2} s", whole.as_secs_f64());
-    // The longest time without news, by the stage in which it began.
+    // The longest time without a report, by the stage in which it began.
     let mut still: Vec<(Stage, Duration, Duration)> = Vec::new();
     let heard = std::mem::take(&mut *heard.lock().expect("nobody panics"));
     for (at, &(since, stage, _)) in heard.iter().enumerate() {

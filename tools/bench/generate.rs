@@ -1,6 +1,6 @@
 //! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or a
-//! .pvtp whose pieces each hold a box of space, as simulations on many nodes write them. In random
-//! order, or in rows of cells.
+//! .pvtp with one box of space per piece, like simulations on many nodes. The particles are in
+//! random order, or in rows of cells.
 //!
 //! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES | rows]`
 
@@ -51,8 +51,8 @@ fn write_numbers(out: &mut impl Write, particles: &[[f32; 3]]) -> io::Result<()>
     particles.iter().flatten().try_for_each(|coordinate| out.write_all(&coordinate.to_le_bytes()))
 }
 
-/// Cuts particles across their longest extent until there are so many pieces of about equally many,
-/// and passes each on.
+/// Cuts particles across their longest extent into this many pieces of about equal size, and passes
+/// each on.
 fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f32; 3]])) {
     if pieces <= 1 || particles.is_empty() {
         return take(particles);
@@ -72,7 +72,7 @@ fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f3
     divide(above, pieces - first, take);
 }
 
-/// Writes a .pvtp and beside it, in a folder of its name, a .vtp of so many particles each.
+/// Writes a .pvtp, and in a folder of the same name one .vtp for each number of particles.
 fn write_pieces(path: &Path, particles: &[[f32; 3]], pieces: &[usize]) -> io::Result<()> {
     let folder = path.with_extension("");
     std::fs::create_dir_all(&folder)?;

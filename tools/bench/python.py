@@ -1,4 +1,4 @@
-"""Seconds from NumPy to NumPy: what a call takes beside the stages that the library itself times, and beside pysplashsurf.
+"""Measures the seconds of a call from NumPy to NumPy, compared with the library's own stage times, and with pysplashsurf.
 
 usage: python tools/bench/python.py PARTICLES [RUNS]
 

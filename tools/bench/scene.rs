@@ -1,9 +1,8 @@
-//! A seeded scene of any size, in units of the particle spacing: a pool with waves, a sphere
-//! falling into it, a thin sheet and spray; a jittered lattice, in random order or in that of a
-//! simulation.
+//! A seeded scene of any size, in units of the particle spacing: a pool with waves, a falling
+//! sphere, a thin sheet and spray. The particles are on a jittered lattice, in random order or in
+//! the order of a simulation.
 
-/// A small generator of numbers that only have to look random, the same on every machine
-/// (splitmix64).
+/// A small pseudo-random number generator with the same numbers on every machine (splitmix64).
 pub struct Random(u64);
 
 impl Random {
@@ -19,7 +18,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// In [0, 1).
+    /// A number in [0, 1).
     pub fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
@@ -36,7 +35,7 @@ pub fn splash(count: usize, seed: u64) -> Vec<[f32; 3]> {
 }
 
 /// About `count` particles at spacing 1, in the order of a simulation that sorts them by the cells
-/// of its search for neighbours: rows of cells, and the spray where it came up last.
+/// of its neighbour search: in rows of cells, with the spray at the end.
 pub fn splash_in_rows(count: usize, random: &mut Random) -> Vec<[f32; 3]> {
     // The pool is four times as wide as deep and holds nearly all particles.
     let depth = (count as f64 * 0.96 / 16.0).cbrt();

@@ -1,4 +1,4 @@
-//! Throughput of each stage and of a whole frame in memory, beside the machine's own memory
+//! Measures the throughput of each stage and of a whole frame in memory, and the machine's memory
 //! bandwidth.
 //!
 //! `cargo bench --bench stages [-- MILLIONS_OF_PARTICLES]`
@@ -23,7 +23,7 @@ use meniscus::internals::surface::stitch::Stitched;
 use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
-/// The best of a few runs: what the machine can do when nobody disturbs it.
+/// The best of a few runs, which other processes disturb least.
 fn best_seconds<T>(runs: usize, mut work: impl FnMut() -> T) -> (f64, T) {
     let mut best: Option<(f64, T)> = None;
     for _ in 0..runs {
@@ -83,7 +83,7 @@ fn main() {
         CellBox::cube(glam::IVec3::ZERO, 33).grown(weights.reach(), weights.reach()),
     );
     let blocks = 4096;
-    // Each with a copy of the block that it works in.
+    // Each with a copy of its block.
     let (seconds, _) = best_seconds(3, || {
         (0..blocks)
             .into_par_iter()

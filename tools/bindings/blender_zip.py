@@ -25,7 +25,7 @@ PLATFORMS = {
 
 
 def platform_of(wheel: str) -> str:
-    """Where a wheel runs, by its name."""
+    """The platform of a wheel, by its name."""
     tags = wheel.removesuffix(".whl").rsplit("-", 1)[1].split(".")
     for tag in tags:
         for pattern, platform in PLATFORMS.items():
@@ -35,13 +35,13 @@ def platform_of(wheel: str) -> str:
 
 
 def manifest_with(manifest: str, wheel: str) -> str:
-    """The manifest of an extension that has a wheel in it: before its first table, for what follows belongs to that."""
+    """The manifest of an extension with a wheel. The wheel is named before the first table, because later lines belong to tables."""
     named = f'wheels = ["./wheels/{wheel}"]\nplatforms = ["{platform_of(wheel)}"]\n\n'
     return manifest.replace("[permissions]", named + "[permissions]", 1)
 
 
 def pack(wheel: Path, folder: Path) -> Path:
-    """Writes the zip, the same bytes of the same files."""
+    """Writes the zip. Equal files give equal bytes."""
     manifest = (SOURCE / "blender_manifest.toml").read_text()
     version = re.search(r'^version = "(.*)"$', manifest, re.M)
     name = re.search(r'^id = "(.*)"$', manifest, re.M)

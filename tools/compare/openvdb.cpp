@@ -3,7 +3,7 @@
 // usage: openvdb IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
 //
 // IN.xyz: raw f32 triples. VOXEL and ISOVALUE, a distance outwards, are in units of SPACING.
-// Spheres have half a spacing as their radius, and are searched within two.
+// Spheres have half a spacing as their radius, and the search radius is two.
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointConversion.h>
 #include <openvdb/points/PointRasterizeSDF.h>
@@ -33,7 +33,7 @@ std::vector<openvdb::Vec3s> read(const char* path) {
 
 openvdb::FloatGrid::Ptr rasterize(const std::vector<openvdb::Vec3s>& points, const double spacing, const double voxel) {
     const auto transform = openvdb::math::Transform::createLinearTransform(voxel);
-    // Bins of about a spacing suit the rasterizer, whatever the voxels are.
+    // Bins of about a spacing suit the rasterizer, independent of the voxels.
     const auto bins = openvdb::math::Transform::createLinearTransform(spacing);
     const openvdb::points::PointAttributeVector<openvdb::Vec3s> positions(points);
     const auto index =

@@ -1,5 +1,5 @@
-//! How far surfaces lie from the meshes that were filled with particles (the paper's figure 13),
-//! and how much that depends on how the particles' lattice falls on the grid.
+//! Measures the distances between surfaces and the meshes that were filled with particles (the
+//! paper's figure 13), and how they depend on the position of the particles' lattice on the grid.
 
 use glam::{DQuat, DVec3};
 use meniscus::internals::frame::{FrameError, Normals};
@@ -15,13 +15,13 @@ use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, mean_and_worst, percent, signed, worst};
 use crate::{Options, Outcome};
 
-/// Edges of a cell, in spacings.
+/// Cell sizes, in spacings.
 pub const CELLS: [f64; 5] = [0.5, 2.0 / 3.0, 1.0, 1.5, 2.0];
 fn cells(options: &Options) -> &'static [f64] {
     options.choose(&CELLS, &CELLS[2..3])
 }
 
-/// How far particles are from their lattice, in spacings.
+/// Displacements of particles from their lattice, in spacings.
 pub const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", 0.3)];
 
 const HEAD: [&str; 9] = [
@@ -36,16 +36,16 @@ const HEAD: [&str; 9] = [
     "mean, cells",
 ];
 
-/// Distances between a surface and the truth, in spacings.
+/// Distances between a surface and the true one, in spacings.
 #[derive(Debug, Clone, Copy)]
 pub struct Errors {
     pub hausdorff: f64,
-    /// Of both directions, and so on.
+    /// In both directions, like the following.
     pub mean: f64,
     pub rms: f64,
-    /// Positive where the surface lies outside.
+    /// Positive if the surface lies outside.
     pub bias: f64,
-    /// Over the volume.
+    /// Relative to the volume.
     pub volume: f64,
 }
 
@@ -64,7 +64,7 @@ impl Errors {
     }
 }
 
-/// The lattices of a sampling: at some places in a cell, and turned some ways.
+/// The lattices of a sampling: at several positions in a cell and several rotations.
 pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     let at = |n: usize| Lattice {
         shift: cell * place(n),
@@ -84,8 +84,8 @@ pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
 }
 
-/// None where a method finds no surface: a narrow filter at a high isovalue sees single particles
-/// only, and some cells are too fine.
+/// None if a method finds no surface: a narrow filter at a high isovalue sees only single
+/// particles, and some cells are too small.
 pub fn errors(
     solid: &Solid,
     method: &Method,
@@ -109,7 +109,7 @@ pub fn errors(
     lattices.par_iter().map(of).collect()
 }
 
-/// What a table says of many surfaces, and of none.
+/// A table's text for several surfaces, or for none.
 fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
     let Some(errors) = errors else { return vec!["none".into()] };
     let of = |f: fn(&Errors) -> f64| errors.iter().map(f).collect::<Vec<_>>();
@@ -127,7 +127,7 @@ fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
 
 pub fn run(options: &Options) -> Outcome<()> {
     let methods = Method::WITH_OTHER_ISOVALUES;
-    // By sampling, cell and method: of all solids.
+    // By sampling, cell and method, over all solids.
     let mut all =
         vec![vec![vec![Some(Vec::new()); methods.len()]; cells(options).len()]; SAMPLINGS.len()];
     for solid in &solids(options)? {
@@ -160,7 +160,7 @@ pub fn run(options: &Options) -> Outcome<()> {
 
 type Figure = fn(&Errors) -> f64;
 
-/// Which method is nearest, of all solids, places and turns.
+/// The method with the smallest error over all solids, positions and rotations.
 fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
     let figures: [(&str, Figure); 2] =
         [("mean distance", |e| e.mean), ("Hausdorff distance", |e| e.hausdorff)];

@@ -1,4 +1,4 @@
-//! One camera for all pictures that are to be compared.
+//! One camera for all compared pictures.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -11,13 +11,13 @@ use meniscus::picture::{Colour, Image, Picture, Scope, View};
 use crate::Outcome;
 
 const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
-/// Distance from which a ball fills the height of a picture, in radii: half of what is seen upright
-/// is 14 degrees.
+/// Distance at which a ball fills the height of a picture, in radii: half of the vertical field of
+/// view is 14 degrees.
 const DISTANCE: f64 = 4.011;
-/// What is not coloured by something else: opaque, so that all that is seen is the surface.
+/// The default colour: opaque, so that only the surface is visible.
 const WATER: Colour = Colour::Solid([92, 158, 214]);
 
-/// Looks at a ball, y up.
+/// Views a ball, with y up.
 #[derive(Debug, Clone, Copy)]
 pub struct Camera {
     pub centre: DVec3,
@@ -25,17 +25,18 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// That sees all of a box.
+    /// Views a whole box.
     pub fn of([lo, hi]: [DVec3; 2]) -> Self {
         Self { centre: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
     }
 
-    /// A picture of what a mesh has there; in a scene of the ball's size, whatever is in the mesh.
+    /// A picture of a mesh from this camera. The scene has the ball's size, independent of the
+    /// mesh.
     pub fn picture(&self, mesh: &Mesh, [width, height]: [usize; 2]) -> Outcome<Image> {
         self.coloured(mesh, [width, height], WATER, None)
     }
 
-    /// As [`picture`](Self::picture), by another colour, whose values have a range.
+    /// Like [`picture`](Self::picture), coloured by values in a range.
     pub fn coloured(
         &self,
         mesh: &Mesh,
@@ -78,7 +79,7 @@ mod tests {
             [ball, Mesh::default()].map(|mesh| camera.picture(&mesh, [200, 200]).unwrap());
         let differ =
             image.rgb().chunks(3).zip(nothing.rgb().chunks(3)).filter(|(a, b)| a != b).count();
-        // From so far, the ball's radius on a picture one high is a quarter.
+        // At this distance, the ball's radius is a quarter of the picture's height.
         let expected = std::f64::consts::PI * 50.0 * 50.0;
         assert!((differ as f64 / expected - 1.0).abs() < 0.05, "{differ} pixels, not {expected}");
     }

@@ -1,4 +1,4 @@
-//! What cells, sigma and indicator give for what they cost.
+//! Compares quality and cost for several cells, sigmas and indicators.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ use crate::{Options, Outcome};
 type Dif = fn(f64, Iso) -> Method;
 
 const DIFS: [(&str, Dif); 2] = [("symmetry", Method::symmetry), ("counting", Method::counting)];
-/// The least of so many runs is what a frame costs.
+/// The cost of a frame is the minimum of this many runs.
 const RUNS: usize = 3;
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -80,7 +80,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// A cell, and a spacing where that is more, in cells.
+/// The larger of a cell and a spacing, in cells.
 fn sigmas(cell: f64) -> Vec<f64> {
     if cell < 1.0 { vec![1.0, 1.0 / cell] } else { vec![1.0] }
 }

@@ -1,8 +1,8 @@
-//! Which rule for the isovalue places the surface best, whatever way a lattice of particles falls
-//! on the grid.
+//! Compares rules for the isovalue by the error of the surface, at many positions of a lattice of
+//! particles on the grid.
 //!
-//! Along the diagonal of a cell a lattice's indicator goes through all that it can be, for symmetry
-//! from 1 in the cells' centres to 0 on their corners.
+//! Along the diagonal of a cell, a lattice's indicator takes all its values; for symmetry from 1 in
+//! the cells' centres to 0 at their corners.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::backend::field;
@@ -23,16 +23,16 @@ use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, signed, worst};
 use crate::{Options, Outcome};
 
-/// How c is found.
+/// Rules for c.
 #[derive(Debug, Clone, Copy)]
 enum Rule {
     /// A share of the interior's median.
     Median(f64),
     /// A share of the interior's mean.
     Mean(f64),
-    /// As many cells lie above it as the particles' volume fills.
+    /// The volume of the cells above it is the particles' volume.
     Volume,
-    /// The default share of the median, on a grid that was moved to suit a lattice.
+    /// The default share of the median, on a grid that was shifted to suit a lattice.
     Moved,
 }
 
@@ -59,7 +59,7 @@ impl Rule {
     }
 }
 
-/// A plateau, and the errors of each rule; none where it finds no surface.
+/// A plateau, and the errors of each rule; none for a rule without a surface.
 struct Found {
     plateau: f64,
     errors: Vec<Option<Errors>>,
@@ -189,12 +189,11 @@ fn error_at(solid: &Solid, frame: &Engine, c: Option<f64>) -> Outcome<Option<Err
     }
 }
 
-/// What the smoothed field is like.
+/// Statistics of the smoothed field.
 struct Values {
-    /// From the greatest down.
+    /// In descending order.
     sorted: Vec<u16>,
-    /// Over cells whose filters see nothing but fluid, by the truth; in small bodies there are
-    /// none.
+    /// Over cells whose filters contain only fluid, by the true shape; small bodies have none.
     interior_mean: Option<f64>,
 }
 
@@ -207,7 +206,7 @@ impl Values {
         for cells in sampled.dif.regions(reach, reach) {
             let field = field(recipe, sampled, cells);
             sorted.extend_from_slice(field.samples());
-            // A part of the cells tells enough.
+            // A part of the cells is sufficient.
             for ([y, z], row) in field.rows(cells).filter(|([y, z], _)| y % 2 == 0 && z % 2 == 0) {
                 let centre = |x| grid.world_from_cells(IVec3::new(x, y, z).as_dvec3() + 0.5);
                 let deep =
@@ -219,7 +218,7 @@ impl Values {
         Self { sorted, interior_mean: (!interior.is_empty()).then(|| mean(interior)) }
     }
 
-    /// The value that so many cells exceed.
+    /// The value that this many cells exceed.
     fn above(&self, cells: f64) -> f64 {
         let last = self.sorted.len() - 1;
         f64::from(self.sorted[(cells as usize).min(last)]) / f64::from(FULL)

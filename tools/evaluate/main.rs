@@ -1,5 +1,5 @@
-//! Measures the paper's methods against each other and prints Markdown tables: accuracy, roughness,
-//! speed, resolution, parameters, pictures.
+//! Compares the paper's methods and prints Markdown tables: accuracy, roughness, speed, resolution,
+//! parameters, pictures.
 //!
 //! `cargo run --release --example evaluate -- [TOPIC] [--out DIR] [--quick] [MESH...]`
 
@@ -37,30 +37,29 @@ struct Options {
     topic: Topic,
     /// Closed meshes to fill with particles, besides a sphere and a torus.
     meshes: Vec<PathBuf>,
-    /// Where pictures go.
+    /// Folder for pictures.
     #[arg(long, value_name = "DIR", default_value = "target/evaluate")]
     out: PathBuf,
-    /// Particle files for the topic spacing, as FILE=SPACING; without the spacing where the file or
-    /// its name says it.
+    /// Particle files for the topic spacing, as FILE=SPACING; without the spacing if the file or
+    /// its name contains it.
     #[arg(long, value_name = "FILE[=SPACING]", num_args = 1..)]
     files: Vec<String>,
-    /// Particles to take pictures of, y up, instead of a splash.
+    /// Particles for pictures, y up, instead of a splash.
     #[arg(long, value_name = "FILE")]
     frame: Option<PathBuf>,
-    /// Programs to compare, for quality.
+    /// Programs to compare, for the topic quality.
     #[arg(long, value_name = "TABLE")]
     methods: Option<PathBuf>,
-    /// Folders of frames of simulations, y up, for quality.
+    /// Folders of frames of simulations, y up, for the topic quality.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     simulations: Vec<PathBuf>,
-    /// Few particles and few runs: to see that all works.
+    /// Few particles and few runs, to check that everything works.
     #[arg(long)]
     quick: bool,
     /// Particles in a mesh.
     #[arg(long, value_name = "COUNT")]
     particles: Option<usize>,
-    /// How deep in a mesh its particles lie at the least, in spacings: 0.5 is spheres that touch
-    /// its surface.
+    /// Minimum depth of particles in a mesh, in spacings: at 0.5, spheres touch its surface.
     #[arg(long, value_name = "SPACINGS", default_value = "0")]
     inset: f64,
 }
@@ -71,31 +70,31 @@ enum Topic {
     Accuracy,
     /// Deviations of flat and round surfaces, holes in sheets, drops kept.
     Roughness,
-    /// How still the surface of a pool at rest stands.
+    /// Stability of the surface of a pool at rest.
     Rest,
-    /// Seconds a frame (table 1).
+    /// Seconds per frame (table 1).
     Speed,
     /// Stage times by resolution (figure 14), and recovering details (figure 15).
     Resolution,
     /// Contact sheets of sigma and c (figure 7).
     Parameters,
-    /// Every method through one camera, and bodies coloured by their distance from the truth.
+    /// Every method from one camera, and bodies coloured by their distance from the true surface.
     Pictures,
-    /// Rules for the isovalue, by how a lattice falls on the grid.
+    /// Rules for the isovalue, by the position of a lattice on the grid.
     Isovalue,
     /// Cell, sigma and indicator: error against cost.
     Defaults,
-    /// The estimated spacing over the true one, of files and of made particles, and what is said of
-    /// wrong ones.
+    /// The estimated spacing relative to the true one, for files and for generated particles, and
+    /// the warnings for wrong ones.
     Spacing,
-    /// Side by side with other programs.
+    /// Comparison with other programs.
     Quality,
-    /// All of these but quality, which needs those programs.
+    /// All of these except quality, which needs the other programs.
     All,
 }
 
 impl Options {
-    /// What is chosen for a full run, or for a quick one.
+    /// Numbers for a full or a quick run.
     fn choose<T>(&self, full: T, quick: T) -> T {
         if self.quick { quick } else { full }
     }

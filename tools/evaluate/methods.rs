@@ -1,4 +1,4 @@
-//! The methods that are compared, each from particles to a mesh, on one grid.
+//! The compared methods, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
 use meniscus::internals::baselines::KernelMethod;
@@ -15,30 +15,30 @@ use meniscus::internals::system::timings::Timings;
 
 use crate::Outcome;
 
-/// How a surface is made of particles.
+/// A method to make a surface from particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
-    /// By a discrete indicator function.
+    /// A discrete indicator function.
     Dif { indicator: IndicatorKind, sigma: Sigmas, iso: Iso, detail: Detail },
-    /// By kernels.
+    /// Kernels.
     Kernels(KernelMethod),
 }
 
-/// How wide the Gaussian is.
+/// The width of the Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Sigmas {
-    /// As the spacing, and a cell at the least.
+    /// The spacing, but at least a cell.
     Auto,
-    /// So many cells.
+    /// This many cells.
     Cells(f64),
 }
 
-/// Where the surface is in the smoothed field.
+/// The isovalue of the smoothed field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Iso {
-    /// At its share of the interior plateau.
+    /// The default share of the interior plateau.
     Auto,
-    /// At a value.
+    /// A fixed value.
     At(f64),
 }
 
@@ -52,7 +52,7 @@ impl Method {
     pub const MUELLER: Self = Self::Kernels(KernelMethod::Mueller { iso: KernelMethod::HALF });
     pub const ZHU_BRIDSON: Self = Self::Kernels(KernelMethod::ZhuBridson);
     pub const YU_TURK: Self = Self::Kernels(KernelMethod::YuTurk { iso: KernelMethod::HALF });
-    /// Ours, and the paper's five with the surface half-way between inside and outside.
+    /// Our method, and the paper's five with the surface half-way between inside and outside.
     pub const ALL: &[Self] = &[
         Self::CLOUD,
         Self::SYMMETRY,
@@ -61,7 +61,7 @@ impl Method {
         Self::ZHU_BRIDSON,
         Self::YU_TURK,
     ];
-    /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.
+    /// The same with other isovalues: the paper's, and those that suit a lattice of particles best.
     pub const WITH_OTHER_ISOVALUES: &[Self] = &[
         Self::CLOUD,
         Self::SYMMETRY,
@@ -93,7 +93,7 @@ impl Method {
         }
     }
 
-    /// By default, with what smoothing loses treated otherwise.
+    /// The default method, with other treatments of details that smoothing loses.
     pub fn detailed(detail: Detail) -> [Self; 2] {
         [IndicatorKind::Symmetry, COUNTING].map(|indicator| Self::by_default(indicator, detail))
     }
@@ -102,7 +102,7 @@ impl Method {
         Self::Dif { indicator, sigma: Sigmas::Auto, iso: Iso::Auto, detail }
     }
 
-    /// What it is called in tables.
+    /// Name in tables.
     pub fn name(&self) -> String {
         match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
@@ -126,12 +126,12 @@ impl Method {
         }
     }
 
-    /// What it is called in file names.
+    /// Name in file names.
     pub fn slug(&self) -> String {
         self.name().to_lowercase().replace(", ", "-").replace(' ', "-")
     }
 
-    /// The surface of particles `spacing` apart.
+    /// The surface of particles at this spacing.
     pub fn surface<P: Particles + ?Sized>(
         &self,
         particles: &P,
@@ -169,8 +169,8 @@ impl Iso {
     }
 }
 
-/// How much of the volume of so many particles a surface holds, 1 being all. What is timed has to
-/// hold half of it at least.
+/// Volume inside a surface relative to the volume of its particles. A timed surface must contain at
+/// least half.
 pub fn held(surface: &Stitched, particles: usize, spacing: f64) -> Outcome<f64> {
     match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
@@ -184,7 +184,7 @@ pub fn grid(cell: f64) -> Outcome<Grid> {
     Ok(Grid::new(DVec3::ZERO, cell)?)
 }
 
-/// Everything in memory, on the processor.
+/// Everything in memory, on the CPU.
 pub fn sampling(grid: Grid, spacing: f64, method: impl Into<frame::Method>) -> Sampling {
     let method = method.into();
     Sampling {

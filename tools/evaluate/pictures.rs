@@ -1,5 +1,5 @@
-//! A picture of every method through one camera, and meshes coloured by their distance from the
-//! truth.
+//! Pictures of every method from one camera, and meshes coloured by their distance from the true
+//! surface.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
@@ -24,22 +24,22 @@ use crate::shapes::{Solid, solids};
 use crate::{Options, Outcome};
 
 const SIZE: [usize; 2] = [960, 720];
-/// Of a picture on the contact sheet.
+/// Size of a picture on the contact sheet.
 const SMALL: [usize; 2] = [400, 300];
 const JITTER: f64 = 0.3;
-/// Distances from the truth in spacings that are coloured to the full.
+/// Distances from the true surface with full colour, in spacings.
 const FULL_COLOUR: f64 = 0.5;
 const SIGMAS: [f64; 4] = [0.8, 1.0, 1.2, 1.5];
 const ISOS: [Iso; 5] = [Iso::At(0.02), Iso::At(0.05), Iso::At(0.1), Iso::At(0.2), Iso::Auto];
 
-/// The particles to look at: a file's, or a splash.
+/// The particles in the pictures: of a file, or of a splash.
 struct Scene {
     particles: Box<dyn Particles>,
     spacing: f64,
     camera: Camera,
 }
 
-/// The splash, as particles of their own.
+/// The splash alone.
 struct Splash(Vec<[f32; 3]>);
 
 impl Particles for Splash {
@@ -98,7 +98,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// A body's surface, blue where it lies inside of the truth and red where it lies outside.
+/// A body's surface: blue inside of the true surface, red outside.
 fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let lattice = Lattice {
         shift: place(0),
@@ -120,7 +120,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     write_coloured(&mesh, &colours, &ply)?;
     let reach = DVec3::splat(solid.radius / 3_f64.sqrt());
     let camera = Camera::of([solid.centre - reach, solid.centre + reach]);
-    // The map's red is its least value.
+    // The minimum of the map is red.
     let values = distances.into_iter().map(|distance| -distance as f32).collect();
     mesh.attributes.push(VertexAttribute::new("inside", 1, values));
     let by_distance = Colour::Attribute { name: "inside".to_owned(), map: "red-blue".parse()? };
@@ -136,7 +136,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     Ok(())
 }
 
-/// From blue over white to red for -1 to 1.
+/// Blue over white to red for -1 to 1.
 fn colour(share: f64) -> Vec3 {
     let share = share.clamp(-1.0, 1.0) as f32;
     let end = if share < 0.0 { Vec3::new(0.1, 0.25, 0.9) } else { Vec3::new(0.9, 0.15, 0.1) };
@@ -147,7 +147,7 @@ fn bytes(colour: Vec3) -> [u8; 3] {
     (colour * 255.0).round().to_array().map(|channel| channel as u8)
 }
 
-/// As .ply with red, green, blue, which programs show without being asked.
+/// Written as .ply with red, green and blue, which programs show by default.
 fn write_coloured(mesh: &Mesh, colours: &[Vec3], path: &Path) -> Outcome<()> {
     let mut out = BufWriter::new(File::create(path)?);
     write!(

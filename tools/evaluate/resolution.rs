@@ -1,5 +1,5 @@
-//! Stage times by resolution (the paper's figure 14), on the processor and on a Vulkan device where
-//! there is one, and what recovering details costs and brings (its figure 15).
+//! Stage times by resolution (the paper's figure 14), on the CPU and on a Vulkan device if there is
+//! one, and the cost and benefit of recovering details (its figure 15).
 
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ use crate::tables::Table;
 use crate::{Options, Outcome};
 
 const CELLS: [u32; 4] = [128, 256, 384, 512];
-/// The paper's stages, and the names that their parts have on a device.
+/// The paper's stages, and the names of their parts on a device.
 const STAGES: [(&str, &[&str]); 4] = [
     ("DIF", &["upload", "indicate"]),
     ("smoothing", &["gather", "blur", "detail"]),
@@ -136,7 +136,7 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
         held(&mesh, particles.len(), 1.0)?;
         Ok((seconds, mesh.triangle_count()))
     };
-    // The first run compiles shaders and takes memory.
+    // The first run compiles shaders and allocates memory.
     run()?;
     drop(device.take_timings());
     let (whole, triangles) = run()?;

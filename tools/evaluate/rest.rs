@@ -1,5 +1,5 @@
-//! How still the surface of a pool at rest stands when the pool is carried through a cell, as
-//! frames of a simulation are: grid, mu0 and isovalue are those of the first.
+//! Measures how stable the surface of a pool at rest is while the pool moves through a cell. As in
+//! a simulation, all frames use the grid, mu0 and isovalue of the first.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
@@ -17,9 +17,9 @@ use crate::tables::{Table, figure};
 use crate::{Options, Outcome};
 
 const CELLS: [f64; 3] = [0.5, 2.0 / 3.0, 1.0];
-/// How far particles are from their lattice, in spacings.
+/// Displacements of particles from their lattice, in spacings.
 const JITTERS: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.5];
-/// Steps in which the pool is carried through a cell.
+/// Steps of the pool's movement through a cell.
 const STEPS: u32 = 8;
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -71,7 +71,7 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     Ok(heights.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max) / cell)
 }
 
-/// How high the middle of a pool's surface lies on average.
+/// Mean height of the middle of a pool's surface.
 fn level(mesh: &Mesh) -> f64 {
     let (mut area, mut sum) = (0.0, 0.0);
     for triangle in &mesh.triangles {

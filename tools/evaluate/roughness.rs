@@ -1,4 +1,4 @@
-//! How smooth surfaces of jittered particles are, and what of thin sheets and drops is left.
+//! Smoothness of surfaces of jittered particles, and how much of thin sheets and drops remains.
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::frame::{Detail, FrameError, Normals};
@@ -16,12 +16,13 @@ use crate::{Options, Outcome};
 
 const CELLS: [f64; 3] = [2.0 / 3.0, 1.0, 1.5];
 const JITTER: f64 = 0.3;
-/// Edge of pools and sheets, in spacings; what is within `MARGIN` of their ends is not looked at.
+/// Edge length of pools and sheets, in spacings; the parts within `MARGIN` of their edges are
+/// ignored.
 pub const WIDTH: i32 = 48;
 const MARGIN: f64 = 12.0;
-/// What lies deeper, in spacings, is no part of the surface.
+/// Vertices below this depth, in spacings, do not belong to the surface.
 const NEAR: f64 = 2.0;
-/// Drops of each kind along either axis of the pool, and the steps between them.
+/// Number of drops of each size along both axes of the pool, and their distance.
 const DROPS: i32 = 7;
 const STEP: i32 = 10;
 
@@ -73,17 +74,17 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// How a surface lies about where it ought to be.
+/// Errors of a surface.
 pub struct Deviation {
     pub bias: f64,
     pub rms: f64,
-    /// Bubbles, crumbs and tunnels: components beyond the first, and handles.
+    /// Number of bubbles, crumbs and tunnels: components after the first, and handles.
     within: i64,
 }
 
 impl Deviation {
-    /// From the signed distances of vertices. Those that lie deep are of bubbles, and tell nothing
-    /// of roughness.
+    /// From the signed distances of vertices. Deep vertices belong to bubbles, and are not counted
+    /// as roughness.
     fn of(mesh: &Mesh, distances: impl Iterator<Item = f64>) -> Self {
         let near: Vec<f64> = distances.filter(|&distance| distance > -NEAR).collect();
         let bias = mean(near.iter().copied());
@@ -97,7 +98,7 @@ impl Deviation {
     }
 }
 
-/// No mesh where there is no surface.
+/// No mesh if there is no surface.
 fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
     match method.surface(particles, grid(cell)?, 1.0, Normals::None, &mut Timings::default()) {
         Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(Mesh::default()),
@@ -105,13 +106,13 @@ fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
     }
 }
 
-/// Seeds that differ, and a place in a cell.
+/// Different seeds, and a position in a cell.
 fn shifted(particles: Vec<[f64; 3]>, cell: f64, number: usize) -> Vec<[f64; 3]> {
     let shift = cell * place(number);
     particles.into_iter().map(|p| (DVec3::from(p) + shift).into()).collect()
 }
 
-/// The surface of a pool whose layers are level, at several heights of the pool in a cell.
+/// The surface of a pool with horizontal layers, at several heights of the pool in a cell.
 pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
     let at_height = |number: usize| -> Outcome<Deviation> {
         let mut random = Random::new(number as u64);
@@ -129,7 +130,7 @@ pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
     })
 }
 
-/// Whether a vertex is on top of a pool, away from its ends.
+/// Whether a vertex is on top of a pool, away from its edges.
 pub fn is_central(p: &[f64; 3]) -> bool {
     let within = MARGIN..f64::from(WIDTH) - MARGIN;
     within.contains(&p[0]) && within.contains(&p[2]) && p[1] > -NEAR
@@ -142,7 +143,7 @@ fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
     Ok(Deviation::of(&mesh, mesh.positions.iter().map(|&p| -ball.depth(p.into()))))
 }
 
-/// The components, holes and thickness of a sheet above a pool, which is there for its plateau.
+/// The components, holes and thickness of a sheet above a pool; the pool provides the plateau.
 fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     let mut random = Random::new(1);
     let mut particles =
@@ -158,7 +159,7 @@ fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     Ok(format!("{} components, {holes} holes, {thickness:.2}", measures.components))
 }
 
-/// How many drops of `size` particles are left above a pool.
+/// Number of drops of `size` particles that remain above a pool.
 fn drops_kept(method: &Method, cell: f64, size: IVec3) -> Outcome<String> {
     let mut random = Random::new(2);
     let width = DROPS * STEP;

@@ -1,10 +1,10 @@
-//! Bodies of fluid filled with particles at spacing 1: a lattice at some place and turn against the
-//! grid, in order or jittered.
+//! Bodies of fluid filled with particles at spacing 1, on a lattice with a position and a rotation
+//! relative to the grid, ordered or jittered.
 //!
-//! A particle stands for a cube of edge 1. All lattice points inside the body are taken, so that
-//! the particles' volume is the body's, whatever way a lattice falls on it. Particles whose spheres
-//! only touch the surface from inside (`inset` 0.5) fill less: over all places of the lattice, a
-//! body that ends half a spacing further in.
+//! A particle represents a cube of edge 1. All lattice points inside the body are used, so the
+//! particles' volume is the body's for every position of the lattice. Particles whose spheres only
+//! touch the surface from inside (`inset` 0.5) fill less: on average over all positions, a body
+//! that is smaller by half a spacing on all sides.
 
 use glam::{DQuat, DVec3, IVec3};
 use rayon::prelude::*;
@@ -12,18 +12,18 @@ use rayon::prelude::*;
 use crate::scene::Random;
 use crate::shapes::Solid;
 
-/// Lattice points along the edge of a block that is asked for its depth at once.
+/// Edge of a block of lattice points whose depth is queried together.
 const BLOCK: i32 = 4;
 
-/// Where the particles of a body stand.
+/// Positions of the particles of a body.
 #[derive(Debug, Clone, Copy)]
 pub struct Lattice {
-    /// Of the lattice against the grid, once it is turned.
+    /// Offset of the lattice from the grid, after the rotation.
     pub shift: DVec3,
     pub turn: DQuat,
-    /// How far a particle may be from its place along each axis.
+    /// Maximum displacement of a particle along each axis.
     pub jitter: f64,
-    /// How deep particles lie at the least.
+    /// Minimum depth of particles.
     pub inset: f64,
     pub seed: u64,
 }
@@ -74,7 +74,7 @@ pub fn cuboid(lo: IVec3, hi: IVec3, jitter: f64, random: &mut Random) -> Vec<[f6
     particles
 }
 
-/// Place number `n` of a cell, from a sequence that fills it evenly (R3, Roberts 2018), in 0 to 1.
+/// Position number `n` in the unit cube, from a sequence that fills it evenly (R3, Roberts 2018).
 pub fn place(n: usize) -> DVec3 {
     let step =
         DVec3::new(0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2);

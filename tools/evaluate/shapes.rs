@@ -1,5 +1,4 @@
-//! Closed meshes as bodies of fluid: scaled until the particles' spacing is 1, and searched for
-//! depths.
+//! Closed meshes as bodies of fluid, scaled to a particle spacing of 1, with queries for depths.
 
 use std::path::Path;
 
@@ -13,7 +12,7 @@ use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use crate::meshes::{sphere, torus};
 use crate::{Options, Outcome};
 
-/// Nothing is to lie on the grid just so.
+/// Avoids positions exactly on the grid.
 const CENTRE: DVec3 = DVec3::new(0.371, 0.113, 0.729);
 
 /// A closed mesh whose volume is that of its particles, each a cube of edge 1.
@@ -21,9 +20,9 @@ pub struct Solid {
     pub name: String,
     pub mesh: Mesh,
     pub volume: f64,
-    /// Of the box around it.
+    /// Centre of the box around it.
     pub centre: DVec3,
-    /// Of the sphere around the box.
+    /// Radius of the sphere around the box.
     pub radius: f64,
     search: TriMesh,
 }

@@ -1,5 +1,5 @@
-//! The spacing that is estimated, over the true one: of particle files, and of particles made so
-//! that it is 1.
+//! The estimated spacing relative to the true one: of particle files, and of particles generated at
+//! spacing 1.
 
 use std::path::Path;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use crate::scene::Random;
 use crate::tables::{Table, figure};
 use crate::{Options, Outcome};
 
-/// Given spacings over the true one.
+/// Given spacings relative to the true one.
 const GIVEN: [f64; 13] = [0.1, 0.25, 0.4, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.5, 2.0, 4.0, 10.0];
 
 pub fn run(options: &Options) -> Outcome<()> {
@@ -66,7 +66,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-/// The spacing in the names of DualSPHysics' tables.
+/// The spacing in the name of a DualSPHysics table.
 fn named(name: &str) -> Option<f64> {
     let rest = &name[name.find("Dp")? + 2..];
     let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
@@ -121,7 +121,7 @@ fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {
         .map_or_else(|error| error.to_string(), |cells| words(&cells))
 }
 
-/// Medians of seven, of estimating and of a whole frame whose spacing is known.
+/// Medians of seven times: of the estimate, and of a whole frame with a known spacing.
 fn cost_of(name: &str, particles: &[[f64; 3]]) -> Outcome<[String; 4]> {
     let median = |mut run: Box<dyn FnMut() -> Outcome<()> + '_>| -> Outcome<f64> {
         let mut took = Vec::new();
@@ -156,21 +156,21 @@ fn cost_of(name: &str, particles: &[[f64; 3]]) -> Outcome<[String; 4]> {
     Ok([name.to_owned(), figure(estimating), figure(frame), share])
 }
 
-/// A box of particles, each moved by up to `jitter` along each axis.
+/// A box of particles, each displaced by up to `jitter` along each axis.
 fn layers([x, y, z]: [usize; 3], jitter: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let place = |i: usize| [i % x, i / x % y, i / (x * y)];
     let mut off = |c: usize| c as f64 + jitter * (2.0 * random.unit() - 1.0);
     (0..x * y * z).map(|i| place(i).map(&mut off)).collect()
 }
 
-/// Turned against all axes, by another angle each time.
+/// Rotated about all axes, with a different angle each time.
 fn turned(particles: Vec<[f64; 3]>, random: &mut Random) -> Vec<[f64; 3]> {
     let [a, b, c] = [(); 3].map(|()| 6.0 * random.unit());
     let turn = DQuat::from_euler(EulerRot::XYZ, a, b, c);
     particles.into_iter().map(|p| (turn * DVec3::from(p)).into()).collect()
 }
 
-/// Particles in bars, or in sheets where they are as wide as long, with gaps between.
+/// Particles in bars with gaps between them, or in sheets if the width is the length.
 fn bars(size: [usize; 3], gap: usize, jitter: f64, random: &mut Random) -> Vec<[f64; 3]> {
     let rows = if size[0] == size[1] { 1 } else { 6 };
     let mut all = Vec::new();

@@ -1,6 +1,6 @@
-//! Markdown tables, and the figures that go into them.
+//! Markdown tables and their figures.
 
-/// Rows of text under a heading that says what was measured, and by which command.
+/// Rows of text under a heading that names the measurement and its command.
 pub struct Table {
     head: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -15,12 +15,12 @@ impl Table {
         self.rows.push(cells.into_iter().collect());
     }
 
-    /// Prints it, below a line that says `what` it shows and by which command.
+    /// Prints it below a line with `what` it shows and its command.
     pub fn print(&self, what: &str) {
         self.show(&format!("{what} (`{}`)", command()));
     }
 
-    /// Prints it, below a line that says `what` it shows.
+    /// Prints it below a line with `what` it shows.
     pub fn show(&self, what: &str) {
         println!("{what}:\n\n| {} |", self.head.join(" | "));
         println!("|{}", "---|".repeat(self.head.len()));
@@ -31,7 +31,7 @@ impl Table {
     }
 }
 
-/// The command that runs this again.
+/// The command that repeats this measurement.
 fn command() -> String {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     format!("cargo run --release --example evaluate -- {}", arguments.join(" "))
@@ -57,12 +57,12 @@ pub fn worst(values: impl IntoIterator<Item = f64>) -> f64 {
         .fold(0.0, |worst: f64, value| if value.abs() > worst.abs() { value } else { worst })
 }
 
-/// Of many, with the worst in brackets.
+/// The mean of several values, with the worst in brackets.
 pub fn mean_and_worst(values: &[f64]) -> String {
     format!("{} ({})", figure(mean(values.iter().copied())), figure(worst(values.iter().copied())))
 }
 
-/// Three decimals tell apart what is worth telling apart of a spacing.
+/// Three decimals are sufficient for a spacing.
 pub fn figure(value: f64) -> String {
     format!("{value:.3}")
 }

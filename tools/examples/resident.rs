@@ -1,10 +1,10 @@
-//! A program with a Vulkan device of its own: its buffer of positions in, its buffers of vertices
-//! and indices out. The device waits for the positions, and what is drawn waits on the device for
-//! the surface.
+//! A program with its own Vulkan device passes its buffer of positions, and receives vertices and
+//! indices in its own buffers. The device waits for the positions, and drawing waits on the device
+//! for the surface.
 //!
-//! `cargo run --release --example resident -- OUTPUT.ply` meshes a ball of particles on the first
-//! device, which may be a driver that computes on the processor, such as lavapipe; with a number
-//! behind it, as `meniscus devices` lists them, on that one.
+//! `cargo run --release --example resident -- OUTPUT.ply [NUMBER]` meshes a ball of particles on
+//! the first device, or on the one with this number in `meniscus devices`. The device can be a
+//! driver for the CPU, such as lavapipe.
 
 use std::error::Error;
 
@@ -46,16 +46,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(std::fs::write(path, ply)?)
 }
 
-/// A buffer of a program's own, which the host sees, too.
+/// A buffer of the program, which is visible to the host.
 struct Own {
     raw: vk::Buffer,
     memory: vk::DeviceMemory,
     bytes: u64,
-    /// Where the host sees it.
+    /// Address for the host.
     mapped: *mut u8,
 }
 
-/// A program's own device, and its queue.
+/// The program's device and queue.
 struct Program {
     instance: ash::Instance,
     physical: vk::PhysicalDevice,
@@ -66,7 +66,7 @@ struct Program {
 
 impl Program {
     /// # Safety
-    /// What is returned is used while the device is there, and destroyed before it.
+    /// The caller uses the result only as long as the device exists, and destroys it first.
     unsafe fn buffer(&self, bytes: u64) -> Result<Own, Box<dyn Error>> {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
@@ -95,7 +95,7 @@ impl Program {
     }
 
     /// # Safety
-    /// Nothing uses it any more.
+    /// No one uses it any more.
     unsafe fn destroy(&self, buffer: &Own) {
         // SAFETY: all handles are this device's.
         unsafe {
@@ -108,7 +108,7 @@ impl Program {
     /// timeline.
     ///
     /// # Safety
-    /// All of it is alive until the copy is done.
+    /// All objects exist until the copy is done.
     unsafe fn copy(
         &self,
         pool: vk::CommandPool,
@@ -141,8 +141,8 @@ impl Program {
     }
 }
 
-/// Does on a device of its own, the loader's one of that number, what a simulation and a renderer
-/// do on theirs.
+/// Performs the work of a simulation and a renderer on a new device, with this number in the
+/// loader's list.
 pub fn surface_of(
     number: usize,
     particles: &[[f32; 3]],
@@ -182,13 +182,13 @@ pub fn surface_of(
     }
 }
 
-/// Moments of a frame on the program's timeline.
+/// Points in time of a frame on the program's timeline.
 const SIMULATED: u64 = 1;
 const MESHED: u64 = 2;
 const READ: u64 = 3;
 
 /// # Safety
-/// Nobody else uses the device.
+/// No one else uses the device.
 unsafe fn simulate_and_draw(
     program: &Program,
     particles: &[[f32; 3]],
@@ -205,7 +205,8 @@ unsafe fn simulate_and_draw(
         let timeline = device
             .create_semaphore(&vk::SemaphoreCreateInfo::default().push_next(&mut kind), None)?;
 
-        // A simulation leaves its particles in a storage buffer, and nobody waits for it here.
+        // The simulation leaves its particles in a storage buffer, and the host does not wait for
+        // it.
         let simulated = program.buffer(bytes.len() as u64)?;
         let positions = program.buffer(bytes.len() as u64)?;
         simulated.mapped.copy_from_nonoverlapping(bytes.as_ptr(), bytes.len());
@@ -235,7 +236,7 @@ unsafe fn simulate_and_draw(
             calibration: None,
         };
         let moment = |value| Moment { semaphore: timeline, value };
-        // A renderer has buffers of its own, and makes larger ones where a surface has grown.
+        // The renderer has its own buffers, and makes larger ones if a surface has grown.
         let mut rows = [1_u64, 1];
         let (outputs, [vertices, triangles]) = loop {
             let own = [program.buffer(12 * rows[0])?, program.buffer(12 * rows[1])?];
@@ -255,7 +256,7 @@ unsafe fn simulate_and_draw(
                     let surface = surface?;
                     let found = [surface.vertices, surface.triangles];
                     let read = [program.buffer(own[0].bytes)?, program.buffer(own[1].bytes)?];
-                    // What is drawn waits on the device until the surface is there.
+                    // Drawing waits on the device until the surface is finished.
                     program.copy(pool, [&own[0], &read[0]], timeline, [MESHED, READ])?;
                     program.copy(pool, [&own[1], &read[1]], timeline, [READ, READ + 1])?;
                     break ([own, read], found);

@@ -1,4 +1,4 @@
-"""Makes the HDF5 files of tests/data/h5, by h5py. usage: hdf5_files.py FOLDER"""
+"""Makes the HDF5 files of tests/data/h5 with h5py. usage: hdf5_files.py FOLDER"""
 
 import sys
 import h5py
@@ -22,7 +22,7 @@ with h5py.File(f"{folder}/packed.h5", "w", libver="latest") as file:
     file.create_dataset("mass", data=np.ones(60, "f4"))
     file.create_dataset("box", data=np.zeros((8, 3)))
     file["name"] = "pool"
-# As many rows as no file of this size can hold.
+# More rows than a file of this size can hold.
 with h5py.File(f"{folder}/huge.h5", "w") as file:
     file.create_dataset("pos", shape=(1 << 40, 3), chunks=(1024, 3), dtype="f8")
 # A table of a compound type, as CB-Geo MPM and PyTables write them, in packed chunks.
@@ -41,7 +41,7 @@ with h5py.File(f"{folder}/columns.h5", "w", libver="latest") as file:
     file["C"] = np.zeros((9, 60), "i1")
     file["X"] = np.zeros((3, 60), "f4")
     file["time"] = [[0.5]]
-# H5MD: three frames, of which the second has two particles fewer.
+# H5MD: three frames. The second has two particles fewer.
 with h5py.File(f"{folder}/h5md.h5", "w", libver="latest") as file:
     file.create_group("h5md").attrs["version"] = [1, 1]
     fluid = file.create_group("particles/fluid")

@@ -31,7 +31,7 @@ info = reader.GetDataInformation()
 assert (info.GetNumberOfPoints(), info.GetNumberOfCells()) == (0, 0)
 print("an empty simulation")
 
-# A mesh in pieces is one whole.
+# A mesh in pieces is read as one mesh.
 path = f"{folder}/fine.pvtp"
 checked = json.loads(subprocess.run([meniscus, "check", "--json", path], check=True, capture_output=True).stdout)[0]
 reader = OpenDataFile(path)
@@ -39,7 +39,7 @@ reader.UpdatePipeline()
 info = reader.GetDataInformation()
 report = checked["report"]
 assert info.GetNumberOfCells() == report["triangles"] and checked["closed_oriented_manifold"], (info.GetNumberOfCells(), checked)
-# Each piece has what its triangles use: vertices that two share are there twice, under one identifier.
+# Each piece has the vertices of its triangles. A vertex of two pieces occurs twice, with the same identifier.
 identifiers = [array for array in reader.PointData.keys() if reader.PointData[array].GetRange() == (0, report["vertices"] - 1)]
 assert len(identifiers) == 1, list(reader.PointData.keys())
 assert info.GetNumberOfPoints() > report["vertices"], info.GetNumberOfPoints()

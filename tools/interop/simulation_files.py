@@ -75,7 +75,7 @@ def vtk_pieces(folder, values):
     from vtk.util.vtkAlgorithm import VTKPythonAlgorithmBase
 
     class Source(VTKPythonAlgorithmBase):
-        """Gives the piece that is asked for, as every process of a simulation does."""
+        """Returns the requested piece, like every process of a simulation."""
 
         def __init__(self, kind, output):
             super().__init__(nInputPorts=0, nOutputPorts=1, outputType=output)
@@ -177,9 +177,9 @@ PARTITIONS = [
 STEPS = [
     (0, 2, 0, (0, 0), (0, 0), 0),
     (2, 2, 6, (6, 0), (6, 0), 6),
-    # The first one's with other flags.
+    # Like the first, with other flags.
     (0, 2, 0, (0, 0), (0, 0), 15),
-    # The first one's points and cells as a partition of its own.
+    # The points and cells of the first, as a separate partition.
     (4, 1, 0, (0, 0), (0, 0), 0),
 ]
 
@@ -202,7 +202,7 @@ def ghost_steps(folder, values):
             root["CellData/vtkGhostType"] = np.array(flags, "u1")
 
             def cells(group, of_parts):
-                """Cells of every partition as lists of their corners; the last partition has those of the first."""
+                """Cells of every partition as lists of their corners. The last partition uses those of the first."""
                 group["NumberOfCells"] = np.array([len(cells) for cells in of_parts])
                 group["NumberOfConnectivityIds"] = np.array([sum(map(len, cells)) for cells in of_parts])
                 ends = [np.cumsum([0] + [len(cell) for cell in cells]) for cells in of_parts[:-1]]
@@ -220,7 +220,7 @@ def ghost_steps(folder, values):
                 cells(root, of_parts)
                 root["Types"] = np.array([len(cell) * 2 - 1 for cells in of_parts[:-1] for cell in cells], "u1")
             steps = root.create_group("Steps")
-            # The last one's cells are found by their number, which VTK does for PolyData alone.
+            # The cells of the last partition are found by number, which VTK supports only for PolyData.
             told = STEPS if kind == "PolyData" else STEPS[:-1]
             steps.attrs["NSteps"] = len(told)
             steps["Values"] = TIME * np.arange(len(told))

@@ -59,7 +59,7 @@ check("openpmd.h5#200", values + 10, tolerance=1e-12)
 check("pysph_40.hdf5", values, 2)
 check("pysph_40.hdf5", values[:3], options=["--where", "type=wall"])
 
-# Meshes: the particles of a frame as VTK and h5py see what was written, and as the .vtp beside it has them.
+# Meshes: VTK and h5py read the files, and the values must equal those of the .vtp in the same folder.
 for ending in ["vtp", "pvtp", "vtkhdf"]:
     arguments = ["reconstruct", f"{folder}/grid_0007.pvtu", "-o", f"{folder}/mesh.{ending}", "-q", "--spacing", "0.2"]
     subprocess.check_call([meniscus, *arguments, "--normals", "--attributes", "velocity,id"])
@@ -74,7 +74,7 @@ def read(name):
 
 
 def arrays(data):
-    """The corners of every triangle with all that they carry."""
+    """The corners of every triangle with their attributes."""
     corners = vtk_to_numpy(data.GetPolys().GetConnectivityArray())
     found = {"points": vtk_to_numpy(data.GetPoints().GetData())}
     for index in range(data.GetPointData().GetNumberOfArrays()):

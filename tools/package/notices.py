@@ -1,4 +1,4 @@
-"""Prints the licences of all crates that the program and the Python module link, as their licences ask of those who pass binaries on.
+"""Prints the licences of all crates that the program and the Python module link. Many licences require this from distributors of binaries.
 
 usage: notices.py [CARGO'S ARGUMENTS...]
 """
@@ -15,7 +15,7 @@ TEXTS = ("LICENSE", "LICENCE", "COPYING", "COPYRIGHT", "NOTICE", "UNLICENSE")
 
 
 def linked(arguments: list[str]) -> list[dict[str, str]]:
-    """The crates of a registry that normal dependencies lead to, by name and version."""
+    """The crates of a registry among the normal dependencies, direct or not, by name and version."""
     command = ["cargo", "metadata", "--format-version", "1", "--locked", *arguments]
     read = json.loads(subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout)
     packages = {package["id"]: package for package in read["packages"]}
@@ -35,7 +35,7 @@ def linked(arguments: list[str]) -> list[dict[str, str]]:
 
 
 def texts(crate: dict[str, str]) -> list[str]:
-    """The texts of a crate's licences, without those that are there twice."""
+    """The texts of a crate's licences, without duplicates."""
     folder = Path(crate["manifest_path"]).parent
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name.upper().startswith(TEXTS))
     return list(dict.fromkeys(path.read_text(errors="replace").strip() for path in files if path.suffix != ".rs"))

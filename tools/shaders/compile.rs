@@ -1,5 +1,5 @@
-//! From the shaders' sources to their binaries and to their Rust table: what the command does, and
-//! what tests compare with.
+//! Compiles the shaders' sources to binaries and to their Rust table, for the command and for the
+//! tests.
 
 #[path = "table.rs"]
 mod table;
@@ -22,13 +22,13 @@ use rspirv::spirv::{Decoration, Op, StorageClass, Word};
 /// A source that cannot be read or compiled: its name, the line and the cause.
 pub type Fault = Box<dyn std::error::Error + Send + Sync>;
 
-/// A file that is made from the sources: a binary, or the Rust table.
+/// A file that is generated from the sources: a binary, or the Rust table.
 pub struct Made {
     pub file: PathBuf,
     pub bytes: Vec<u8>,
 }
 
-/// The files that are missing or are not what the sources make.
+/// The files that are missing or outdated.
 pub fn outdated() -> Result<Vec<Made>, Fault> {
     let (mut made, mut modules) = (Vec::new(), BTreeMap::new());
     for name in programs()? {
@@ -44,7 +44,7 @@ pub fn outdated() -> Result<Vec<Made>, Fault> {
     Ok(made)
 }
 
-/// The names of the sources with an entry point, in order; the others are parts of programs.
+/// The names of the sources with an entry point, in order; the others are included in programs.
 pub fn programs() -> Result<Vec<String>, Fault> {
     let mut programs = Vec::new();
     for entry in fs::read_dir(folder())? {
@@ -58,12 +58,12 @@ pub fn programs() -> Result<Vec<String>, Fault> {
     Ok(programs)
 }
 
-/// Where sources and binaries are.
+/// Folder of sources and binaries.
 pub fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("spirv")
 }
 
-/// The text of a file of the folder, without what it builds on.
+/// The text of a file of the folder, without included parts.
 fn read(name: &str) -> Result<String, Fault> {
     let file = folder().join(name).with_extension("wgsl");
     fs::read_to_string(&file).map_err(|cause| format!("{}: {cause}", file.display()).into())
@@ -74,8 +74,8 @@ pub fn source(name: &str) -> Result<String, Fault> {
     whole(&read(name)?)
 }
 
-/// Puts before a text the parts that its first line names, and before those the constants that all
-/// of it names.
+/// Prepends the parts that a text's first line names, and before them the constants that the text
+/// uses.
 pub fn whole(own: &str) -> Result<String, Fault> {
     let parts = own.lines().next().and_then(|line| line.strip_prefix("//! with ")).unwrap_or("");
     let parts = parts.split_whitespace().map(read).collect::<Result<String, Fault>>()?;
@@ -87,7 +87,7 @@ pub fn whole(own: &str) -> Result<String, Fault> {
     Ok(constants + &text)
 }
 
-/// A whole source, understood.
+/// A whole source, parsed.
 pub fn parsed(name: &str, source: &str) -> Result<Module, Fault> {
     naga::front::wgsl::parse_str(source)
         .map_err(|fault| format!("{name}: {}", fault.emit_to_string(source)).into())
@@ -98,8 +98,8 @@ pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
     compiled_with(name, source, BoundsCheckPolicy::Unchecked)
 }
 
-/// All programs with checks of every index into a buffer or an array: those beyond the end are the
-/// last.
+/// All programs with checks of every index into a buffer or an array: an index beyond the end
+/// becomes the last.
 pub fn checked() -> Result<HashMap<&'static str, Vec<u8>>, Fault> {
     let binary = |shader: &&Shader| {
         let checks = BoundsCheckPolicy::Restrict;
@@ -132,8 +132,9 @@ fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<
     Ok(words.iter().flat_map(|word| word.to_le_bytes()).collect())
 }
 
-/// Takes the layouts off all types but those of storage buffers and push blocks: Vulkan allows none
-/// in the memory of a work group, and naga lays out all arrays (VUID-StandaloneSpirv-None-10684).
+/// Removes the layouts of all types except those of storage buffers and push blocks: Vulkan allows
+/// none in the memory of a work group, but naga adds them to all arrays
+/// (VUID-StandaloneSpirv-None-10684).
 fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
     let mut module = rspirv::dr::load_words(words).map_err(|fault| fault.to_string())?;
     let ids = |of: &Instruction| {

@@ -15,7 +15,7 @@
 //!    across a sheet and makes up for what is missing beyond a rim. With T = tr B, the number of
 //!    directions across, that is what a sheet (1), a thread (2) or a ball (3) of the particles'
 //!    volume has under the Gaussian: its half thickness or radius R follows. Cells carry no less
-//!    than [`LEAST_CELLS`].
+//!    than `LEAST_CELLS`.
 //! 4. Certainty. There is a sheet where neighbours are not stretched apart farther than is asked
 //!    for, which the density at the middle tells, and where B is nearly a projection: the square of
 //!    its distance from one, |B - B^2|^2, is at most 0.06 in sheets, threads and at their rims, and

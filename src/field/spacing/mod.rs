@@ -1,8 +1,8 @@
 //! The spacing of particles, told by themselves: the edge of the cube that a particle fills,
 //! (volume / number)^(1/3).
 //!
-//! Two estimates check each other. [`density`] counts particles in cells, which is right in deep
-//! fluid and too large in thin fluid with gaps. [`neighbours`] measures the density around single
+//! Two estimates check each other. `density` counts particles in cells, which is right in deep
+//! fluid and too large in thin fluid with gaps. `neighbours` measures the density around single
 //! particles. Where both agree, the count holds; where they do not, or nothing is deep enough to
 //! count, the neighbours do, and the [`Estimate`] says so.
 //!

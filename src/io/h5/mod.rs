@@ -1,6 +1,6 @@
 //! Reads HDF5 with the layouts of common simulators.
 //!
-//! | layout | told by | frames |
+//! | layout | identified by | frames |
 //! |---|---|---|
 //! | VTKHDF | the group `VTKHDF` | its steps |
 //! | openPMD | the attribute `openPMD` of the root | its iterations |

@@ -153,7 +153,7 @@ mod tests {
     use super::step_number;
 
     #[test]
-    fn a_number_is_a_frames_only_where_a_word_says_so() {
+    fn a_number_is_a_frame_number_only_after_a_word_that_means_frame() {
         for (name, parent, number) in [
             ("step_0010", "", Some(10)),
             ("frame7", "", Some(7)),

@@ -229,7 +229,7 @@ impl Parts {
                 return Err(SettingConflict { setting: Setting::named("parts"), with }.into());
             }
         };
-        checked.refuse_of_indicator()?;
+        checked.check_indicator()?;
         refuse_same_file(&self.output, file_and_step(&self.input).0)?;
         for solid in checked.settings.solid_files() {
             refuse_same_file(&self.output, Path::new(solid))?;

@@ -1,5 +1,5 @@
-//! What every backend must do, written once: the method to the bit, and watertight surfaces of the
-//! right shape.
+//! The conformance tests of every backend: results equal to the method's to the bit, and watertight
+//! surfaces with the right topology.
 
 mod oracle;
 mod periodic;
@@ -14,7 +14,7 @@ use meniscus::internals::vulkan::VulkanError;
 
 use crate::common;
 
-/// Where the list runs.
+/// The backend on which the tests run.
 struct Place {
     backend: Backend,
 }
@@ -24,12 +24,12 @@ impl Place {
         Ok(Self { backend: Backend::cpu() })
     }
 
-    /// A device that is watched: what the processor does in its place fails the test.
+    /// A watched device: work that falls back to the CPU fails the test.
     fn vulkan() -> Result<Self, &'static VulkanError> {
         Ok(Self { backend: common::device::shared()? })
     }
 
-    /// Settings that tests start from, here.
+    /// Default settings of the tests on this backend.
     fn sampling(&self) -> Sampling {
         let mut sampling = common::sampling();
         sampling.resources.backend = self.backend.clone();
@@ -37,7 +37,7 @@ impl Place {
     }
 }
 
-/// A test of the list for each place.
+/// Makes a test of the list for each backend.
 macro_rules! at_every_place {
     ($($module:ident: $($test:ident)*;)*) => {
         at_every_place! { cpu: $($module: $($test)*;)* }

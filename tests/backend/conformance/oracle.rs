@@ -1,4 +1,4 @@
-//! The sparse pipeline against the method on one dense array.
+//! Compares the sparse pipeline with the method on one dense array.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use crate::common::distances::{Distances, UNITS, ZERO, away, quantile};
 use crate::common::scene::Random;
 use crate::common::{dif, fill, recipe, reconstruct, shuffle, splashes, surfacing, tank};
 
-/// A way to compute a field that the oracle knows, of particles.
+/// Particles, and a way to compute their field that the oracle implements.
 struct Variant {
     particles: Vec<[f64; 3]>,
     sampling: Sampling,
@@ -48,8 +48,8 @@ fn variants(place: &Place, seed: u64) -> Vec<Variant> {
     variants
 }
 
-/// Clouds in cells of one to an eighth of a spacing: wide ones are as wide, and two to eight times
-/// as wide.
+/// Clouds in cells of one to an eighth of a spacing, so that wide cells are once to eight times as
+/// wide as cells.
 fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
     let deep = fill(14.0, 1.0, 0.3, seed, |p| p.abs().max_element() < 12.0);
     let water = water(seed);
@@ -68,7 +68,7 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
         let method = IndicatorKind::Cloud.into();
         let mut sampling = Sampling { method, spacing: Some(spacing), ..place.sampling() };
         if walls {
-            // An odd number of cells from odd ones on, so that wide cells lie across walls.
+            // An odd number of cells between odd ones, so that wide cells cross walls.
             let odd = |spacings: f64| 2.0 * (spacings * spacing / 2.0).floor() + 1.0;
             let [lo, hi] = [[-2.6, -3.4, -4.1], [3.2, 2.4, 4.4]].map(|p| DVec3::from(p.map(odd)));
             sampling.domain = Domain::new(&sampling.grid, lo, hi + DVec3::X).ok();
@@ -80,14 +80,14 @@ fn of_clouds(place: &Place, seed: u64) -> Vec<Variant> {
     cases.into_iter().map(variant).collect()
 }
 
-/// Waves on a pool in disorder, a sheet, and particles alone, in twos and in a chain, a spacing of
-/// 1 apart.
+/// Disordered water with waves, a sheet, and particles alone, in pairs and in a chain, with a
+/// spacing of 1.
 fn water(seed: u64) -> Vec<[f64; 3]> {
     let mut random = Random::new(seed);
     let mut particles = fill(5.0, 1.0, 0.4, seed, |p| p.y < p.x.sin() - 0.6 && p.x + p.z < 4.0);
     particles.extend(fill(5.0, 1.0, 0.3, seed + 9, |p| p.y > 2.0 && p.y < 3.0 && p.x > -1.0));
     particles.extend((0..12).map(|_| [(); 3].map(|()| 10.0 * random.unit() - 5.0)));
-    // Two in one place, and a chain.
+    // Two particles at the same position, and a chain.
     particles.extend([[-4.2, 1.3, 0.4]; 2]);
     particles.extend((0..4).map(|i| [-4.0 + 1.4 * f64::from(i), 1.5, -4.0]));
     particles
@@ -103,7 +103,7 @@ fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Vari
     distances(frame, sampling, surfacing).integer(particles, is_inside)
 }
 
-/// What is deep in a frame of clouds.
+/// The cells that are deep in a frame of clouds.
 fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<Inside> {
     let (recipe, _) = recipe(frame, surfacing);
     let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };
@@ -130,7 +130,7 @@ fn oracle(frame: &Engine, sampling: &Sampling, surfacing: &Surfacing) -> Method 
     }
 }
 
-/// The sparse field, block by block as it is meshed, is the dense one; beyond, both are 0.
+/// The sparse field, block by block as it is meshed, equals the dense one; outside both are 0.
 fn assert_same_field(frame: &Engine, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
     let (recipe, _) = recipe(frame, surfacing);
     let mut cells = 0;
@@ -187,7 +187,7 @@ pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
     let mut random = Random::new(17);
     let mut spray: Vec<[f64; 3]> =
         (0..8).map(|_| [(); 3].map(|()| 30.0 * random.unit() - 15.0)).collect();
-    // Two particles near each other, and drops of a few.
+    // Two close particles, and drops of a few.
     spray.extend([
         [9.0, 1.0, 3.0],
         [10.3, 1.2, 3.1],
@@ -207,7 +207,7 @@ pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
     }
 }
 
-/// Thin fluid as drops alone: sheets have tests of their own.
+/// Thin fluid as drops only: sheets have their own tests.
 fn of_drops() -> Surfacing {
     Surfacing { sheets: SheetStretch::new(0.0).unwrap(), ..surfacing() }
 }
@@ -273,12 +273,12 @@ pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place:
     }
 }
 
-/// How far the integers of distances may be off from the formulas within a spacing of the surface,
-/// in spacings: in 99 of 100 cells, and in any.
+/// Maximum errors of the integer distances within a spacing of the surface, in spacings: in 99 % of
+/// the cells, and in any cell.
 const USUALLY_OFF: f64 = 0.0045;
 const OFF: f64 = 0.017;
 
-/// On the processor: devices have the same integers.
+/// On the CPU only: devices compute the same integers.
 #[test]
 fn distances_are_those_of_the_formulas_in_f64_within_a_fiftieth_of_a_spacing() {
     let Ok(place) = Place::cpu();
@@ -314,7 +314,7 @@ fn the_committed_tables_are_what_they_stand_for() {
     }
 }
 
-/// Symmetry, counting, and clouds whose wide cells are as wide as cells, and four times as wide.
+/// Symmetry, counting, and clouds whose wide cells are once and four times as wide as cells.
 fn of_each_kind(place: &Place, seed: u64) -> impl Iterator<Item = Variant> {
     let which = [0, 8, 16, 22];
     variants(place, seed)
@@ -348,7 +348,7 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
 }
 
 pub fn cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved(place: &Place) {
-    // A power of two and a multiple of it: the same particles in cells, to the bit.
+    // With powers of two and multiples of them, the cells contain the same particles to the bit.
     let (cell, origin) = (0.25, DVec3::new(-3.0, 0.5, 10.0));
     for Variant { particles, sampling: unit, surfacing } in of_each_kind(place, 17) {
         let placed: Vec<[f64; 3]> =

@@ -1,4 +1,4 @@
-//! Periodic boxes: the mesh is that of a fluid which is repeated in so many words.
+//! Periodic boxes: the mesh equals that of a fluid whose copies are given explicitly.
 
 use glam::DVec3;
 use meniscus::internals::backend::Backend;
@@ -15,7 +15,7 @@ use super::Place;
 use crate::common::periodic::{Faces, fluid, repeated, triangles_within};
 use crate::common::{INDICATORS, surfacing};
 
-/// Clouds and others in cells of an edge, with particles 1 apart.
+/// Settings for an indicator and a cell size, with particles 1 apart.
 fn sampling(place: &Place, kind: IndicatorKind, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
     Sampling {
@@ -33,7 +33,7 @@ fn in_box(sampling: &Sampling, surfacing: &Surfacing, faces: Faces) -> Sampling 
     Sampling { periodic: Some(periodic), ..sampling.clone() }
 }
 
-/// The mesh of some particles, and what it was calibrated by.
+/// The mesh of particles, and its calibration.
 fn drawn(
     particles: &[[f64; 3]],
     sampling: &Sampling,
@@ -83,8 +83,8 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
                 let alone = Sampling { method, ..sampling.clone() };
                 let (expected, _) =
                     drawn(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
-                // Between the outermost centres and the faces the mesh is cut, and its gradient
-                // ends there.
+                // The mesh is cut between the outermost centres and the faces, where its gradient
+                // also ends.
                 let margin = if mesh == PeriodicMesh::Cut { 1.51 * cell } else { 0.0 };
                 let [found, expected] =
                     [&found, &expected].map(|mesh| triangles_within(mesh, faces, margin));
@@ -101,7 +101,7 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
 }
 
 pub fn a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is(place: &Place) {
-    // Wide enough for parts so deep that nothing is looked at there, and off the cells' faces.
+    // Large enough for parts that are too deep to be searched, and off the cells' faces.
     let edge = 61.3;
     let steps = || (0..61).map(|i| (f64::from(i) + 0.5) * edge / 61.0);
     let particles: Vec<[f64; 3]> =
@@ -118,13 +118,13 @@ pub fn a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is
         assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "cells of {cell}");
         assert_eq!((found.components, found.genus), (1, Some(0)), "cells of {cell}");
         let share = found.volume.unwrap() / edge.powi(3);
-        // Edges are cut off by a cell at the most.
+        // Edges are cut off by at most a cell.
         assert!((1.0 - share).abs() < 0.005, "cells of {cell}: {share}");
     }
 }
 
 pub fn a_periodic_mesh_is_the_same_on_every_backend(place: &Place) {
-    // Cells do not divide the box, and wide ones even less.
+    // The box is no multiple of cells, nor of wide cells.
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let particles = fluid(9, edges);
     for (kind, cell) in

@@ -1,4 +1,4 @@
-//! What a part of a large frame tells of all of it.
+//! Estimates for a large frame from a sample of its blocks.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::field;
@@ -12,11 +12,11 @@ use super::Place;
 use crate::common::scene::splash;
 use crate::common::{dif, recipe, surfacing};
 
-/// Cells of a spacing.
+/// Cells per spacing.
 const CELLS: f64 = 1.6;
 
-/// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold
-/// little.
+/// Water with waves, a sphere above it, a sheet and spray: about 400 bins, of which half contain
+/// few particles.
 fn frame(place: &Place, indicator: IndicatorKind) -> (Engine, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();

@@ -1,5 +1,5 @@
-//! Surfaces of known shape: closed, oriented, manifold, of the right genus and volume, with outward
-//! normals.
+//! Surfaces of known shapes: closed, oriented, manifold, with the right genus and volume, and
+//! outward normals.
 
 use std::f64::consts::PI;
 
@@ -35,7 +35,8 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-/// Name, genus, volume in cells and inside of a shape no part of which is thinner than 32 cells.
+/// Name, genus, volume in cells, and the inside of a shape that is at least 32 cells thick
+/// everywhere.
 type Shape = (&'static str, i64, f64, fn(DVec3) -> bool);
 
 const SHAPES: [Shape; 3] = [
@@ -63,8 +64,8 @@ pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percen
                 let measures = measure(&surface.mesh);
                 assert_eq!((measures.genus, measures.components), (Some(genus), 1), "{what}");
                 let error = measures.volume.unwrap() / volume - 1.0;
-                // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. The box after
-                // the Gaussian makes v 1.6 cells^2 for counting: 1.9 % of this sphere.
+                // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. With the box
+                // after the Gaussian, v is 1.6 cells^2 for counting: 1.9 % of this sphere.
                 let curved = name == "sphere" && indicator != IndicatorKind::Symmetry;
                 assert!(
                     error.abs() < if curved { 0.019 } else { 0.01 },
@@ -89,7 +90,7 @@ pub fn normals_point_out_of_a_sphere(place: &Place) {
     assert!(measure(&surface.mesh).volume.unwrap() > 0.0);
 }
 
-/// The surface of samples that a function gives, over blocks of 32^3 cells, zero all around.
+/// The surface of a function's samples, in blocks of 32^3 cells, with zeros around them.
 fn surface_of(
     place: &Place,
     blocks: CellBox,
@@ -105,7 +106,7 @@ fn surface_of(
     let mut pages: Vec<_> = cells.cubes(BIN).filter_map(page).collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
-    // So narrow a filter changes nothing.
+    // This filter is so narrow that it changes nothing.
     let filters =
         PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, iso);
@@ -143,8 +144,7 @@ pub fn white_noise_over_27_blocks_is_a_closed_oriented_manifold(place: &Place) {
 }
 
 pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold(place: &Place) {
-    // Two inside values and one outside: 2^12 patterns on 2 x 2 x 3 samples, far apart from each
-    // other.
+    // Two inside values and one outside: 2^12 patterns of 2 x 2 x 3 samples, far apart.
     let pattern = |cell: IVec3| {
         let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
         let which = group.x + 16 * (group.y + 16 * group.z);
@@ -166,13 +166,13 @@ pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifo
     assert_watertight(&mesh, "all patterns");
 }
 
-/// Clouds of particles a unit apart in cells of so many spacings.
+/// Clouds of particles one unit apart, with this cell size in spacings.
 fn of_spacings(place: &Place, cell: f64) -> Sampling {
     let grid = Grid::new(DVec3::ZERO, cell).unwrap();
     Sampling { method: IndicatorKind::Cloud.into(), grid, spacing: Some(1.0), ..place.sampling() }
 }
 
-/// Cells from a quarter of a spacing to two thirds.
+/// Cell sizes from a quarter of a spacing to two thirds.
 const CELLS: [f64; 4] = [0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0];
 
 pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place: &Place) {
@@ -208,7 +208,7 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
     }
 }
 
-/// On the processor: devices have the same integers.
+/// On the CPU only: devices compute the same integers.
 #[test]
 fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies() {
     let Ok(place) = Place::cpu();
@@ -216,7 +216,7 @@ fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies()
     for cell in CELLS {
         let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
         for i in 0..18 {
-            // Anywhere in a cell, and then where cells, wide ones and blocks meet.
+            // First at random positions in a cell, then where cells, wide cells and blocks meet.
             let particle = match i {
                 0..8 => [(); 3].map(|()| 4.0 * random.unit()),
                 8..16 => [i & 1, i >> 1 & 1, i >> 2 & 1].map(|half| 0.5 * cell * f64::from(half)),
@@ -237,7 +237,7 @@ fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies()
     }
 }
 
-/// On the processor: devices have the same integers.
+/// On the CPU only: devices compute the same integers.
 #[test]
 fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way_it_goes() {
     let Ok(place) = Place::cpu();
@@ -284,7 +284,7 @@ pub fn a_ball_of_air_of_two_spacings_is_left_in_the_water(place: &Place) {
 }
 
 pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place) {
-    // The one in the middle lies on a corner of eight bricks of wide cells, the others partly.
+    // The middle bubble is at a corner of eight bricks of wide cells, the others elsewhere.
     let places = (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9));
     let middles: Vec<DVec3> = places.map(|at| 17.0 * (at - 1).as_dvec3()).collect();
     let deep = |p: DVec3| p.abs().max_element() < 26.0;
@@ -296,8 +296,8 @@ pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place)
     }
 }
 
-/// How high the middle of a pool 32 spacings wide is on average, and how rough, in spacings: as far
-/// as no filter reaches its ghost layer.
+/// The mean height and roughness, in spacings, of the middle of a pool 32 spacings wide, where no
+/// filter reaches its ghost layer.
 fn level(place: &Place, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);
     let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };
@@ -342,8 +342,7 @@ pub fn a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_th
             let found = measure(&mesh);
             let ([low, high], volume) = (found.bounds.unwrap(), found.volume.unwrap());
             assert_eq!((low, high[0], high[2]), ((-walls).to_array(), 8.0, 8.0), "{what}");
-            // In wide cells that lie across a wall the outermost of the fluid stands for all beyond
-            // it.
+            // In wide cells that cross a wall, the outermost fluid is repeated beyond it.
             println!("{what}: {}, up to {}", volume / 2048.0, high[1]);
             assert!(
                 (volume / 2048.0 - 1.0).abs() < 0.02 && high[1] < 0.35,
@@ -353,7 +352,7 @@ pub fn a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_th
     }
 }
 
-/// On the processor, to which devices leave what they have no room for.
+/// On the CPU, which also takes over from devices without enough memory.
 #[test]
 fn scratch_files_change_no_byte_in_fine_cells() {
     let Ok(place) = Place::cpu();
@@ -403,8 +402,8 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
 }
 
 pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &Place) {
-    // Walls on cell faces, and walls that cut cells in unequal parts, where the lattice fills the
-    // tank less well.
+    // Walls on cell faces, and walls that cut cells unevenly, where the lattice fills the tank less
+    // exactly.
     for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
         let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
         for indicator in INDICATORS {
@@ -488,7 +487,7 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
                 assert_eq!(measure(&mesh).components, 1);
             }
             (IndicatorKind::Symmetry, Err(FrameError::NoSurface { .. })) => {}
-            // Sixteen bits hold no mean of a million.
+            // The 16-bit samples cannot represent a mean of a million.
             (IndicatorKind::Counting, Err(FrameError::MeanCount(_))) => {}
             (indicator, other) => panic!("{indicator:?} gave {other:?}"),
         }
@@ -497,7 +496,7 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
 
 pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
     // A rigid rotation about y, three times as fast as the unit; one particle has no velocity, and
-    // a number of one is none.
+    // one value is NaN.
     let rotation = |i: usize, [x, _, z]: [f64; 3]| {
         [if i == 18 { f32::NAN } else { 3.0 * z as f32 }, f32::from(i != 17) * 0.5, -3.0 * x as f32]
     };
@@ -508,7 +507,7 @@ pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
     let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
     assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
     for (&[x, _, z], v) in first.mesh.positions.iter().zip(velocity.values.chunks_exact(3)) {
-        // The values come from within: up to two cells further in than the vertex.
+        // The values come from inside: up to two cells deeper than the vertex.
         assert!((f64::from(v[0]) - 3.0 * z).abs() < 6.0 && (f64::from(v[2]) + 3.0 * x).abs() < 6.0);
         assert!((v[1] - 0.5).abs() < 0.1);
     }

@@ -1,5 +1,4 @@
-//! Builds the calls of the C interface that its own test makes at random, to be made by what bytes
-//! say.
+//! Builds the random calls of the C interface's own test, driven by the fuzzer's bytes.
 
 fn main() {
     let c = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../src/bindings/c");

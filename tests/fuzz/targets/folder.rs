@@ -1,4 +1,4 @@
-//! A folder of each thread's own, in which files are written again and again.
+//! A folder for each thread, in which files are written repeatedly.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,8 +9,7 @@ thread_local! {
     static FOLDER: TempDir = in_memory().unwrap_or_else(|| tempfile::tempdir().unwrap());
 }
 
-/// Where files need no disk, if there is such a place: one that is truncated and written again is
-/// slow on most.
+/// A folder in memory, if there is one: truncating and writing a file again is slow on most disks.
 fn in_memory() -> Option<TempDir> {
     tempfile::tempdir_in("/dev/shm").ok()
 }
@@ -27,14 +26,14 @@ pub fn file(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// Makes a folder in it that is empty.
+/// Makes an empty folder in it.
 pub fn empty(name: &str) -> PathBuf {
     let folder = path(name);
     clear(&folder);
     folder
 }
 
-/// Removes all that is in a folder.
+/// Removes the content of a folder.
 fn clear(folder: &Path) {
     match fs::remove_dir_all(folder) {
         Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}

@@ -1,4 +1,4 @@
-//! Readers of meshes, and what writers make of odd ones.
+//! Readers of meshes, and writers with unusual meshes.
 
 use meniscus::internals::io::CoordinateWidth;
 use meniscus::internals::io::output::MeshFormat;
@@ -81,8 +81,7 @@ const NAMES: &[&str] = &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "
 const OBJ: &[&str] =
     &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
 
-/// Reads a mesh, which is what it has to be whatever is in the file, and comes back when it is
-/// written.
+/// Reads a mesh, which must be valid for any bytes, and the same after it is written and read.
 fn read(format: MeshFormat, data: &[u8]) {
     let mesh = match format.read(data) {
         Ok(mesh) => mesh,
@@ -102,7 +101,7 @@ fn bits(positions: &[[f64; 3]]) -> Vec<u64> {
     positions.as_flattened().iter().map(|x| x.to_bits()).collect()
 }
 
-/// Writes a mesh, and reads it.
+/// Writes a mesh and reads it.
 fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
     let mut bytes = Vec::new();
     format.write(&mut bytes, mesh, CoordinateWidth::F64).unwrap();
@@ -113,8 +112,8 @@ fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
 const NAMING: [MeshFormat; 4] =
     [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf];
 
-/// Attributes of any names, as particles may have them, leave the rest of the mesh as it is, in the
-/// format that the first byte says.
+/// Attributes with any names, as particles may have them, do not change the rest of the mesh. The
+/// first byte selects the format.
 fn written_and_read(data: &[u8]) {
     let Some((&format, names)) = data.split_first() else { return };
     let format = NAMING[usize::from(format) % NAMING.len()];

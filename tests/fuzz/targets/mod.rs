@@ -1,9 +1,7 @@
-//! What is fuzzed: a function for each target, and the small files that mutations begin with, all
-//! of them made here.
+//! The fuzz targets: a function for each, and small seed files, all generated here.
 //!
-//! A target takes any bytes, and fails by a panic: where the library panics, and where something
-//! does not hold that it promises. What formats compress or sum up a target compresses and sums up
-//! itself, so that mutations get past that.
+//! A target takes any bytes. It panics if the library panics, or if the library breaks a promise. A
+//! target compresses and checksums its bytes itself, so that mutations get past this.
 
 mod arguments;
 pub mod folder;
@@ -19,20 +17,20 @@ mod wrapped;
 #[path = "../../io/build.rs"]
 pub mod build;
 
-/// Something that takes any bytes.
+/// A fuzz target.
 pub struct Target {
     /// The name on the command line.
     pub name: &'static str,
-    /// How often it is run on stable Rust, which is to take some tenths of a second.
+    /// Number of runs on stable Rust, which should take some tenths of a second.
     pub runs: u32,
     pub run: fn(&[u8]),
-    /// What mutations begin with.
+    /// The seeds of mutations.
     pub seeds: fn() -> Vec<Vec<u8>>,
-    /// Words that mutations put in.
+    /// Words that mutations insert.
     pub words: &'static [&'static str],
 }
 
-/// All that there are.
+/// All targets.
 pub fn all() -> Vec<Target> {
     let mut all = particles::targets();
     all.extend(meshes::targets());
@@ -46,10 +44,10 @@ pub fn all() -> Vec<Target> {
     all
 }
 
-/// Lets the calling thread do what the library would share among all: handing work over takes
-/// longer than doing it, and what is fuzzed is to be the same every time.
+/// Runs shared work on the calling thread: passing it on takes longer, and a target must be
+/// deterministic.
 pub fn on_one_thread() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
-    // There is one already where this is called twice.
+    // Fails if this was called before.
     let _ = pool.build_global();
 }

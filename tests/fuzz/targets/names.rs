@@ -1,4 +1,4 @@
-//! Names of frames, and what is made of them.
+//! Patterns of frame names, and the names made from them.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -53,7 +53,7 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
-/// A pattern that is read gives each number a name of its own.
+/// A valid pattern gives each number its own name.
 fn patterns(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     if let Ok(Some(pattern)) = Pattern::parse(Path::new(text)) {
@@ -67,13 +67,13 @@ fn patterns(data: &[u8]) {
     let _ = Naming::of(Path::new(text));
 }
 
-/// The first line is a request, the others are files that are there: frames are each of one number
-/// and one output, in order.
+/// The first line is a request, the others are existing files: each frame has one number and one
+/// output, and frames are in order.
 fn frames(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     let mut lines = text.split('\n');
     let request = lines.next().unwrap_or_default();
-    // Nothing but what is in the folder.
+    // Only names in the folder.
     if request.contains("..")
         || request.contains("**")
         || request.contains('\0')

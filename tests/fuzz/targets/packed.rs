@@ -1,5 +1,5 @@
-//! Packed frames: as they are with checksums made right again, built around pages that are mutated
-//! unpacked, and drawn.
+//! Packed frames: with corrected checksums, built from pages that are mutated before packing, and
+//! drawn.
 
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::io::mnf::open_frame;
@@ -35,7 +35,7 @@ pub fn targets() -> Vec<Target> {
 }
 
 const HEADER: usize = 16;
-/// The footer without the number of pages, and what a periodic box adds to it.
+/// The size of the footer without the number of pages and the periodic box.
 const FACTS: usize = 136;
 const PERIODIC: usize = 56;
 const ENTRY: usize = 44;
@@ -51,7 +51,7 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().unwrap()))
 }
 
-/// Where the footer of a frame begins, and its index.
+/// The start of a frame's footer, and of its index.
 fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     let tail = bytes.len().checked_sub(TAIL)?;
     let footer = usize::try_from(u64_at(bytes, tail)?)
@@ -62,7 +62,7 @@ fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     (index <= tail).then_some((footer, index))
 }
 
-/// The same bytes, but for checksums, which are right wherever they have a place.
+/// The same bytes with correct checksums, as far as there is space for them.
 fn sealed(data: &[u8]) -> Vec<u8> {
     let mut bytes = data.to_vec();
     let Some((footer, index)) = layout(&bytes) else { return bytes };
@@ -87,8 +87,8 @@ fn seal_footer(bytes: &mut [u8], footer: usize) {
     bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
 }
 
-/// A frame whose pages are given unpacked: version, side, footer, and of each page its key, bricks,
-/// full cells, box, and the length and bytes of its planes.
+/// A frame from unpacked pages: version, side, footer, and for each page its key, bricks, full
+/// cells, box, and the length and bytes of its planes.
 fn built(plain: &[u8]) -> Vec<u8> {
     let mut rest = plain;
     let mut take = |count: usize| {
@@ -137,7 +137,7 @@ fn built(plain: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The inverse, of a frame that is whole.
+/// The inverse, for an undamaged frame.
 fn unbuilt(frame: &[u8]) -> Vec<u8> {
     let (footer, index) = layout(frame).unwrap();
     let mut plain = vec![frame[8], frame[12]];
@@ -154,7 +154,7 @@ fn unbuilt(frame: &[u8]) -> Vec<u8> {
     plain
 }
 
-/// Opens a frame, and looks at its field.
+/// Opens a frame, and reads its field.
 fn open(bytes: &[u8]) {
     let path = folder::file("a.mnf", bytes);
     for cache in [0, u64::MAX] {
@@ -166,8 +166,7 @@ fn open(bytes: &[u8]) {
     }
 }
 
-/// Draws a frame: whatever passes for one has a surface that is closed, oriented and manifold, or
-/// says why it has none.
+/// Draws a frame: a frame that opens has a closed, oriented, manifold surface, or gives an error.
 fn draw(bytes: &[u8]) {
     let path = folder::file("b.mnf", bytes);
     let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());

@@ -18,7 +18,7 @@ use super::build::houdini::{
 use super::build::{self, Bi4, VtkXml, tuples};
 use super::{Target, meshes};
 
-/// Attributes that are read of one file.
+/// Maximum number of attributes that are read from a file.
 const MOST_ATTRIBUTES: usize = 20;
 
 pub fn targets() -> Vec<Target> {
@@ -305,7 +305,7 @@ pub fn own(data: &[u8]) -> Bytes {
     data.to_vec().into()
 }
 
-/// Reads every number of a file: the same whatever the range.
+/// Reads every number of a file: the same for all ranges.
 pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     let file = match read {
         Ok(file) => file,
@@ -365,7 +365,7 @@ fn run_vtu(data: &[u8]) {
     let _ = (vtp::has_faces(data.into()), vtp::is_text(data.into()));
 }
 
-/// The first byte says which step is wanted, and of which particles.
+/// The first byte selects the step and the type of particles.
 fn run_hdf5(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let step = u64::from(choice & 3).checked_sub(1);
@@ -486,7 +486,7 @@ pub fn vtus() -> Vec<Vec<u8>> {
 }
 
 fn hdf5s() -> Vec<Vec<u8>> {
-    // Made by `tools/interop`.
+    // Files made by `tools/interop`.
     let files: [(u8, &[u8]); 14] = [
         (0, include_bytes!("../../data/h5/columns.h5")),
         (1, include_bytes!("../../data/h5/groups.h5")),

@@ -1,4 +1,4 @@
-//! Frames in parts: files of parts that are damaged, and random particles in random parts.
+//! Frames in parts: damaged files of parts, and random particles in random parts.
 
 use std::fs;
 use std::path::PathBuf;
@@ -31,7 +31,7 @@ fn asked() -> Reconstruction {
     Reconstruction::new().spacing(1.0).cell(1.0).threads(1)
 }
 
-/// Names of the files that a plan and its parts are kept in.
+/// Names of the files of a plan and its parts.
 const NAMES: [&str; 3] = ["plan.json", "part_0", "part_1"];
 
 fn parts() -> (Parts, PathBuf) {
@@ -54,7 +54,7 @@ fn whole() -> &'static Whole {
     })
 }
 
-/// A plan and its parts, made in this thread's folder.
+/// A plan and its parts, in this thread's folder.
 fn fresh() -> (Parts, PathBuf) {
     let particles: Vec<[f64; 3]> = (0..30_u32)
         .map(|i| [i % 3, i / 3 % 3, 20 * (i / 15)].map(|c| f64::from(c) * 0.8))
@@ -67,8 +67,8 @@ fn fresh() -> (Parts, PathBuf) {
     (parts, files)
 }
 
-/// The first byte says which of the files the others replace, and whether a part's checksum is made
-/// right: what such a part holds is taken on trust, but for what its lists say.
+/// The first byte selects which file is replaced by the rest, and whether a part's checksum is
+/// corrected. The content of such a part is trusted, except for its lists.
 fn damaged(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     thread_local! {
@@ -86,7 +86,7 @@ fn damaged(data: &[u8]) {
     }
     fs::write(folder.join(NAMES[which]), &bytes).unwrap();
     match parts.merge() {
-        // What makes it whole is that its sum is right.
+        // A correct checksum makes it valid.
         Ok(surface) => {
             let mesh = surface.to_mesh();
             if choice & 4 == 0 {
@@ -105,7 +105,7 @@ fn seeds() -> Vec<Vec<u8>> {
         .to_vec()
 }
 
-/// Random particles in so many parts have the surface that they have in one.
+/// Random particles in several parts have the same surface as in one.
 fn merged(data: &[u8]) {
     let Some(([count, scale], data)) = data.split_first_chunk::<2>() else { return };
     let scale = [0.02, 0.1, 1.0, 40.0][usize::from(scale & 3)];

@@ -1,5 +1,5 @@
-//! What a conversion keeps beside its meshes: its state and its records, as damaged as one likes;
-//! and scenes beside particles.
+//! The files beside the meshes of a conversion: damaged states and records; and scenes beside
+//! particles.
 
 use std::fs;
 
@@ -59,8 +59,8 @@ const RECORD: &[&str] = &[
     "null",
 ];
 
-/// Logs of several processes, divided by a byte that no text has. However they are damaged, merging
-/// them loses none of what they tell.
+/// Logs of several processes, divided by a byte that does not occur in text. Merging damaged logs
+/// loses no valid record.
 fn records(data: &[u8]) {
     let folder = folder::empty("out.ply.meniscus");
     let log = |number: usize| {
@@ -84,7 +84,7 @@ fn records(data: &[u8]) {
     }
 }
 
-/// A state that is read is the same when it was kept and is read again.
+/// A state that can be read is unchanged after it is written and read again.
 fn state(data: &[u8]) {
     folder::empty("out.ply.meniscus");
     let store = Store::beside(&folder::path("out.ply"));
@@ -102,7 +102,7 @@ fn state(data: &[u8]) {
     }
 }
 
-/// Whatever is beside the particles, their spacing is a length or is not known.
+/// For any file beside the particles, the spacing is a valid length or unknown.
 fn scene(name: &str, data: &[u8]) {
     let folder = folder::empty("scene");
     fs::write(folder.join(name), data).unwrap();

@@ -1,5 +1,4 @@
-//! Files that are compressed or summed up, around bytes that are not: what is mutated is what is
-//! inside.
+//! Compressed or checksummed files around mutated bytes.
 
 use std::path::Path;
 
@@ -12,7 +11,7 @@ use super::build::{self, gzip, xz};
 use super::particles::{self, NPY, memory, own, read_through};
 use super::{Target, folder, meshes};
 
-/// Compresses some bytes.
+/// Compresses bytes.
 type Pack = dyn Fn(&[u8]) -> Vec<u8>;
 type PackBlock = fn(&[u8]) -> Vec<u8>;
 
@@ -32,14 +31,14 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
-/// The first byte says what is inside, and whether all of it or the packed bytes are damaged.
+/// The first byte selects the content, and whether all of it or the packed bytes are damaged.
 fn run_gzip(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let name =
         ["a.bgeo", "a.xyz", "a.npy.gz", "a.ply", "a.csv.gz", "a.bi4"][usize::from(choice & 7) % 6];
     let packed = match choice >> 3 & 3 {
         0 => [gzip(data), gzip(data)].concat(),
-        // A stream that ends as it likes.
+        // A stream with any end.
         1 => {
             let mut packed = gzip(data);
             let end = packed.len() - usize::from(choice >> 5);
@@ -65,7 +64,7 @@ fn gzips() -> Vec<Vec<u8>> {
     wrapped.chain([packed]).collect()
 }
 
-/// The first byte says by what the rest is compressed, and whether before or after it is damaged.
+/// The first byte selects the compression, and whether damage occurs before or after it.
 fn run_streams(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let zstd = |data: &[u8]| zstd::encode_all(data, 1).unwrap();
@@ -76,7 +75,7 @@ fn run_streams(data: &[u8]) {
     let packed = match choice >> 1 & 3 {
         0 => pack(data),
         1 => [pack(data), pack(data)].concat(),
-        // A stream that ends as it likes.
+        // A stream with any end.
         2 => {
             let mut packed = pack(data);
             packed.truncate(packed.len().saturating_sub(usize::from(choice >> 3)));
@@ -100,7 +99,7 @@ fn streams() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Arrays, each after its length in two bytes, in an archive whose sums are right.
+/// Arrays, each after its length in two bytes, in an archive with correct checksums.
 fn run_npz(data: &[u8]) {
     let Some((choice, mut data)) = data.split_first() else { return };
     let mut arrays = Vec::new();
@@ -122,7 +121,7 @@ fn arrays() -> Vec<Vec<u8>> {
     arrays.chunks(2).map(pair).collect()
 }
 
-/// Blocks of zlib, LZ4 or LZMA, with whatever lengths the first bytes say.
+/// Blocks of zlib, LZ4 or LZMA, with lengths from the first bytes.
 fn run_blocks(data: &[u8]) {
     let Some((head, data)) = data.split_first_chunk::<8>() else { return };
     let [kind, points, block, last, count, ..] = *head;
@@ -138,7 +137,7 @@ fn run_blocks(data: &[u8]) {
     let whole: Vec<Vec<u8>> = data.chunks(block).map(pack).collect();
     let mut lengths = vec![whole.len() as u32, block as u32, (data.len() % block) as u32];
     lengths.extend(whole.iter().map(|block| block.len() as u32));
-    // Right but for what these bytes say.
+    // Correct except for these bytes.
     if count != 0 {
         let at = usize::from(count) % lengths.len();
         lengths[at] = lengths[at].wrapping_add(u32::from(last)).wrapping_sub(128);
@@ -155,7 +154,7 @@ fn run_blocks(data: &[u8]) {
     file.extend(whole.concat());
     file.extend(b"</AppendedData></VTKFile>");
     let read = vtp::read_particles(own(&file), memory());
-    // All as it should be is read.
+    // An undamaged file must be read.
     if count == 0 && data.len() == 3 * points * sizes[kind] && !data.is_empty() {
         assert!(read.is_ok(), "{:?}", read.err());
     }
@@ -182,8 +181,7 @@ fn blocks() -> Vec<Vec<u8>> {
     .to_vec()
 }
 
-/// What `info` says of files, which are mapped here as they are in the program; the first byte says
-/// the extension.
+/// `info` of files, which are mapped here as in the program; the first byte selects the extension.
 fn run_info(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let names = [

@@ -13,7 +13,7 @@ pub enum Value {
     Bool(bool),
     List(Vec<Value>),
     Map(Vec<Value>),
-    /// Numbers of a storage.
+    /// Numbers with a storage type.
     Numbers(&'static str, Vec<f64>),
     Bits(Vec<bool>),
 }
@@ -39,11 +39,12 @@ impl Form {
 pub enum Layout {
     Tuples,
     Arrays,
-    /// Pages of so many points, their numbers in groups; pages that can be are constant.
+    /// Pages of this many points, with their numbers in groups; pages of equal numbers are
+    /// constant.
     Pages(usize, Vec<usize>),
 }
 
-/// Storages with the bytes of a number, and its type in binary.
+/// Storage types with the bytes of a number, and its type in binary.
 pub const STORAGES: [(&str, usize, u8); 9] = [
     ("fpreal16", 2, 0x18),
     ("fpreal32", 4, 0x19),
@@ -129,7 +130,7 @@ pub fn numeric(
     Value::List(vec![definition(name, "numeric"), data])
 }
 
-/// A point attribute of texts, by their numbers; -1 is none.
+/// A point attribute of texts, by their indices; -1 is none.
 pub fn strings(name: &str, texts: &[&str], numbers: &[f64], layout: &Layout) -> Value {
     let data = keyed(vec![
         ("size", Value::Integer(1)),
@@ -155,7 +156,7 @@ pub fn cloud(points: usize, attributes: Vec<Value>) -> Value {
     geometry(points, attributes, &[], Vec::new())
 }
 
-/// A geometry with primitives, each of a kind and data, and the point of every vertex.
+/// A geometry with primitives, each with a kind and data, and the point of every vertex.
 pub fn geometry(
     points: usize,
     attributes: Vec<Value>,
@@ -329,7 +330,7 @@ impl Binary {
     }
 }
 
-/// Half precision of a number that it holds exactly, and that is not too small.
+/// Half precision of a number that it represents exactly, without subnormal numbers.
 fn half(number: f64) -> u16 {
     if number == 0.0 {
         return 0;
@@ -371,7 +372,7 @@ pub struct Container {
 }
 
 impl Container {
-    /// As Houdini makes them.
+    /// The parameters that Houdini uses.
     pub const USUAL: Self = Self {
         codec: Codec::Lz4,
         shuffle: Shuffle::Bytes,
@@ -386,7 +387,7 @@ impl Container {
         out.extend(0_u64.to_be_bytes());
         let start = out.len();
         let (mut index, mut last) = (Vec::new(), 0);
-        // Nothing is a chunk of nothing.
+        // Empty data has no chunk.
         let chunks: Vec<&[u8]> = match bytes {
             [] => vec![&[]],
             _ => bytes.chunks(self.chunk).collect(),

@@ -12,7 +12,7 @@ use super::{
     toolkit,
 };
 
-/// All three readers, and every number of what they accept.
+/// All three readers, and every number that they accept.
 fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
     let numbers = |file: ParticleFile| (positions(&file), attributes(&file));
     let particles = format.particles(bytes).map(numbers);
@@ -52,8 +52,7 @@ fn a_truncated_ply_is_refused_at_every_prefix() {
     }
 }
 
-/// Six points of which some have vertices that are flagged, of either kind of data set and of
-/// cells.
+/// Six points, some with flagged vertices, of both kinds of data sets and cells.
 fn with_ghosts(ascii: bool) -> Vec<VtkBuilder> {
     let file = |version: &str, types: Option<&[f64]>| {
         let corners = [5., 4., 3., 2., 1., 0.];

@@ -1,5 +1,4 @@
-//! What .ply and legacy .vtk files promise, in both directions: the formats, and builders of their
-//! files.
+//! Tests of .ply and legacy .vtk in both directions, and builders of such files.
 
 mod damage;
 mod meshes;
@@ -63,7 +62,7 @@ fn attributes(file: &ParticleFile) -> Vec<(String, usize, Vec<f32>)> {
         .collect()
 }
 
-/// A number as a format's type of that name stores it, little-endian.
+/// A number in the format's type with this name, little-endian.
 fn stored(kind: &str, value: f64) -> Vec<u8> {
     match kind {
         "char" | "int8" | "signed_char" => (value as i8).to_le_bytes().to_vec(),
@@ -88,7 +87,7 @@ fn stored_big(kind: &str, value: f64) -> Vec<u8> {
 
 const ENCODINGS: [&str; 3] = ["ascii", "binary_little_endian", "binary_big_endian"];
 
-/// Data of a .ply file in one of [`ENCODINGS`], behind a header given without its first two lines.
+/// Data of a .ply file in one of [`ENCODINGS`], after a header given without its first two lines.
 struct PlyBuilder {
     encoding: &'static str,
     bytes: Vec<u8>,
@@ -102,7 +101,7 @@ impl PlyBuilder {
         }
     }
 
-    /// A row of numbers, each with its type.
+    /// Adds a row of numbers, each with its type.
     fn row(mut self, values: &[(&str, f64)]) -> Self {
         for (index, (kind, value)) in values.iter().enumerate() {
             match self.encoding {
@@ -121,7 +120,7 @@ impl PlyBuilder {
 
 const TRIANGLE: [[f64; 3]; 3] = [[0.0, 0.5, 1.0], [1.0, -2.5, 1e-3], [-3.0, 4.0, 7.0]];
 
-/// Particles, and a face that is none of a particle file's business.
+/// Particles, and a face that a reader of particles ignores.
 fn ply_with_face(encoding: &'static str) -> Vec<u8> {
     let header = "element vertex 3\nproperty float x\nproperty double y\nproperty float32 z\nproperty uchar c\n\
                   element face 1\nproperty list uchar int vertex_indices\n";
@@ -132,7 +131,7 @@ fn ply_with_face(encoding: &'static str) -> Vec<u8> {
     file.row(&[("uchar", 3.0), ("int", 0.0), ("int", 1.0), ("int", 2.0)]).bytes
 }
 
-/// Sections of a .vtk file, and where each ends, so that the file might end there.
+/// Sections of a .vtk file, and their ends, where the file may end.
 struct VtkBuilder {
     ascii: bool,
     bytes: Vec<u8>,
@@ -166,8 +165,8 @@ impl VtkBuilder {
         self
     }
 
-    /// Says that what stands so far is a whole file, with or without the last line's end, unless
-    /// that is the empty line that something needs.
+    /// Marks the file so far as complete, with or without the last line's end, unless that is a
+    /// required empty line.
     fn end(mut self) -> Self {
         let length = self.bytes.len();
         self.ends.extend(if self.bytes.ends_with(b"\n\n") {
@@ -183,7 +182,7 @@ const TWO: [f64; 6] = [0.5, 1.0, -2.0, 1e-3, 4.5, 7.0];
 
 const TWO_POSITIONS: [[f64; 3]; 2] = [[0.5, 1.0, -2.0], [1e-3, 4.5, 7.0]];
 
-/// As the SPH library that writes `id`, `velocity` and `density`.
+/// A file of the SPH library that writes `id`, `velocity` and `density`.
 fn splish(ascii: bool) -> VtkBuilder {
     VtkBuilder::new("4.1", ascii, "UNSTRUCTURED_GRID")
         .line("POINTS 2 double")
@@ -208,7 +207,7 @@ fn splish(ascii: bool) -> VtkBuilder {
         .end()
 }
 
-/// As the GPU SPH program whose SCALARS lack their number of components.
+/// A file of the GPU SPH program that omits the number of components of SCALARS.
 fn dual(ascii: bool) -> VtkBuilder {
     VtkBuilder::new("3.0", ascii, "POLYDATA")
         .line("POINTS 2 double")
@@ -231,7 +230,7 @@ fn dual(ascii: bool) -> VtkBuilder {
         .end()
 }
 
-/// As the toolkit itself writes version 5.1, with everything that can stand around the attributes.
+/// A file in the toolkit's version 5.1, with everything that may occur around the attributes.
 fn toolkit(ascii: bool) -> VtkBuilder {
     let file = VtkBuilder::new("5.1", ascii, "UNSTRUCTURED_GRID")
         .line("FIELD FieldData 3")

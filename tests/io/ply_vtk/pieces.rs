@@ -1,10 +1,10 @@
-//! How the pieces of a long file stay in order.
+//! The pieces of a long file stay in order.
 
 use std::io::{self, Write};
 
 use meniscus::internals::io::encode::write_pieces;
 
-/// Piece number `piece` is so many numbers long, some of them none.
+/// The number of numbers in a piece, 0 for some.
 fn length(piece: usize) -> usize {
     piece * 7919 % 4096 / 16 * 16
 }

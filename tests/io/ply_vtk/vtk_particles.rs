@@ -137,13 +137,13 @@ fn the_simulators_own_frame_reads_as_its_record_says() {
     let mut ids = attribute(&file, "id");
     ids.sort_by(f32::total_cmp);
     assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "every id is there once");
-    // The exporter writes its first field under a name that it does not know.
+    // The exporter writes its first field under a wrong name.
     assert_eq!(attribute(&file, "pressure"), attribute(&file, "density"));
     assert_eq!(file.particles.attributes().len(), 4);
 }
 
-/// Points along x, with a vertex for each of `corners`, types of these in an unstructured grid, and
-/// what stands under `CELL_DATA`.
+/// Points along x, with a vertex for each of `corners`, their types in an unstructured grid, and
+/// the lines under `CELL_DATA`.
 pub(super) fn flagged(
     ascii: bool,
     version: &str,
@@ -185,7 +185,7 @@ pub(super) fn field(file: VtkBuilder, name: &str, flags: &[f64]) -> VtkBuilder {
     file.data("unsigned_char", flags)
 }
 
-/// Numbers of the points that are left.
+/// Numbers of the remaining points.
 fn left(bytes: &[u8]) -> Vec<usize> {
     let file = VTK.particles(bytes).expect("particles");
     positions(&file).iter().map(|position| position[0] as usize).collect()
@@ -217,12 +217,13 @@ fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
                     "{version}, ascii {ascii}: {name} {flags:?}"
                 );
             }
-            // A point with another vertex that is its own stays, and so does one without any.
+            // A point with another vertex of its own stays, and so does a point without a vertex.
             assert_eq!(
                 read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]),
                 [0, 3, 4, 5]
             );
-            // One attribute alone, as scalars; and no flags of one whole number each.
+            // A single attribute as scalars, and values that are not one integer each and so are
+            // not flags.
             for (kind, components, expected) in
                 [("int", 1, &[1, 3, 4][..]), ("float", 1, &all), ("int", 2, &all)]
             {

@@ -1,4 +1,5 @@
-//! Bodies filled with particles: how far surfaces lie from theirs, and what volume they hold.
+//! Bodies filled with particles: distances between the surfaces and the bodies, and the volume
+//! inside.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -19,26 +20,26 @@ use crate::{Options, Outcome};
 
 pub const JITTER: f64 = 0.3;
 const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", JITTER)];
-/// Of the lattices on which isovalues are chosen, and those of which is reported.
+/// First number of the lattices on which isovalues are chosen; reported lattices have lower ones.
 const CHOOSING: usize = 100;
-/// Of the ball whose volume is measured.
+/// Radius and number of the balls whose volume is measured.
 const RADIUS: f64 = 5.0;
 const BALLS: usize = 8;
 
-/// A turned lattice of its own.
+/// A rotated lattice.
 fn lattice(number: usize, jitter: f64) -> Lattice {
     let axis = (place(number) - 0.5).normalize();
     let turn = DQuat::from_axis_angle(axis, 1.0 + number as f64);
     Lattice { shift: place(number), turn, jitter, inset: 0.0, seed: number as u64 }
 }
 
-/// Mean of the mean distances either way, and the greatest distance.
+/// The mean distance, averaged over both directions, and the maximum distance.
 fn distances(truth: &Mesh, mesh: &Mesh) -> Outcome<[f64; 2]> {
     let found = compare(truth, mesh)?;
     Ok([(found.from_mesh.mean + found.from_reference.mean) / 2.0, found.hausdorff])
 }
 
-/// Every program as documented, and at its best isovalue where that is another.
+/// Every program with its documented settings, and with its best isovalue if that differs.
 pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> {
     let particles = options.choose(8_000, 2_000);
     let solids = [
@@ -103,7 +104,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let mut lines = Vec::new();
     for (number, solid) in solids.iter().enumerate() {
         for (sampling, jitter) in SAMPLINGS {
-            // Comparing takes longer than all else.
+            // The comparison takes most of the time.
             let cells = if jitter > 0.0 && solid.volume == few as f64 {
                 &[None, Some(0.5)][..]
             } else {
@@ -145,7 +146,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         .table("balls of radius 5: the mesh's volume over theirs, mean of 8 lattices", lines.into())
 }
 
-/// Side by side, each on a lattice of its own.
+/// Several bodies side by side, each on its own lattice.
 fn balls(ball: &Solid, jitter: f64) -> Points {
     let of = |number: usize| {
         let by = DVec3::X * (6.0 * RADIUS * number as f64);
@@ -154,7 +155,7 @@ fn balls(ball: &Solid, jitter: f64) -> Points {
     (0..BALLS).flat_map(of).collect()
 }
 
-/// A ball of triangles with a tip on each of them, `height` times as far out.
+/// A ball of triangles with a spike on each, of `height` radii.
 fn star(height: f64) -> Mesh {
     let mut star = sphere(1.0, 1);
     let triangles = std::mem::take(&mut star.triangles);

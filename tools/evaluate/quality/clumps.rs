@@ -1,4 +1,5 @@
-//! Sheets, chains, drops and bubbles: what is kept of them, in how many components.
+//! Sheets, chains, drops and bubbles: how much of them the surface keeps, and in how many
+//! components.
 
 use glam::{DVec2, DVec3, IVec3};
 use meniscus::internals::surface::mesh::Mesh;
@@ -15,7 +16,7 @@ use crate::{Options, Outcome};
 
 /// From fine to coarse.
 pub const CELLS: [f64; 4] = [0.25, 0.333, 0.5, 0.667];
-/// From one thing above a bulk to the next.
+/// Distance between objects above a bulk.
 const STOREY: f64 = 12.0;
 const SHEETS: [(&str, i32, f64); 4] = [
     ("1 layer", 1, 1.0),
@@ -23,22 +24,22 @@ const SHEETS: [(&str, i32, f64); 4] = [
     ("1 layer, stretched 1.3 times", 1, 1.3),
     ("2 layers, stretched 1.3 times", 2, 1.3),
 ];
-/// Edge of a sheet.
+/// Edge length of a sheet.
 const WIDTH: i32 = 40;
-/// Between the particles of a chain.
+/// Gaps between the particles of a chain.
 const GAPS: [f64; 3] = [1.0, 1.25, 1.5];
-/// Chains of each gap, the steps between them, and the particles in each.
+/// Number of chains per gap, their distance, and their number of particles.
 const CHAINS: usize = 6;
 const APART: f64 = 8.0;
 const LINKS: usize = 8;
-/// Drops of each size along either axis, and the steps between them.
+/// Number of drops of each size along both axes, and their distance.
 const DROPS: usize = 7;
 const STEP: f64 = 10.0;
 const SIZES: [IVec3; 3] = [IVec3::ONE, IVec3::new(2, 1, 1), IVec3::splat(2)];
-/// Radii of balls of air, and how many there are of each.
+/// Radii of air bubbles, and the number of each.
 const AIR: [f64; 2] = [2.0, 3.0];
 const BALLS: usize = 4;
-/// Edge of a bulk in disorder.
+/// Edge length of a disordered bulk.
 const EDGE: i32 = 24;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {
@@ -166,7 +167,7 @@ fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -
     [format!("{}, {holes}", measures.components), format!("{volume:.2}")]
 }
 
-/// The foot of a chain, on top of the bulk.
+/// The base of a chain, on top of the bulk.
 fn foot(gap: usize, chain: usize) -> DVec3 {
     let off = place(CHAINS * gap + chain);
     APART * DVec3::new(1.0 + chain as f64, 0.0, 1.0 + gap as f64) + DVec3::new(off.x, -0.5, off.z)
@@ -188,8 +189,8 @@ fn chains() -> Points {
     particles
 }
 
-/// How many components reach higher than the bulk near a chain, and how many of its particles are
-/// inside.
+/// Number of components near a chain that are higher than the bulk, and number of its particles
+/// that are inside.
 fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     let (found, of_vertices) = components(mesh);
     let of = |chain: usize| {
@@ -224,7 +225,7 @@ fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     [0, 1].map(|n| format!("{:.2}", mean(of.iter().map(|figures| figures[n]))))
 }
 
-/// Where a drop lies, about.
+/// Approximate position of a drop.
 fn drop_place(size: usize, number: usize) -> DVec3 {
     STEP * DVec3::new((number % DROPS) as f64, 1.0 + size as f64, (number / DROPS) as f64)
 }
@@ -259,7 +260,7 @@ fn drop_text(found: &[Component], size: usize) -> String {
     format!("{kept}; {least:.2}, {:.2}, {greatest:.2}", mean(volumes()))
 }
 
-/// The middle of a ball of air.
+/// The centre of an air bubble.
 fn air_place(radius: usize, ball: usize) -> DVec3 {
     DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64)
         + place(BALLS * radius + ball)
@@ -290,7 +291,7 @@ fn air_text(found: &[Component], radius: usize) -> String {
     format!("{kept}, {:.2}", mean(volumes.iter().map(|volume| volume / truth)))
 }
 
-/// Side by side: a bulk in some disorder, and one without any order.
+/// Side by side: a slightly disordered bulk, and a random one.
 fn disorder() -> Points {
     let mut random = Random::new(15);
     let mut particles = cuboid(IVec3::ZERO, IVec3::splat(EDGE), 0.5, &mut random);

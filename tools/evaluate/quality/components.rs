@@ -1,13 +1,13 @@
-//! The components that a mesh is in, each with its volume.
+//! The connected components of a mesh, and their volumes.
 
 use glam::DVec3;
 use meniscus::internals::surface::mesh::Mesh;
 use petgraph::unionfind::UnionFind;
 
-/// What of a mesh shares vertices.
+/// A set of triangles that share vertices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Component {
-    /// Less than 0 for a bubble.
+    /// Negative for a bubble.
     pub volume: f64,
     pub lo: DVec3,
     pub hi: DVec3,
@@ -19,7 +19,7 @@ impl Component {
     }
 }
 
-/// The components, and which of them each vertex is of; vertices that no triangle uses are of none.
+/// The components, and the component of each vertex; none for unused vertices.
 pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
     let mut joined = UnionFind::<u32>::new(mesh.positions.len());
     for &[a, b, c] in &mesh.triangles {
@@ -39,7 +39,7 @@ pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
             components.len() - 1
         });
         let component: &mut Component = &mut components[number];
-        // As seen from a corner of the component, so that digits are kept.
+        // Relative to a corner of the component, for precision.
         let origin = DVec3::from(mesh.positions[roots[triangle[0] as usize] as usize]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
         component.volume += (a - origin).dot((b - origin).cross(c - origin)) / 6.0;
@@ -50,7 +50,7 @@ pub fn components(mesh: &Mesh) -> (Vec<Component>, Vec<Option<usize>>) {
     (components, of_vertices)
 }
 
-/// Pieces, bubbles and volume of a mesh.
+/// Numbers of pieces and bubbles, and volume of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Count {
     pub components: usize,

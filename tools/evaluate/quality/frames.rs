@@ -1,5 +1,4 @@
-//! Frames of simulations: how rough calm water is, in how many components all is, and what volume
-//! it holds.
+//! Frames of simulations: roughness of calm water, number of components, and volume.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -21,15 +20,15 @@ use crate::{Options, Outcome};
 
 /// Of the repository's dam break.
 const DAM_BREAK: [&str; 3] = ["1", "10", "20"];
-/// What is wider than this Gaussian is no roughness.
+/// Features wider than this Gaussian are not roughness.
 const SIGMA: f64 = 3.0;
-/// Edge of the cells in which it is told from particles whether water is calm.
+/// Size of the cells for finding calm water from particles.
 const EDGE: f64 = 2.0;
-/// So many of those cells on either side are looked at.
+/// Number of those cells on either side that are examined.
 const REACH: i32 = 1;
-/// How far particles on top of calm water lie from a plane, RMS.
+/// Maximum RMS distance of the particles on top of calm water from a plane.
 const CALM: f64 = 0.4;
-/// How deep calm water is, and how much of that its particles fill.
+/// Minimum depth of calm water, and minimum share that its particles fill.
 const DEPTH: f64 = 4.0;
 const FULL: f64 = 0.5;
 
@@ -37,7 +36,7 @@ const FULL: f64 = 0.5;
 pub struct Frame {
     pub name: String,
     pub points: Points,
-    /// Which way each particle moves, 1 long or 0; empty where that is not known.
+    /// Direction in which each particle moves, of length 1 or 0; empty if unknown.
     pub directions: Vec<DVec3>,
 }
 
@@ -77,7 +76,7 @@ impl Frame {
         Self::read(path, format!("{folder} {file}"))
     }
 
-    /// Points on water that is calm, as far as its particles tell.
+    /// Points on water that is calm according to its particles.
     fn calm(&self) -> (Columns, Vec<bool>) {
         let flat = |p: &[f64; 3]| DVec2::new(p[0], p[2]);
         let (lo, hi) = self
@@ -107,7 +106,7 @@ impl Frame {
     }
 }
 
-/// Whether the water around a cell is there, and nearly a plane.
+/// Whether the cells around a cell have water, which is nearly a plane.
 fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
     let range = || -REACH..=REACH;
     let offs = range().flat_map(|x| range().map(move |y| IVec2::new(x, y)));
@@ -115,7 +114,7 @@ fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
         offs.map(|off| Some((off.as_dvec2(), *tops.get(&(cell + off))?))).collect();
     let Some(around) = around else { return false };
     let middle = mean(around.iter().map(|(_, top)| *top));
-    // The offsets are symmetrical, so each slope is found alone.
+    // The offsets are symmetrical, so each slope can be computed alone.
     let slope: DVec2 = around.iter().map(|(off, top)| *off * (top - middle)).sum::<DVec2>()
         / around.iter().map(|(off, _)| off.x * off.x).sum::<f64>();
     mean(around.iter().map(|(off, top)| (top - middle - slope.dot(*off)).powi(2))).sqrt() < CALM
@@ -198,7 +197,8 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     board.table("the dam break by cells", lines)
 }
 
-/// RMS of what a Gaussian leaves of the heights of calm water, and of its slope in degrees.
+/// RMS of the heights of calm water after subtracting their Gaussian, and RMS of the slope in
+/// degrees.
 fn roughness(columns: &Columns, calm: &[bool], mesh: &Mesh) -> [f64; 2] {
     let tops = columns.tops(mesh).into_iter().zip(calm);
     let heights: Vec<Option<f64>> =

@@ -1,10 +1,10 @@
-//! Surfaces seen from above: heights over the points of a level grid.
+//! Heights of surfaces over the points of a horizontal grid.
 
 use glam::{DMat3, DVec2, DVec3, IVec2};
 use meniscus::internals::surface::mesh::Mesh;
 use rayon::prelude::*;
 
-/// Points of a level grid.
+/// Points of a horizontal grid.
 #[derive(Debug, Clone, Copy)]
 pub struct Columns {
     lo: DVec2,
@@ -12,16 +12,16 @@ pub struct Columns {
     pub size: [usize; 2],
 }
 
-/// Where a surface ends above a point.
+/// Maximum height of a surface above a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Top {
     pub height: f64,
-    /// Against a level surface, in radians.
+    /// Angle to the horizontal, in radians.
     pub slope: f64,
 }
 
 impl Columns {
-    /// Half a spacing apart, over a box of x and z.
+    /// Points at half a spacing over a box of x and z.
     pub fn over(lo: DVec2, hi: DVec2) -> Self {
         let step = 0.5;
         let size = ((hi - lo) / step).round().max(DVec2::ONE);
@@ -38,12 +38,12 @@ impl Columns {
             + self.step * DVec2::new((number % self.size[0]) as f64, (number / self.size[0]) as f64)
     }
 
-    /// The slope from one height to that of the next point.
+    /// The slope between the heights of two neighbouring points.
     pub fn per_step(&self, from: f64, to: f64) -> f64 {
         (to - from) / self.step
     }
 
-    /// The point's number, if there is one so near.
+    /// The number of the point at a position, if it is on the grid.
     #[cfg(test)]
     pub fn nearest(&self, at: DVec2) -> Option<usize> {
         let place = ((at - self.lo) / self.step).round();
@@ -52,9 +52,9 @@ impl Columns {
             .then(|| place.x as usize + place.y as usize * self.size[0])
     }
 
-    /// Tells of every point below or above a triangle: its number, the triangle's height there and
-    /// its normal.
-    pub fn cross(&self, mesh: &Mesh, mut tell: impl FnMut(usize, f64, DVec3)) {
+    /// Calls a function for every point below or above a triangle, with its number, the triangle's
+    /// height and its normal.
+    pub fn cross(&self, mesh: &Mesh, mut call: impl FnMut(usize, f64, DVec3)) {
         for triangle in &mesh.triangles {
             let corners = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
             let [a, b, c] = corners;
@@ -74,14 +74,14 @@ impl Columns {
                     let of_b = (w - p).perp_dot(u - p) / doubled_area;
                     let of_c = 1.0 - of_a - of_b;
                     if of_a >= 0.0 && of_b >= 0.0 && of_c >= 0.0 {
-                        tell(x + z * self.size[0], of_a * a.y + of_b * b.y + of_c * c.y, normal);
+                        call(x + z * self.size[0], of_a * a.y + of_b * b.y + of_c * c.y, normal);
                     }
                 }
             }
         }
     }
 
-    /// The highest places of a surface that face upwards.
+    /// The maximum heights of a surface, among triangles that face upwards.
     pub fn tops(&self, mesh: &Mesh) -> Vec<Option<Top>> {
         let mut tops = vec![None; self.count()];
         self.cross(mesh, |point, height, normal| {
@@ -93,8 +93,8 @@ impl Columns {
         tops
     }
 
-    /// What is left of heights that a Gaussian takes away, where there are any: of planes nothing,
-    /// up to the ends of what is there.
+    /// Heights minus their Gaussian mean, where heights exist. A plane becomes zero, up to the
+    /// edges.
     pub fn without_gaussian(&self, heights: &[Option<f64>], sigma: f64) -> Vec<Option<f64>> {
         let reach = (3.0 * sigma / self.step).ceil() as i32;
         let offs: Vec<(IVec2, f64)> = (-reach..=reach)
@@ -105,7 +105,7 @@ impl Columns {
         let left = |n: usize| {
             let height = heights[n]?;
             let place = IVec2::new(n as i32 % width, n as i32 / width);
-            // The plane that is nearest to all around, by weight.
+            // The plane with the least weighted squares of distances.
             let (mut squares, mut sums) = (DMat3::ZERO, DVec3::ZERO);
             for &(off, weight) in &offs {
                 let at = place + off;

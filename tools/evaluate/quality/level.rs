@@ -1,4 +1,4 @@
-//! Pools: how level a level top comes out, and what of waves is left.
+//! Pools: how flat a level top is, and how much of waves remains.
 
 use std::f64::consts::TAU;
 
@@ -13,11 +13,11 @@ use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
 use crate::{Options, Outcome};
 
-/// Edge and depth of the pools; what is within `MARGIN` of their ends is not looked at.
+/// Edge length and depth of the pools; the parts within `MARGIN` of their edges are ignored.
 const WIDTH: i32 = 48;
 const DEPTH: i32 = 12;
 const MARGIN: f64 = 12.0;
-/// Length and amplitude.
+/// Wavelength and amplitude.
 const WAVES: [[f64; 2]; 2] = [[5.0, 0.7], [8.0, 1.0]];
 
 fn pool(jitter: f64, seed: usize, top: i32) -> Points {
@@ -26,12 +26,12 @@ fn pool(jitter: f64, seed: usize, top: i32) -> Points {
     pool.into_iter().map(|p| (DVec3::from(p) + height(seed) * DVec3::Y).into()).collect()
 }
 
-/// How high a pool's top lies: somewhere in a cell.
+/// Height of a pool's top: several positions in a cell.
 fn height(seed: usize) -> f64 {
     place(seed).y
 }
 
-/// Over the middle, so many spacings along x.
+/// Over the middle, this many spacings along x.
 fn middle(along: f64) -> Columns {
     Columns::over(DVec2::splat(MARGIN), DVec2::new(MARGIN + along, f64::from(WIDTH) - MARGIN))
 }
@@ -88,7 +88,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     )
 }
 
-/// Mean height above the truth, RMS about that mean, and RMS of the slope in degrees.
+/// Mean error of the height, RMS about that mean, and RMS of the slope in degrees.
 fn deviation(tops: &[Top], truth: f64) -> [f64; 3] {
     let bias = mean(tops.iter().map(|top| top.height)) - truth;
     let rms = mean(tops.iter().map(|top| (top.height - truth - bias).powi(2))).sqrt();

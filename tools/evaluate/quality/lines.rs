@@ -1,5 +1,5 @@
-//! Tables with a column for each method: lines of particles, from which each method makes meshes,
-//! and how those are read.
+//! Tables with a column for each method: sets of particles, the meshes that each method makes from
+//! them, and their measurement.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -16,22 +16,22 @@ use super::programs::Method;
 use crate::Outcome;
 use crate::tables::Table;
 
-/// Where particles are.
+/// Positions of particles.
 pub type Points = Vec<[f64; 3]>;
 
 type Reading = Box<dyn Fn(&[Mesh]) -> Outcome<Vec<String>> + Send + Sync>;
 
-/// Scenes whose surfaces are read together, as one row of a table or more.
+/// Scenes whose surfaces are measured together, for one row of a table or more.
 pub struct Line {
     pub rows: Vec<String>,
-    /// In spacings; none where every method takes its own.
+    /// In spacings; none for the default of each method.
     pub cell: Option<f64>,
     pub scenes: Vec<Points>,
-    /// A text for each row, of a mesh for each scene.
+    /// Returns a text for each row from the meshes of all scenes.
     pub read: Reading,
 }
 
-/// The methods, and a folder for the files between them.
+/// The methods, and a folder for intermediate files.
 pub struct Board {
     pub methods: Vec<Method>,
     folder: TempDir,
@@ -43,13 +43,13 @@ impl Board {
         Ok(Self { methods, folder: TempDir::new()?, files: AtomicUsize::new(0) })
     }
 
-    /// A file name that was not given before.
+    /// A new file name.
     pub fn file(&self, extension: &str) -> PathBuf {
         let number = self.files.fetch_add(1, Ordering::Relaxed);
         self.folder.path().join(format!("{number}.{extension}"))
     }
 
-    /// None where the method finds no surface.
+    /// None if the method finds no surface.
     pub fn mesh(
         &self,
         method: &Method,
@@ -63,7 +63,7 @@ impl Board {
         Ok((!mesh.triangles.is_empty()).then_some(mesh))
     }
 
-    /// Prints a table of what all methods make of `lines`.
+    /// Prints a table of all methods for `lines`.
     pub fn table(&self, heading: &str, lines: Vec<Line>) -> Outcome<()> {
         let start = Instant::now();
         let inputs: Vec<Vec<PathBuf>> =
@@ -96,7 +96,7 @@ impl Board {
         line.scenes.iter().map(|scene| self.input(scene)).collect()
     }
 
-    /// Raw f32 triples, in a file of their own.
+    /// Writes raw f32 triples to a new file.
     pub fn input(&self, particles: &[[f64; 3]]) -> Outcome<PathBuf> {
         let path = self.file("xyz");
         let mut out = BufWriter::new(File::create(&path)?);
@@ -120,7 +120,7 @@ impl Board {
     }
 }
 
-/// For a row's name.
+/// For the name of a row.
 pub fn cell_name(cell: Option<f64>) -> String {
     cell.map_or("own cells".into(), |cell| format!("cells {cell}"))
 }

@@ -1,9 +1,9 @@
-//! How good surfaces are, side by side with other programs': every program runs from file to file,
-//! by a table of command lines.
+//! Compares the quality of surfaces with those of other programs. Every program reads and writes
+//! files, by a table of command lines.
 //!
 //! `tools/compare/quality` finds the programs, writes the table and runs this. Lengths are in
-//! spacings of the particles, which is 1 in all files. What isovalue suits a program best is chosen
-//! on bodies and lattices that are reported nowhere.
+//! spacings of the particles, which are 1 in all files. The best isovalue of a program is chosen on
+//! bodies and lattices that are not reported.
 
 mod bodies;
 mod clumps;

@@ -1,4 +1,4 @@
-//! Programs that make surfaces of particles, from file to file.
+//! Programs that make surfaces from particle files.
 
 use std::fs;
 use std::path::Path;
@@ -7,16 +7,16 @@ use std::time::Instant;
 
 use crate::Outcome;
 
-/// More particles than this are many.
+/// Sets with more particles count as large.
 const MANY: usize = 200_000;
 
-/// A program, and what is known of it.
+/// A program and its settings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Program {
     pub name: String,
-    /// The cells that it takes or is advised to take, in spacings; none where it chooses itself.
+    /// The default or recommended cells, in spacings; none if the program chooses them.
     pub cell: Option<f64>,
-    /// The isovalue that it takes by itself, then others worth trying.
+    /// The default isovalue, then others to try.
     pub isos: Vec<String>,
     /// Whether it is made for many particles.
     pub takes_many: bool,
@@ -25,18 +25,18 @@ pub struct Program {
     command: String,
 }
 
-/// A program at one of its isovalues: a column of the tables.
+/// A program with one of its isovalues: a column of the tables.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Method {
     pub name: String,
     pub program: Program,
     iso: Option<String>,
-    /// Whether the isovalue is the program's own.
+    /// Whether it is the default isovalue.
     pub documented: bool,
 }
 
-/// The programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles, and
-/// command, between tabs.
+/// Reads the programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles,
+/// and command, separated by tabs.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }
@@ -56,12 +56,12 @@ impl Program {
         })
     }
 
-    /// As documented.
+    /// With the documented isovalue.
     pub fn documented(&self) -> Method {
         self.at(self.isos.first().cloned(), self.name.clone(), true)
     }
 
-    /// At the isovalue that was found to be the best.
+    /// With the best isovalue.
     pub fn best(&self, iso: &str) -> Method {
         self.at(Some(iso.into()), format!("{}, best: {iso}", self.name), false)
     }
@@ -72,12 +72,12 @@ impl Program {
 }
 
 impl Method {
-    /// Whether it is asked for surfaces of so many particles.
+    /// Whether it is run with this many particles.
     pub fn takes(&self, particles: usize) -> bool {
         self.program.takes_many || particles <= MANY
     }
 
-    /// The command's words; one that speaks of something that is not known is left out.
+    /// The words of the command, without those with an unknown variable.
     fn words(&self, files: [&Path; 2], cell: Option<f64>, threads: usize) -> Vec<String> {
         let cell = cell.or(self.program.cell);
         let [input, output] = files.map(|file| Some(file.display().to_string()));
@@ -98,7 +98,7 @@ impl Method {
         self.program.command.split_whitespace().filter_map(filled).collect()
     }
 
-    /// The seconds that it took; none where it found no surface, or failed.
+    /// The time in seconds; none if it failed or found no surface.
     pub fn run(
         &self,
         files: [&Path; 2],

@@ -1,5 +1,5 @@
-//! How still surfaces stand from one frame to the next: of a pool that is carried through a cell,
-//! and of water that moves.
+//! Measures how stable surfaces are from frame to frame: of a pool that moves through a cell, and
+//! of flowing water.
 
 use std::collections::HashMap;
 
@@ -18,16 +18,16 @@ use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
 const CELL: f64 = 0.5;
-/// Steps in which a pool is carried through a cell, and in which water moves on.
+/// Steps of the pool's movement through a cell, and of the flow.
 const STEPS: usize = 8;
 const MOVES: usize = 3;
-/// How far water moves in a step.
+/// Distance of the flow per step.
 const MOVE: f64 = 0.1;
-/// Edge and depth of the pool; what is within `MARGIN` of its ends is not looked at.
+/// Edge length and depth of the pool; the parts within `MARGIN` of its edges are ignored.
 const WIDTH: i32 = 36;
 const DEPTH: i32 = 12;
 const MARGIN: f64 = 12.0;
-/// A vertex is carried by the particles that are as near as this.
+/// Particles within this distance move a vertex.
 const NEAR: f64 = 2.5;
 
 pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
@@ -84,7 +84,7 @@ fn rise(step: usize) -> f64 {
 }
 
 impl Frame {
-    /// The particles after some steps.
+    /// The particles after a number of steps.
     fn after(&self, step: usize) -> Points {
         let by = MOVE * step as f64;
         self.points
@@ -95,7 +95,7 @@ impl Frame {
     }
 }
 
-/// A mesh whose vertices moved on a step, as the particles around each do on average.
+/// A mesh after a step, in which each vertex moves by the mean of the particles around it.
 fn carried(mesh: &Mesh, points: &[[f64; 3]], directions: &[DVec3]) -> Mesh {
     let cell = |p: DVec3| (p / NEAR).floor().as_ivec3();
     let mut particles: HashMap<IVec3, Vec<usize>> = HashMap::new();

@@ -1,4 +1,4 @@
-//! Seconds from file to file, one program after the other.
+//! Seconds from file to file, for one program after the other.
 
 use std::num::NonZero;
 
@@ -9,9 +9,9 @@ use crate::tables::Table;
 use crate::{Options, Outcome};
 
 const CELLS: [f64; 2] = [0.5, 0.25];
-/// At the most.
+/// Maximum number of threads.
 const THREADS: usize = 2;
-/// Seconds after which there is no second run.
+/// After a run of this many seconds, there is no second one.
 const LONG: f64 = 5.0;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {

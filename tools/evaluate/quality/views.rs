@@ -1,4 +1,4 @@
-//! Pictures of frames, every method's through one camera under one light.
+//! Pictures of frames of every method, from one camera with one light.
 
 use std::collections::HashMap;
 
@@ -12,17 +12,17 @@ use super::programs::Method;
 use crate::camera::{Camera, write_sheet};
 use crate::{Options, Outcome};
 
-/// Of a picture on a sheet, and of one beside another.
+/// Size of a picture on a sheet, and of one in a pair.
 const SMALL: [usize; 2] = [560, 420];
 const LARGE: [usize; 2] = [960, 720];
 const COLUMNS: usize = 3;
-/// Of the box's corners less is seen, and of what is in it more.
+/// Cuts off the corners of the box, and shows its content larger.
 const FAR: f64 = 0.8;
-/// Radius of what is looked at from near, and of the particles that are meshed for it.
+/// Radius of the region in close-ups, and of the particles that are meshed for it.
 const NEAR: f64 = 14.0;
 const AROUND: f64 = 30.0;
-/// Edges of cells in which particles are counted to tell where there is most to see, and how many
-/// it takes of them.
+/// Sizes of the cells in which particles are counted to find the most detailed region, and the
+/// minimum number of particles in them.
 const COUNTED: f64 = 3.0;
 const REGION: i32 = 6;
 
@@ -47,7 +47,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     Ok(())
 }
 
-/// A sheet of all methods, and the first beside the second.
+/// A sheet of all methods, and the first two side by side.
 fn views(
     options: &Options,
     board: &Board,
@@ -88,7 +88,7 @@ fn bounds(points: &[[f64; 3]]) -> (DVec3, DVec3) {
     points.iter().fold(none, |(lo, hi), &p| (lo.min(p.into()), hi.max(p.into())))
 }
 
-/// The middle of the region with the most cells that are full in part.
+/// The middle of the region with the most partly filled cells.
 fn busiest(points: &[[f64; 3]]) -> DVec3 {
     let mut counts: HashMap<IVec3, usize> = HashMap::new();
     for &p in points {

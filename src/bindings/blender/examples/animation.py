@@ -1,4 +1,4 @@
-"""Renders an animation of a particle simulation by Cycles, with the extension that is installed in this Blender.
+"""Renders an animation of a particle simulation with Cycles and the extension, which must be installed in this Blender.
 
 blender --background --python animation.py -- PARTICLES FOLDER [FRAMES] [PERCENT]
 
@@ -23,7 +23,7 @@ scene = bpy.context.scene
 scene.render.fps = 25
 scene.frame_start, scene.frame_end = 1, frames
 
-# The live surface, with what a simulation at 25 frames a second needs for motion blur.
+# The live surface, with motion blur for a simulation at 25 frames per second.
 bpy.ops.meniscus.add_files(filepath=particles)
 water = bpy.context.object
 settings = water.data.meniscus
@@ -37,7 +37,7 @@ for name, value in {"Base Color": (0.75, 0.92, 0.97, 1), "Roughness": 0.02, "IOR
     shader.inputs[name].default_value = value
 water.data.materials.append(glass)
 
-# All that is seen is seen at the last frame, where the water has spread.
+# The water has spread in the last frame, so its bounds contain everything.
 scene.frame_set(frames)
 corners = np.array([water.matrix_world @ Vector(corner) for corner in water.bound_box])
 low, high = corners.min(axis=0), corners.max(axis=0)

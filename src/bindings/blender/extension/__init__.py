@@ -2,14 +2,14 @@
 
 import warnings
 
-import bpy  # noqa: F401  (first, so that whoever imports this without Blender is told so)
+import bpy  # noqa: F401  (first, so that an import without Blender fails with a clear error)
 import meniscus
 
 from . import live, operators, panels, settings
 
 
 def register() -> None:
-    # They are told in panels.
+    # Panels show them.
     warnings.filterwarnings("ignore", category=meniscus.MeshWarning)
     settings.register()
     operators.register()

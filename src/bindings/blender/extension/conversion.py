@@ -1,4 +1,4 @@
-"""A sequence on disk to meshes on disk, on a thread of its own, by settings that are Blender's no more once it runs."""
+"""Converts a sequence to meshes on disk, on a separate thread, with settings that are independent of Blender once it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .surfaces.request import Filters, Sampling
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be converted, and how."""
+    """The input, the output and the settings of a conversion."""
 
     inputs: str
     output: str
@@ -27,7 +27,7 @@ class Order:
     filters: Filters
 
     def keywords(self) -> dict[str, Any]:
-        """The keywords of the library's conversion: what was done before by the same settings is kept, and anew by others."""
+        """The keywords of the library's conversion: finished frames are kept if their settings are the same, and made again otherwise."""
         of = [(each.name, getattr(part, each.name)) for part in (self.sampling, self.filters) for each in fields(part)]
         return {name: value for name, value in of if value is not None} | {
             "fps": self.fps,
@@ -39,49 +39,49 @@ class Order:
 
 
 class Ended(Exception):
-    """Raised where the library tells of progress, to end its work."""
+    """Raised in the progress callback to cancel the work."""
 
 
 class Conversion:
-    """A conversion that runs, or has ended."""
+    """A conversion that is running, or has ended."""
 
     def __init__(self, order: Order) -> None:
         self.order = order
         self.done, self.total = 0, 0
-        self.message = "Measuring what the frames have in common"
+        self.message = "Calibrating the frames"
         self.error = ""
         self.problems: list[str] = []
         self._end = threading.Event()
-        # Python waits for whatever is no daemon before it tells anybody that it ends.
+        # Python waits for all other threads before it calls exit handlers.
         self._thread = threading.Thread(target=self._run, name="meniscus conversion", daemon=True)
         atexit.register(self._leave)
 
     def start(self) -> None:
-        """Begins."""
+        """Starts the thread."""
         self._thread.start()
 
     @property
     def runs(self) -> bool:
-        """Whether it is at work."""
+        """Whether it is running."""
         return self._thread.is_alive()
 
     @property
     def is_complete(self) -> bool:
-        """Whether all meshes are there."""
+        """Whether all meshes are finished."""
         return not self.runs and not self.error and not self._end.is_set()
 
     def cancel(self) -> None:
-        """Ends it after the frames that are at work; what is done stays, and is not done again."""
+        """Cancels it after the frames in progress. Finished frames are kept, and are not made again."""
         self._end.set()
 
     def _leave(self) -> None:
-        """Ends with Blender: a thread that is left behind would wake up in an interpreter that is gone."""
+        """Ends with Blender: otherwise the thread would continue in an interpreter that is shut down."""
         self.cancel()
         if self.runs:
             self.join()
 
     def join(self) -> None:
-        """Waits for its end."""
+        """Waits until it has ended."""
         self._thread.join()
 
     def _hear(self, event: meniscus.Event) -> None:
@@ -101,8 +101,8 @@ class Conversion:
             simulation = meniscus.Simulation(self.order.inputs, self.order.output, **self.order.keywords())
             simulation.run(progress=self._hear)
         except Ended:
-            self.message = "Ended: what is done is kept"
+            self.message = "Cancelled: finished frames are kept"
         except (meniscus.Error, OSError, MemoryError) as error:
-            self.error = str(error) or "The memory does not suffice"
+            self.error = str(error) or "Out of memory"
         finally:
             atexit.unregister(self._leave)

@@ -1,7 +1,7 @@
-"""Surfaces that follow the scene: made anew where their frame, a setting or their input has changed, and nowhere else.
+"""Surfaces that follow the scene: they are made again only if their frame, a setting or their input has changed.
 
-A mesh keeps the name of the request that it was made by. That tells whether it is what it should be, also after undo and in a file that
-is opened again, for the name comes back with the mesh.
+A mesh keeps the name of the request that made it. By that name, the extension recognises an outdated mesh, also after undo and in a file
+that is opened again, because the name is restored with the mesh.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from .surfaces.cache import Cache
 from .surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sampling
 from .surfaces.sequence import Listings, Timing, shown_at
 
-#: The name of the request that a mesh was made by, on the mesh.
+#: Key of the custom property with the request of a mesh.
 MADE = "meniscus_made"
 MIB = 1 << 20
 
 
 @dataclass
 class Status:
-    """What is to be said of a surface in its panel."""
+    """The state of a surface for its panel."""
 
     error: str = ""
-    #: Of the frame, whether or not its surface was made anew.
+    #: About the frame, even if its surface was not made again.
     notes: tuple[str, ...] = ()
-    #: Of the surface, when it was made.
+    #: About the surface, from when it was made.
     warnings: tuple[str, ...] = ()
     file: str = ""
     seconds: float = 0.0
 
 
 class _State:
-    """What is not kept in the file. Meshes are known by their session's number."""
+    """State that the file does not store. Meshes are identified by their session's number."""
 
     def __init__(self) -> None:
         self.reset()
@@ -61,36 +61,36 @@ _state = _State()
 
 
 class Refused(Exception):
-    """A surface that cannot be made, and why, in a sentence for its panel."""
+    """A surface that cannot be made, with the reason for its panel."""
 
 
 def bound_cache(mebibytes: int) -> None:
-    """Sets how much memory surfaces may take that are not shown."""
+    """Sets the memory limit of surfaces that are not shown."""
     _state.cache.bound = mebibytes * MIB
 
 
 def cached() -> tuple[int, int]:
-    """How many surfaces are kept, and their bytes."""
+    """Number of cached surfaces, and their bytes."""
     return len(_state.cache), _state.cache.nbytes
 
 
 def status_of(mesh: bpy.types.Mesh) -> Status:
-    """What there is to say of a surface."""
+    """The state of a surface."""
     return _state.statuses.get(mesh.session_uid, Status())
 
 
 def surfaces() -> Iterator[bpy.types.Mesh]:
-    """The meshes that are surfaces, and ours to change."""
+    """The meshes that are surfaces, and can be modified."""
     return (mesh for mesh in bpy.data.meshes if mesh.meniscus.source != "NONE" and mesh.library is None)
 
 
 def _typed(value: float) -> float:
-    """The number that was typed: Blender keeps it in single precision, and 0.05 would be 0.0500000007."""
+    """The number as the user typed it: Blender stores it in single precision, where 0.05 is 0.0500000007."""
     return float(f"{value:.7g}")
 
 
 def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
-    """How particles are sampled by the settings of a mesh."""
+    """The sampling in the settings of a mesh."""
     names = tuple(name.strip() for name in settings.attributes.split(",") if name.strip())
     return Sampling(
         spacing=_typed(settings.spacing) or None,
@@ -102,7 +102,7 @@ def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
 
 
 def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
-    """How a surface is drawn by the settings of a mesh."""
+    """The filters in the settings of a mesh."""
     return Filters(
         smooth=_typed(settings.smooth),
         smallest_drop=settings.smallest_drop or None,
@@ -111,19 +111,19 @@ def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
 
 
 def timing_of(settings: bpy.types.PropertyGroup) -> Timing:
-    """When files are shown by the settings of a mesh."""
+    """The timing of files in the settings of a mesh."""
     return Timing(settings.start, settings.first, _typed(settings.step))
 
 
 def _request(
     settings: bpy.types.PropertyGroup, frame: int, depsgraph: bpy.types.Depsgraph | None, status: Status
 ) -> Request | None:
-    """What a mesh should show; nothing as long as that cannot be told."""
+    """The request for the surface that a mesh should show; None if it is unknown."""
     cell = settings.cell_render if _state.renders else settings.cell_viewport
     sampling, filters = sampling_of(settings, cell), filters_of(settings)
     if settings.source == "OBJECT":
         if settings.object is None:
-            raise Refused("No object is chosen whose vertices would be the particles")
+            raise Refused("Choose an object whose vertices are the particles")
         if depsgraph is None:
             return None
         positions, velocity = vertices.particles_of(settings.object, depsgraph)
@@ -138,12 +138,12 @@ def _request(
     shown = shown_at(frames, timing_of(settings), frame)
     status.file = shown.path
     if shown.is_gap:
-        status.notes += (f"Frame {shown.wanted} is missing: frame {shown.number} is held",)
+        status.notes += (f"Frame {shown.wanted} is missing: showing frame {shown.number}",)
     return Request(FromFile(shown.path, sampling), filters)
 
 
 def _arrays(request: Request, maker: Maker) -> Arrays:
-    """The surface, made or kept."""
+    """The surface, from the cache or new."""
     found = _state.cache.get(request.key)
     if found is None:
         found = maker.make(request)
@@ -152,13 +152,13 @@ def _arrays(request: Request, maker: Maker) -> Arrays:
 
 
 def _velocity_scale(settings: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> float:
-    """Seconds of the simulation in one of the scene's."""
+    """Seconds of the simulation per second of the scene."""
     scene_fps = scene.render.fps / scene.render.fps_base
     return settings.step * (scene_fps / settings.fps if settings.fps else 1.0)
 
 
 def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Makes a mesh what its settings and the scene's frame say, if it is not that already."""
+    """Updates a mesh to its settings and the scene's frame, if necessary."""
     settings = mesh.meniscus
     if settings.source == "NONE" or not settings.live:
         return
@@ -181,20 +181,20 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
         meshes.fill(mesh, arrays, scale)
         mesh[MADE] = name
     except (Refused, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
-        status.error = str(error) or "The memory does not suffice"
+        status.error = str(error) or "Out of memory"
         if mesh.vertices and not mesh.is_editmode:
             mesh.clear_geometry()
             mesh.update()
         mesh[MADE] = ""
         if bpy.app.background or _state.renders:
-            # There nobody looks at a panel.
+            # Nobody sees a panel there.
             print(f"{mesh.name}: {status.error}", flush=True)
     status.seconds = time.perf_counter() - began
     _state.statuses[mesh.session_uid] = status
 
 
 def update_all(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None, which: Callable[[bpy.types.Mesh], bool]) -> None:
-    """Updates some of all surfaces, and forgets those that are gone."""
+    """Updates some or all surfaces, and removes the state of deleted ones."""
     known = list(surfaces())
     _state.forget(set(_state.statuses) - {mesh.session_uid for mesh in known})
     for mesh in known:
@@ -209,7 +209,7 @@ def refresh(mesh: bpy.types.Mesh) -> None:
 
 
 def reread(mesh: bpy.types.Mesh) -> None:
-    """Reads a surface's files anew, whatever is known of them."""
+    """Reads a surface's files again, ignoring the cache."""
     _state.listings.clear()
     _state.makers.pop(mesh.session_uid, None)
     _state.cache.clear()
@@ -218,13 +218,13 @@ def reread(mesh: bpy.types.Mesh) -> None:
 
 
 def particles_up(mesh: bpy.types.Mesh) -> str | None:
-    """The axis that points up in a surface's particles, where they were read."""
+    """The axis that points up in a surface's particles, if they were read."""
     maker = _state.makers.get(mesh.session_uid)
     return maker.particles_up if maker else None
 
 
 def spacing_used(mesh: bpy.types.Mesh) -> float | None:
-    """The spacing by which a surface was made that is shown."""
+    """The spacing of the surface that is shown."""
     settings = mesh.meniscus
     try:
         request = _request(settings, bpy.context.scene.frame_current, bpy.context.evaluated_depsgraph_get(), Status())
@@ -244,14 +244,14 @@ def _is_of_object(mesh: bpy.types.Mesh) -> bool:
 
 @persistent
 def _before_frame(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
-    # Cycles looks at times between frames for motion blur, which velocities are for: the mesh is that of its frame.
+    # Cycles evaluates times between frames for motion blur. Velocities provide that, so the mesh stays that of its frame.
     if scene.frame_subframe == 0.0:
         update_all(scene, None, _is_of_files)
 
 
 @persistent
 def _after_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    # Where the vertices are at a frame is known when it has been evaluated.
+    # The positions of vertices at a frame are known after its evaluation.
     if scene.frame_subframe == 0.0:
         update_all(scene, depsgraph, _is_of_object)
 
@@ -298,7 +298,7 @@ def _after_render(_scene: bpy.types.Scene, _other: object = None) -> None:
     if bpy.app.background:
         back_to_the_viewport()
     else:
-        # Renders end on a thread of their own.
+        # Renders end on a separate thread.
         bpy.app.timers.register(back_to_the_viewport, first_interval=0.0)
 
 

@@ -1,4 +1,4 @@
-"""Arrays to a mesh of Blender's, in place of what it was."""
+"""Replaces the content of a Blender mesh by arrays."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import numpy as np
 
 from .surfaces.arrays import Arrays
 
-#: Blender numbers the corners of a mesh by 32 bits, with a sign.
+#: Blender numbers the corners of a mesh with signed 32-bit integers.
 MOST_CORNERS = 2**31 - 1
-#: The types of attributes by how many numbers a vertex has.
+#: The types of attributes by their number of components.
 _TYPES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
-#: Whole numbers, such as identifiers, where a vertex has one of them.
+#: The type of integers with one component, such as identifiers.
 _WHOLE = ("INT", "value")
-#: What Cycles takes motion blur from.
+#: The attribute from which Cycles computes motion blur.
 VELOCITY = "velocity"
 
 
 class TooLarge(Exception):
-    """A mesh that Blender has no numbers for."""
+    """A mesh with more corners than Blender can number."""
 
 
 def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
-    """Puts a surface into a mesh, whose materials stay.
+    """Puts a surface into a mesh, and keeps its materials.
 
     Cycles moves vertices by their velocity for motion blur, a second of the scene at a time: `velocity_scale` is how many seconds of the
     simulation that is.
@@ -39,7 +39,7 @@ def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
     mesh.polygons.foreach_set("loop_start", np.arange(0, corners, 3, dtype=np.int32))
     for name, values in arrays.attributes.items():
         kind = _TYPES.get(1 if values.ndim == 1 else values.shape[1])
-        # Blender's own names are of what is there already.
+        # Names that Blender uses itself.
         if kind is None or name in mesh.attributes:
             continue
         if values.dtype == np.int32:

@@ -1,4 +1,4 @@
-"""What buttons and menus do: new surfaces, reading anew, the spacing, and conversions."""
+"""Operators of buttons and menus: new surfaces, reloading, the spacing, and conversions."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .surfaces.sequence import EXTENSIONS, number_of, sequence_of
 
 Done = Set[str]
 
-#: Conversions by the session's number of the mesh that they were ordered from.
+#: Conversions by the session's number of their mesh.
 _conversions: dict[int, Conversion] = {}
 
 
 def conversion_of(mesh: bpy.types.Mesh) -> Conversion | None:
-    """The conversion that was ordered last from a surface."""
+    """The last conversion of a surface."""
     return _conversions.get(mesh.session_uid)
 
 
@@ -46,13 +46,13 @@ def _add(context: bpy.types.Context, name: str) -> bpy.types.Object:
         other.select_set(False)
     added.select_set(True)
     context.view_layer.objects.active = added
-    # Meshes change while a render runs; windows may not read them meanwhile.
+    # Meshes change while a render runs, so windows must not read them meanwhile.
     context.scene.render.use_lock_interface = True
     return added
 
 
 def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
-    """Adds the surface of a sequence that a file, a folder or a name with {} stands for.
+    """Adds the surface of a sequence, given as a file, a folder or a name with {}.
 
     Its first number is at the scene's first frame, and it stands upright whatever axis is up in its particles.
     """
@@ -60,17 +60,17 @@ def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
     name = re.sub(r"[ _.-]*\{.*?\}", "", Path(inputs).name).split(".")[0] or "Surface"
     added = _add(context, name)
     settings = added.data.meniscus
-    # Nothing is made before all is said.
+    # Nothing is made before all settings are set.
     settings.live = False
     settings.source, settings.path = "FILES", inputs
     settings.start = context.scene.frame_start
     try:
         settings.first = meniscus.list_frames(bpy.path.abspath(inputs))[0][0]
     except (meniscus.Error, OSError):
-        # It is told of in the panel.
+        # The panel shows it.
         settings.first = number_of(path) or 0
     settings.live = True
-    # One spacing for all frames, or their cells would differ from frame to frame.
+    # One spacing for all frames, because otherwise their cells would differ.
     settings.spacing = live.spacing_used(added.data) or 0.0
     if live.particles_up(added.data) == "y":
         added.rotation_euler.x = math.pi / 2
@@ -87,7 +87,7 @@ def add_object(context: bpy.types.Context, source: bpy.types.Object) -> bpy.type
 
 
 def _done(operator: bpy.types.Operator, added: bpy.types.Object) -> Done:
-    """Ends an operator that has added a surface, which may not be there yet: it says why."""
+    """Ends an operator that has added a surface, and reports why the surface does not exist yet, if so."""
     error = live.status_of(added.data).error
     if error:
         operator.report({"WARNING"}, error)
@@ -101,7 +101,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     bl_label = "Fluid Surface of Files"
     bl_options = {"REGISTER", "UNDO"}
 
-    # Blender cuts it off after 255 letters.
+    # Blender truncates it after 255 characters.
     filter_glob: StringProperty(
         default=";".join(f"*{extension}" for extension in EXTENSIONS),
         options={"HIDDEN"},
@@ -127,10 +127,10 @@ class AddObject(bpy.types.Operator):
 
 
 class Reread(bpy.types.Operator):
-    """Read the files anew, whatever is kept of them"""
+    """Read the files again, ignoring cached surfaces"""
 
     bl_idname = "meniscus.reread"
-    bl_label = "Read Anew"
+    bl_label = "Reload Files"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -142,7 +142,7 @@ class Reread(bpy.types.Operator):
 
 
 class Measure(bpy.types.Operator):
-    """Take the spacing from the file of this frame, or estimate it of its particles, for all frames"""
+    """Use the spacing from the file of this frame, or an estimate from its particles, for all frames"""
 
     bl_idname = "meniscus.measure"
     bl_label = "Measure the Spacing"
@@ -157,18 +157,18 @@ class Measure(bpy.types.Operator):
         mesh.meniscus.spacing = 0.0
         found = live.spacing_used(mesh)
         if found is None:
-            self.report({"WARNING"}, live.status_of(mesh).error or "This frame does not tell the spacing")
+            self.report({"WARNING"}, live.status_of(mesh).error or "The spacing of this frame cannot be estimated")
             return {"CANCELLED"}
         mesh.meniscus.spacing = found
         return {"FINISHED"}
 
 
 def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
-    """The conversion that a surface's settings ask for."""
+    """The conversion with a surface's settings."""
     settings = mesh.meniscus
     folder = bpy.path.abspath(settings.output)
     name = bpy.path.clean_name(mesh.name).replace(".", "_").rstrip("_-")
-    # The library says what the stage is called: as the layers, without their number.
+    # The library names the stage after the layers, without their number.
     return Order(
         inputs=bpy.path.abspath(settings.path),
         output=os.path.join(folder, f"{name}_{{}}.usdc"),
@@ -181,7 +181,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
 
 
 def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[bpy.types.Object]:
-    """Shows a conversion's meshes by Blender's own mesh sequence cache, in place of the live surface."""
+    """Shows a conversion's meshes with Blender's own mesh sequence cache, instead of the live surface."""
     before = set(bpy.data.objects)
     window = context.window or (context.window_manager.windows[0] if context.window_manager.windows else None)
     with context.temp_override(window=window) if window else context.temp_override():
@@ -203,7 +203,7 @@ def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[b
 
 
 def _read_as_live(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) -> None:
-    """Shows the frames of a stage when the live surface would."""
+    """Shows the frames of a stage at the same times as the live surface."""
     read = reading(Path(stage).with_suffix(".usdc.json"), live.timing_of(mesh.meniscus))
     if read.offset is not None:
         cache.frame_offset = read.offset
@@ -213,7 +213,7 @@ def _read_as_live(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) 
 
 
 def _poll(uid: int) -> float | None:
-    """Looks after a conversion, until it has ended."""
+    """Monitors a conversion until it has ended."""
     conversion = _conversions.get(uid)
     mesh = next((mesh for mesh in bpy.data.meshes if mesh.session_uid == uid), None)
     if conversion is None or mesh is None:
@@ -252,10 +252,10 @@ class Convert(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> Done:
         mesh = _active(context)
         if not bpy.app.build_options.usd:
-            self.report({"ERROR"}, "This Blender is built without USD, which would play the meshes")
+            self.report({"ERROR"}, "This Blender is built without USD, which is needed to play the meshes")
             return {"CANCELLED"}
         if mesh.meniscus.output.startswith("//") and not bpy.data.filepath:
-            self.report({"ERROR"}, "Save the file first, or choose a folder for the meshes: // is beside the file")
+            self.report({"ERROR"}, "Save the file first, or choose another folder for the meshes: // is the folder of the file")
             return {"CANCELLED"}
         conversion = Conversion(order_of(mesh, context.scene))
         uid = mesh.session_uid
@@ -266,7 +266,7 @@ class Convert(bpy.types.Operator):
 
 
 class Cancel(bpy.types.Operator):
-    """End the conversion after the frames that are at work; what is done is kept"""
+    """Cancel the conversion after the frames in progress; finished frames are kept"""
 
     bl_idname = "meniscus.cancel"
     bl_label = "End"

@@ -1,4 +1,4 @@
-"""Where a surface is set: the properties of its mesh; and the menus that add one."""
+"""Panels for the settings of a surface in the properties of its mesh, and menus that add one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .operators import AddFiles, AddObject, Cancel, Convert, Measure, Reread, co
 
 
 def _sentence(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str) -> None:
-    """A sentence in as many lines as the panel's width needs."""
+    """Shows a sentence in several lines that fit the panel's width."""
     width = max(int(context.region.width / (7 * context.preferences.system.ui_scale)) - 6, 20)
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(text, width)):
@@ -91,7 +91,7 @@ class MENISCUS_PT_shape(_Panel, bpy.types.Panel):
             sampled.prop(settings, "tank_low")
             sampled.prop(settings, "tank_high")
         if packed:
-            _sentence(layout, context, "Packed frames have the spacing and the cells that they were packed in, and no velocities", "INFO")
+            _sentence(layout, context, "Packed frames keep the spacing and the cells of packing, and have no velocities", "INFO")
         layout.prop(settings, "smooth")
         layout.prop(settings, "smallest_drop")
         layout.prop(settings, "simplify")
@@ -108,7 +108,7 @@ class MENISCUS_PT_attributes(_Panel, bpy.types.Panel):
         if mesh.meniscus.source == "FILES":
             layout.prop(mesh.meniscus, "attributes")
         moves = "velocity" in mesh.attributes
-        text = "Motion blur by the attribute velocity" if moves else "No velocity: no motion blur"
+        text = "Motion blur from the attribute velocity" if moves else "No velocity: no motion blur"
         _sentence(layout, context, text, "CHECKMARK" if moves else "INFO")
 
 

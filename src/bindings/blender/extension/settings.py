@@ -1,4 +1,4 @@
-"""What can be set of a surface: properties of its mesh, so that whoever shares the mesh shares them."""
+"""The settings of a surface: properties of its mesh, so that all users of the mesh share them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 
 from . import live
 
-#: Widths, drops and distances by which a surface is drawn where nothing is set, as the library does.
+#: Default widths, drops and distances of a surface, as in the library.
 CELL, CALM = 0.5, 1.6
 
 
@@ -16,11 +16,11 @@ def _changed(settings: MeniscusSurface, _context: bpy.types.Context) -> None:
 
 
 class MeniscusSurface(bpy.types.PropertyGroup):
-    """The surface of particles that a mesh shows."""
+    """The surface of particles in a mesh."""
 
     source: EnumProperty(
         name="Particles",
-        description="Where the particles come from",
+        description="Source of the particles",
         items=[
             ("NONE", "None", "An ordinary mesh"),
             ("FILES", "Files", "A sequence of particle files, or of packed frames"),
@@ -31,13 +31,13 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     live: BoolProperty(
         name="Live",
-        description="Make the surface anew whenever the frame or a setting changes",
+        description="Update the surface when the frame or a setting changes",
         default=True,
         update=_changed,
     )
     path: StringProperty(
         name="Files",
-        description="A file, a folder, or a name with {} where the frames' numbers are",
+        description="A file, a folder, or a name with {} for the frame number",
         subtype="FILE_PATH",
         update=_changed,
     )
@@ -49,28 +49,28 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     where: StringProperty(
         name="Where",
-        description="Use only particles that satisfy conditions: Type=1, mk=0,2, age<2.5; type=PartType1 where a file holds several types",
+        description="Use only particles that satisfy conditions: Type=1, mk=0,2, age<2.5; type=PartType1 for a file with several types",
         update=_changed,
     )
-    start: IntProperty(name="Start", description="The scene's frame that shows the first number", default=1, update=_changed)
-    first: IntProperty(name="First", description="The number that is shown at the start", default=0, update=_changed)
+    start: IntProperty(name="Start", description="The scene's frame at which the sequence starts", default=1, update=_changed)
+    first: IntProperty(name="First", description="The frame number of the sequence at the start", default=0, update=_changed)
     step: FloatProperty(
         name="Step",
-        description="How many numbers a frame of the scene goes on: below 1 is slow motion, in which frames are held",
+        description="Frame numbers of the sequence per frame of the scene: below 1 is slow motion, with repeated frames",
         default=1.0,
         min=0.0,
         update=_changed,
     )
     fps: FloatProperty(
         name="Numbers a Second",
-        description="How many numbers of the sequence make a second of the simulation, for motion blur; 0 for as many as the scene has frames",
+        description="Frame numbers of the sequence per second of the simulation, for motion blur; 0 for the frame rate of the scene",
         default=0.0,
         min=0.0,
         update=_changed,
     )
     spacing: FloatProperty(
         name="Spacing",
-        description="Distance between neighbouring particles, in their unit; 0 to take it from the file, or estimate it for each frame",
+        description="Distance between neighbouring particles, in their unit; 0 to use that of the file, or estimate it for each frame",
         default=0.0,
         precision=5,
         step=0.1,
@@ -94,7 +94,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     tank: BoolProperty(
         name="Tank",
-        description="End the fluid exactly at walls, beyond which particles are left out",
+        description="End the fluid exactly at walls; particles beyond are left out",
         default=False,
         update=_changed,
     )
@@ -114,7 +114,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smooth: FloatProperty(
         name="Calm",
-        description="Width of smoothing in spacings: more makes calmer water, 2 suits the noise of FLIP",
+        description="Smoothing width in spacings: more makes calmer water, 2 suits noisy FLIP",
         default=CALM,
         min=0.0,
         soft_min=1.0,
@@ -124,7 +124,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smallest_drop: IntProperty(
         name="Smallest Drop",
-        description="Leave out drops of fewer particles",
+        description="Leave out drops with fewer particles",
         default=0,
         min=0,
         soft_max=100,
@@ -132,7 +132,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     simplify: FloatProperty(
         name="Simplify",
-        description="Use fewer triangles, none farther off than so many cells; 0 keeps them all",
+        description="Use fewer triangles; the surface moves at most this many cells. 0 keeps all triangles",
         default=0.0,
         min=0.0,
         soft_max=0.5,
@@ -141,7 +141,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     attributes: StringProperty(
         name="Attributes",
-        description="Names of the particles' attributes that the vertices carry, with commas between; their velocity if nothing is named",
+        description="Names of the particles' attributes for the vertices, separated by commas; by default, the velocity",
         update=_changed,
     )
     output: StringProperty(
@@ -153,13 +153,13 @@ class MeniscusSurface(bpy.types.PropertyGroup):
 
 
 class MeniscusPreferences(bpy.types.AddonPreferences):
-    """What holds for all surfaces."""
+    """Preferences for all surfaces."""
 
     bl_idname = __package__
 
     cache: IntProperty(
         name="Cache (MiB)",
-        description="Memory for surfaces of frames that were made, beside what Blender keeps of the one that is shown",
+        description="Memory for cached surfaces of frames, besides the surface that is shown",
         default=1024,
         min=0,
         update=lambda self, _context: live.bound_cache(self.cache),

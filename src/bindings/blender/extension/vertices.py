@@ -1,4 +1,4 @@
-"""Particles of an object: its vertices, or the points of its point cloud, as modifiers leave them, in world space."""
+"""Particles of an object: its vertices, or the points of its point cloud, after modifiers, in world space."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class Hidden(Exception):
 
 
 def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Floats, Floats | None]:
-    """Positions, and velocities where an attribute of that name has them.
+    """Positions, and velocities if there is an attribute with this name.
 
     Raises `Hidden`.
     """
     evaluated = source.evaluated_get(depsgraph)
     try:
-        # Geometry nodes make point clouds of whatever object they are on.
+        # Geometry nodes can make a point cloud from any object.
         geometry = evaluated.evaluated_geometry()
     except TypeError:
-        # The other graph is of another frame, and is not brought to this one while a picture is made.
+        # The other graph has another frame, and is not updated during a render.
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
         what = f"{source.name} is hidden {where}, where its vertices are then not known: vertices without faces are not drawn anyway"
         raise Hidden(what) from None

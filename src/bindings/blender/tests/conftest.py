@@ -1,4 +1,4 @@
-"""The extension's modules that need no Blender, and a sequence of small frames."""
+"""Modules of the extension that need no Blender, and a sequence of small frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cache keeps to its bound, and forgets what was not used for longest."""
+"""The cache keeps its limit, and removes the least recently used values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_a_value_that_does_not_fit_drives_out_nothing() -> None:
     cache.put("a", kib(1))
     cache.put("b", kib(3))
     assert cache.get("a") is not None and cache.get("b") is None
-    # Nor does an older one of its name stay.
+    # An older value with its key does not stay either.
     cache.put("a", kib(3))
     assert cache.get("a") is None and cache.nbytes == 0
 

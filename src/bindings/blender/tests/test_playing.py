@@ -1,4 +1,4 @@
-"""A stage is read where the live surface would be."""
+"""A stage has the times of the live surface."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def listing(folder: Path, frames: list[tuple[int, float]], fps: float = 25.0) ->
 
 def test_numbers_over_the_rate_are_played_one_a_frame(tmp_path: Path) -> None:
     read = reading(listing(tmp_path, [(3, 0.12), (10, 0.4), (20, 0.8)]), Timing(start=1, first=3))
-    # At frame 1 the code is that of number 3, which is 0.12 * 25.
+    # At frame 1, the time code is that of number 3: 0.12 * 25.
     assert read.offset == pytest.approx(1 - 3)
 
 
 def test_times_of_the_simulation_and_steps_go_their_own_way(tmp_path: Path) -> None:
-    # Ten numbers a second, each second one.
+    # Ten numbers per second, every second one.
     read = reading(listing(tmp_path, [(0, 1.0), (5, 1.5)]), Timing(start=11, first=1, step=2.0))
     assert read.offset is None
     code = eval(read.expression, {"frame": 13})

@@ -1,4 +1,4 @@
-"""Surfaces are made anew where something changed that they depend on, and nowhere else."""
+"""Surfaces are made again only if one of their inputs or settings has changed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_key_changes_with_settings_and_with_the_file(sequence: Path) -> None
     assert request_of(file).name != name
 
 
-def test_points_are_told_by_their_values() -> None:
+def test_requests_of_equal_points_have_the_same_key() -> None:
     points = np.random.default_rng(1).random((50, 3), np.float32)
     asked = FromPoints(points, None, Sampling(cell=1.0))
     assert FromPoints(points.copy(), None, Sampling(cell=1.0)).key == asked.key
@@ -53,7 +53,7 @@ def test_other_filters_need_no_particles_again(sequence: Path) -> None:
     maker = Maker()
     maker.make(request_of(file))
     stamp = file.stat()
-    # Whoever read it now would fail.
+    # Reading it now would fail.
     file.write_bytes(b"\0" * stamp.st_size)
     os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     calm = maker.make(request_of(file, smooth=2.5))

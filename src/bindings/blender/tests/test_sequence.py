@@ -1,4 +1,4 @@
-"""Files of a sequence, and when they are shown."""
+"""Files of a sequence and their timing."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_frames_are_shown_by_their_numbers() -> None:
     timing = Timing(start=1, first=2)
     shown = [shown_at(FRAMES, timing, frame) for frame in range(-2, 9)]
     assert [each.number for each in shown] == [2, 2, 2, 2, 3, 3, 3, 6, 6, 6, 6]
-    # Held where a file is missing between others, but neither before the first nor after the last.
+    # A missing file between others is replaced, but not before the first or after the last.
     assert [each.is_gap for each in shown] == [False, False, False, False, False, True, True, False, False, False, False]
     assert shown[5].wanted == 4 and shown[5].path == "f_3.bgeo"
 
@@ -68,7 +68,7 @@ def test_frames_are_shown_by_their_numbers() -> None:
 def test_steps_go_on_faster_or_slower() -> None:
     assert [Timing(1, 0, 5.0).number(frame) for frame in (1, 2, 3)] == [0, 5, 10]
     assert [Timing(1, 0, 0.5).number(frame) for frame in (0, 1, 2, 3, 4)] == [-1, 0, 0, 1, 1]
-    # A third that was typed is a little less: three of them are one all the same.
+    # A typed third is slightly too small, but three of them still make one.
     assert [Timing(0, 0, 0.3333333).number(frame) for frame in (2, 3, 9)] == [0, 1, 3]
 
 

@@ -1,11 +1,11 @@
-// A simulation that is surfaced while it runs, each frame to a file: `simulation FOLDER`.
+// Reconstructs the surface of a running simulation and writes one file per frame. Usage: `simulation FOLDER`
 #include <meniscus.hpp>
 
 #include <cmath>
 #include <cstdio>
 #include <iostream>
 
-// Two blocks of water that fall, bounce off the floor and lose speed: a stand-in for a solver.
+// A stand-in for a solver: two blocks of water that fall, bounce off the floor and lose speed.
 struct Solver {
   std::vector<std::array<double, 3>> positions;
   std::vector<std::array<float, 3>> velocities;

@@ -123,12 +123,12 @@ pub struct Listener {
 /// A callback that is active only during a call: surfaces keep their progress callback, and may
 /// outlive its argument. A callback may call the library, which may call the callback again;
 /// therefore the lock is reentrant.
-struct Ear(ReentrantMutex<Cell<Option<Listener>>>);
+struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
-// SAFETY: what `user` points to is used by one thread at a time, and its owner has agreed to any.
-unsafe impl Send for Ear {}
+// SAFETY: one thread at a time uses what `user` points to, and the caller allows any thread.
+unsafe impl Send for CallbackSlot {}
 // SAFETY: as above.
-unsafe impl Sync for Ear {}
+unsafe impl Sync for CallbackSlot {}
 
 /// Progress and cancellation of a request.
 pub struct Control {
@@ -136,28 +136,28 @@ pub struct Control {
     /// Whether the handle belongs to the caller.
     is_given: bool,
     listener: Option<Listener>,
-    ear: Arc<Ear>,
+    slot: Arc<CallbackSlot>,
 }
 
-// SAFETY: as for an ear.
+// SAFETY: as for `CallbackSlot`.
 unsafe impl Send for Control {}
 // SAFETY: as above.
 unsafe impl Sync for Control {}
 
 /// Activates the callback until it is dropped.
-pub struct Listening<'a>(&'a Control);
+pub struct ActiveCallback<'a>(&'a Control);
 
 impl Control {
     /// Takes an optional callback, and an optional cancel handle.
     pub fn new(listener: Option<Listener>, cancel: Option<Cancel>) -> Self {
         let is_given = cancel.is_some();
-        Self { cancel: cancel.unwrap_or_default(), is_given, listener, ear: Ear::deaf() }
+        Self { cancel: cancel.unwrap_or_default(), is_given, listener, slot: CallbackSlot::empty() }
     }
 
     /// A copy for other work, which a cancel by the callback does not affect.
     pub fn for_other_work(&self) -> Self {
         let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
-        Self { cancel, ear: Ear::deaf(), ..*self }
+        Self { cancel, slot: CallbackSlot::empty(), ..*self }
     }
 
     /// The cancel handle of the work.
@@ -171,29 +171,29 @@ impl Control {
         if self.listener.is_none() {
             return request;
         }
-        let (ear, cancel) = (Arc::clone(&self.ear), self.cancel.clone());
-        request.progress(move |progress| ear.hear(progress, &cancel))
+        let (slot, cancel) = (Arc::clone(&self.slot), self.cancel.clone());
+        request.progress(move |progress| slot.call(progress, &cancel))
     }
 
     /// Activates the callback.
-    pub fn listen(&self) -> Listening<'_> {
-        self.ear.0.lock().set(self.listener);
-        Listening(self)
+    pub fn activate(&self) -> ActiveCallback<'_> {
+        self.slot.0.lock().set(self.listener);
+        ActiveCallback(self)
     }
 }
 
-impl Drop for Listening<'_> {
+impl Drop for ActiveCallback<'_> {
     fn drop(&mut self) {
-        self.0.ear.0.lock().set(None);
+        self.0.slot.0.lock().set(None);
     }
 }
 
-impl Ear {
-    fn deaf() -> Arc<Self> {
+impl CallbackSlot {
+    fn empty() -> Arc<Self> {
         Arc::new(Self(ReentrantMutex::new(Cell::new(None))))
     }
 
-    fn hear(&self, Progress { stage, done, .. }: Progress, cancel: &Cancel) {
+    fn call(&self, Progress { stage, done, .. }: Progress, cancel: &Cancel) {
         let listener = self.0.lock();
         let Some(Listener { callback, user }) = listener.get() else { return };
         let name: CString = c_text(stage.name());
@@ -204,7 +204,7 @@ impl Ear {
             done,
             stage: MeniscusStage::from(stage) as i32,
         };
-        // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
+        // SAFETY: `user` belongs to this callback; both are valid during the call.
         if unsafe { callback(user, &raw const progress) } != 0 {
             cancel.cancel();
         }

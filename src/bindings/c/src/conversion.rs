@@ -113,19 +113,19 @@ unsafe impl Growing for MeniscusSummary {
 fn notify(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
     let Some(EventListener { callback, user }) = listener else { return };
     let text = c_text(event.to_string());
-    let (told, warnings) = described(event);
+    let (converted, warnings) = described(event);
     let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
     let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
-    let told = MeniscusEvent { text: text.as_ptr(), warnings, ..told };
-    // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
-    if unsafe { callback(user, &raw const told) } != 0 {
+    let converted = MeniscusEvent { text: text.as_ptr(), warnings, ..converted };
+    // SAFETY: `user` belongs to this callback; both are valid during the call.
+    if unsafe { callback(user, &raw const converted) } != 0 {
         cancel.cancel();
     }
 }
 
 /// An event as a C structure, with the warnings about its frame.
 fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
-    let mut told = MeniscusEvent {
+    let mut converted = MeniscusEvent {
         size: size_of::<MeniscusEvent>(),
         text: std::ptr::null(),
         warnings: std::ptr::null(),
@@ -144,32 +144,32 @@ fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
         Event::Resumed { .. } => MeniscusEventKind::Resumed,
         Event::Measured { .. } => MeniscusEventKind::Measured,
         Event::Started { frames, done, .. } => {
-            (told.done, told.total) = (*done as u64, *frames as u64);
+            (converted.done, converted.total) = (*done as u64, *frames as u64);
             MeniscusEventKind::Started
         }
         Event::FrameAppeared { .. } => MeniscusEventKind::FrameAppeared,
         Event::Stage { frame, progress, .. } => {
-            told.frame = *frame;
-            told.share = progress.map_or(0.0, |progress| progress.done);
+            converted.frame = *frame;
+            converted.share = progress.map_or(0.0, |progress| progress.done);
             MeniscusEventKind::Stage
         }
         Event::Done(done) => {
             warnings = done.warnings.iter().map(ToString::to_string).collect();
-            told.frame = done.mesh.frame;
-            told.count(&done.progress);
+            converted.frame = done.mesh.frame;
+            converted.count(&done.progress);
             MeniscusEventKind::Done
         }
         Event::Failed(failed) => {
-            told.frame = failed.frame;
-            told.count(&failed.progress);
+            converted.frame = failed.frame;
+            converted.count(&failed.progress);
             MeniscusEventKind::Failed
         }
         Event::SimulationFailed(_) => MeniscusEventKind::SimulationFailed,
         Event::Ended(_) => MeniscusEventKind::Ended,
         _ => MeniscusEventKind::Other,
     };
-    told.kind = kind as i32;
-    (told, warnings)
+    converted.kind = kind as i32;
+    (converted, warnings)
 }
 
 impl MeniscusEvent {

@@ -63,7 +63,7 @@ unsafe fn of_particles<T>(
     // SAFETY: as for this function.
     let (particles, asked) = unsafe { (Borrowed::new(particles)?, Asked::new(options)?) };
     let asked = asked.on_machine(|_| Some(particles.bytes()))?;
-    let _listening = asked.control.listen();
+    let _active = asked.control.activate();
     Ok(act(&asked.request, &particles)?)
 }
 
@@ -81,7 +81,7 @@ unsafe fn of_file<T>(
     // Errors of the request are reported before a device is opened.
     asked.request.check(&file)?;
     let asked = asked.for_file(&file)?;
-    let _listening = asked.control.listen();
+    let _active = asked.control.activate();
     Ok(act(&asked.request, &file)?)
 }
 
@@ -194,7 +194,7 @@ pub unsafe extern "C" fn meniscus_frame_surface(
         }
         // SAFETY: as for this function.
         let asked = unsafe { Asked::new(options) }?;
-        let _listening = asked.control.listen();
+        let _active = asked.control.activate();
         Ok(frame.surface_by(&asked.request)?)
     };
     // SAFETY: as for this function.

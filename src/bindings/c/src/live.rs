@@ -69,7 +69,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
         };
         let control = control.for_other_work();
         live.set_control(&control.of(Reconstruction::new()));
-        let _listening = control.listen();
+        let _active = control.activate();
         Ok(MeniscusMesh::new(live.frame(&particles)?))
     };
     // SAFETY: as for this function.

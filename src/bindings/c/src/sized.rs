@@ -24,7 +24,7 @@ unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL")));
     }
-    // SAFETY: a structure begins with its size; nothing is said of where it lies.
+    // SAFETY: a structure begins with its size; it may lie at any address.
     let size = unsafe { at.cast::<usize>().read_unaligned() };
     if !(size_of::<usize>()..=LARGEST).contains(&size) || !size.is_multiple_of(size_of::<usize>()) {
         let (name, own) = (T::NAME, size_of::<T>());

@@ -145,40 +145,40 @@ static void positions_may_lie_anywhere(void) {
   }
 }
 
-struct told {
+struct reports {
   int calls, stop_after;
   bool inside;
   int stages[8];
 };
 
 static int32_t hear(void *user, const MeniscusProgress *progress) {
-  struct told *told = user;
-  CHECK(!told->inside);
-  told->inside = true;
+  struct reports *reports = user;
+  CHECK(!reports->inside);
+  reports->inside = true;
   CHECK(progress->size >= sizeof *progress && progress->done >= 0 && progress->done <= 1 && *progress->name);
-  told->stages[progress->stage]++;
-  told->calls++;
-  told->inside = false;
-  return told->calls == told->stop_after;
+  reports->stages[progress->stage]++;
+  reports->calls++;
+  reports->inside = false;
+  return reports->calls == reports->stop_after;
 }
 
-static void progress_is_told_and_can_end_the_work(const char *folder) {
+static void progress_is_reported_and_can_cancel_the_work(const char *folder) {
   MeniscusParticles particles = particles_of(positions);
-  struct told told = {0};
+  struct reports reports = {0};
   MeniscusOptions *options = OPTIONS("simplify", "0.5");
-  OK(meniscus_options_on_progress(options, hear, &told));
+  OK(meniscus_options_on_progress(options, hear, &reports));
   MeniscusMesh *mesh;
   OK(meniscus_reconstruct(&particles, options, &mesh));
-  CHECK(told.stages[MENISCUS_STAGE_COUNTING] && told.stages[MENISCUS_STAGE_MESHING] && told.stages[MENISCUS_STAGE_SIMPLIFYING]);
+  CHECK(reports.stages[MENISCUS_STAGE_COUNTING] && reports.stages[MENISCUS_STAGE_MESHING] && reports.stages[MENISCUS_STAGE_SIMPLIFYING]);
   // The call has returned, so its callback must not be called any more.
-  int calls = told.calls;
+  int calls = reports.calls;
   char path[512];
-  snprintf(path, sizeof path, "%s/told.obj", folder);
+  snprintf(path, sizeof path, "%s/reports.obj", folder);
   OK(meniscus_mesh_write(mesh, path, 1, NULL));
-  CHECK(told.calls == calls);
+  CHECK(reports.calls == calls);
   meniscus_mesh_free(mesh);
   for (int after = 1; after < calls; after++) {
-    told = (struct told){.stop_after = after};
+    reports = (struct reports){.stop_after = after};
     CHECK(meniscus_reconstruct(&particles, options, &mesh) == MENISCUS_STATUS_CANCELLED && mesh == NULL);
     CHECK(strcmp(meniscus_last_error(), "cancelled") == 0);
   }
@@ -187,7 +187,7 @@ static void progress_is_told_and_can_end_the_work(const char *folder) {
   OK(meniscus_simulation_new(options, &simulation));
   meniscus_options_free(options);
   for (int stop_after = 2; stop_after >= 0; stop_after -= 2) {
-    told = (struct told){.stop_after = stop_after};
+    reports = (struct reports){.stop_after = stop_after};
     CHECK(meniscus_simulation_frame(simulation, &particles, &mesh) == (stop_after ? MENISCUS_STATUS_CANCELLED : MENISCUS_STATUS_OK));
   }
   meniscus_mesh_free(mesh);
@@ -306,7 +306,7 @@ static int32_t stop(void *user, const MeniscusEvent *event) {
   return event->kind == MENISCUS_EVENT_KIND_STARTED;
 }
 
-static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *folder) {
+static void a_conversion_reports_finished_and_failed_frames(const char *folder) {
   static char inputs[4][512], output[512];
   const char *names[4];
   for (int i = 0; i < 4; i++) {
@@ -459,11 +459,11 @@ static int test(int count, char **arguments) {
   copies_are_what_is_lent();
   whole_numbers_are_those_of_particles();
   positions_may_lie_anywhere();
-  progress_is_told_and_can_end_the_work(arguments[1]);
+  progress_is_reported_and_can_cancel_the_work(arguments[1]);
   a_handle_ends_all_that_is_begun_with_it();
   a_frame_is_sampled_once_and_surfaced_often(arguments[1]);
   a_simulation_settles_and_its_frames_are_alike();
-  a_conversion_tells_of_frames_and_of_those_that_fail(arguments[1]);
+  a_conversion_reports_finished_and_failed_frames(arguments[1]);
   frames_before_the_first_are_joined(arguments[1]);
   two_threads_do_not_disturb_each_other();
   puts("as the header says");

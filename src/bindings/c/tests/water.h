@@ -1,4 +1,4 @@
-// What all tests need: water of a few hundred particles, and sentences that must be true.
+// Shared by all tests: water of a few hundred particles, and macros that check a condition.
 #ifndef WATER_H
 #define WATER_H
 
@@ -33,7 +33,7 @@ enum { SIDE = 10, DROPS = 5, COUNT = SIDE * SIDE * SIDE + DROPS };
 
 #define SPACING 0.05
 
-/// A cube of water with so many particles along each edge, in some disorder, moved by `shift`. Coordinates are numbers of 32 bits.
+/// A cube of water with `side` particles along each edge, slightly disordered and moved up by `shift`. Coordinates are of type float.
 static inline void pour_cube(float (*positions)[3], int side, float shift) {
   uint64_t state = 7;
   for (int i = 0; i < side * side * side; i++) {
@@ -57,10 +57,10 @@ static inline void pour(float positions[COUNT][3], float shift) {
 /// Options by their keys and values, in turn; the caller frees them.
 #define OPTIONS(...) options_of((const char *const[]){__VA_ARGS__, NULL})
 
-static inline MeniscusOptions *options_of(const char *const *said) {
+static inline MeniscusOptions *options_of(const char *const *pairs) {
   MeniscusOptions *options = meniscus_options_new();
-  for (; *said; said += 2) {
-    OK(meniscus_options_set(options, said[0], said[1]));
+  for (; *pairs; pairs += 2) {
+    OK(meniscus_options_set(options, pairs[0], pairs[1]));
   }
   return options;
 }
@@ -70,7 +70,7 @@ static inline MeniscusParticles particles_of(float positions[COUNT][3]) {
   return particles;
 }
 
-/// Makes sure that the library leaves no thread behind: those that were asked to end may take a moment.
+/// Checks that the library leaves no thread behind. A thread that was asked to end may take a moment.
 static inline void wait_for_threads(void) {
   for (int tries = 0;; tries++) {
     int threads = 0;
@@ -91,7 +91,7 @@ static inline void wait_for_threads(void) {
 /// The test itself.
 static int test(int count, char **arguments);
 
-/// Whether a driver was used, which keeps threads of its own.
+/// Whether a graphics driver was used. A driver keeps its own threads.
 static bool driver_used;
 
 static struct { int count; char **arguments; int code; } given;
@@ -101,7 +101,7 @@ static inline void *run_test(void *unused) {
   return unused;
 }
 
-/// Runs the test on a thread that ends: what the library keeps for a thread is freed then, and valgrind sees what is not.
+/// Runs the test on a thread that ends. The library frees its data of a thread at that point, and valgrind reports any that is left.
 int main(int count, char **arguments) {
   pthread_t thread;
   given.count = count, given.arguments = arguments;

@@ -1,4 +1,4 @@
-// The C++ wrapper: what it frees, throws and lends: `wrapper FOLDER`.
+// Tests that the C++ wrapper frees memory, throws exceptions and lends arrays correctly. Usage: `wrapper FOLDER`
 #include <meniscus.hpp>
 
 #include <cmath>
@@ -35,18 +35,18 @@ static void test(const std::string &folder) {
   auto options =
       meniscus::Options().set("spacing", 0.1).set("normals", true).set("attributes", "speed");
   options.set("origin", {0, 0, 0}).set("threads", 1).set("up", std::string("y"));
-  int told = 0;
-  options.on_progress([&](const MeniscusProgress &) { return ++told > 0; });
+  int calls = 0;
+  options.on_progress([&](const MeniscusProgress &) { return ++calls > 0; });
   auto particles = meniscus::Particles(water).attribute("speed", speeds.data(), 1);
   const meniscus::Mesh mesh = meniscus::reconstruct(particles, options);
-  CHECK(told > 2 && mesh.vertex_count() > 100 && mesh.checked().is_closed_oriented_manifold);
+  CHECK(calls > 2 && mesh.vertex_count() > 100 && mesh.checked().is_closed_oriented_manifold);
   CHECK(mesh.positions().size() == 3 * mesh.vertex_count() && mesh.normals().size() == mesh.positions().size());
   const auto copied = mesh.copy_positions<float>();
   for (std::size_t i = 0; i < copied.size(); i++) CHECK(copied[i] == static_cast<float>(mesh.positions()[i]));
   CHECK(mesh.copy_positions<double>()[5] == mesh.positions()[5]);
   CHECK(mesh.copy_triangles()[7] == mesh.triangles()[7]);
   for (float speed : mesh.attribute("speed")) CHECK(std::abs(speed - 2) < 1e-6f);
-  // Whole numbers that float does not hold.
+  // Whole numbers that float cannot hold.
   std::vector<int32_t> ids;
   for (int i = 0; i < 512; i++) ids.push_back(16777217 + 2 * i);
   const auto numbered = meniscus::Particles(water).attribute("id", ids.data(), 1);
@@ -65,7 +65,7 @@ static void test(const std::string &folder) {
   CHECK(mesh.overwrite(path) > 1000);
   CHECK(failure([&] { mesh.write(path); }, "exists already") == MENISCUS_STATUS_REQUEST);
 
-  // What a callback says, and what it throws.
+  // A callback cancels by its result, and its exceptions reach the caller.
   options.on_progress([](const MeniscusProgress &) { return false; });
   CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "cancelled") == MENISCUS_STATUS_CANCELLED);
   options.on_progress([](const MeniscusProgress &) -> bool { throw 42; });

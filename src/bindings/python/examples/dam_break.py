@@ -1,4 +1,4 @@
-"""A dam break by position-based dynamics in NumPy, and a mesh of each frame while it runs: python dam_break.py FOLDER"""
+"""A dam break with position-based dynamics in NumPy, and a mesh of each frame while it runs: python dam_break.py FOLDER"""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def neighbours(points: Points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int
 
 
 def advance(points: Points, velocity: Points) -> tuple[Points, Points]:
-    """Moves particles by a step, those that come too close away from each other, and all back into the tank."""
+    """Moves particles by a step, separates those that are too close, and moves all back into the tank."""
     moved = points + STEP * (velocity + STEP * GRAVITY)
     for _ in range(PUSHES):
         one, other = neighbours(moved)

@@ -17,7 +17,7 @@ import meniscus
 
 
 class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
-    """Writes the surface of the first fluid, by one simulation for all frames."""
+    """Writes the surface of the first fluid, with one simulation for all frames."""
 
     def __init__(self, base: Any, folder: Path) -> None:
         super().__init__(base)
@@ -25,12 +25,12 @@ class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
         self.simulation: meniscus.Simulation | None = None
 
     def step(self, frame: int) -> None:
-        """Is called by the simulator for each frame that it exports."""
+        """Called by the simulator for each exported frame."""
         now = sph.Simulation.getCurrent()
         model, radius = now.getFluidModel(0), now.getParticleRadius()
         if self.simulation is None:
             self.simulation = meniscus.Simulation(radius=radius)
-        # Views of the simulator's own memory, which is as long as its most particles.
+        # Views of the simulator's memory, whose length is the maximum number of particles.
         count = model.numActiveParticles()
         positions, velocity = (np.asarray(model.getFieldBuffer(name))[:count] for name in ("position", "velocity"))
         mesh = self.simulation.frame(positions, velocity=velocity)
@@ -38,7 +38,7 @@ class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
         print(f"frame {frame}: {count} particles, {mesh}")
 
     def reset(self) -> None:
-        """Is called when the simulation begins anew."""
+        """Called when the simulation is restarted."""
         self.simulation = None
 
 
@@ -50,5 +50,5 @@ if __name__ == "__main__":
     base.activateExporter("Mesh exporter", True)
     base.run()
     sys.stdout.flush()
-    # The simulator deletes its exporters, and so would the interpreter at its end: again.
+    # The simulator deletes its exporters, and the interpreter must not delete them again at its end.
     os._exit(0)

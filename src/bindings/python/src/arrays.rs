@@ -100,7 +100,7 @@ enum Types {
     Numbers,
 }
 
-// SAFETY: the numbers are only read, each at once, whoever else reads or writes them meanwhile.
+// SAFETY: every number is only read, in one access, even if other threads read or write it.
 unsafe impl Send for Numbers {}
 // SAFETY: as above.
 unsafe impl Sync for Numbers {}

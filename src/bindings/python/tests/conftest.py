@@ -18,7 +18,7 @@ Program = Callable[..., str]
 
 @pytest.fixture(scope="session")
 def program() -> Program:
-    """The program, which gives what it prints."""
+    """Runs the program, and returns its output."""
     built = [path for kind in ("release", "debug") if (path := ROOT / "target" / kind / "meniscus").exists()]
     newest = max(built, key=lambda path: path.stat().st_mtime, default="")
     found = str(os.environ.get("MENISCUS", newest))
@@ -44,7 +44,7 @@ def lattice(radius: float, spacing: float = 1.0, jitter: float = 0.2) -> npt.NDA
 
 @pytest.fixture(scope="session")
 def ball() -> npt.NDArray[np.float64]:
-    """A ball of particles one apart."""
+    """A ball of particles at spacing 1."""
     points = lattice(8.0)
     points.setflags(write=False)
     return points

@@ -1,4 +1,4 @@
-"""Arrays of every kind are read where they are."""
+"""Arrays of every kind are read in place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import meniscus
 
 
 class OnlyDLPack:
-    """An array of another library's, on some device."""
+    """An array of another library on a device."""
 
     def __init__(self, of: Any, device: tuple[int, int] = (1, 0), name: str = "") -> None:
         self.of, self.where, self.device = of, device, name
@@ -90,7 +90,7 @@ def test_arrays_of_this_kind_give_the_mesh_of_plain_ones(ball: Any, kind: str, d
 
 
 def test_positions_are_never_copied_whole() -> None:
-    # One row, as often as would take 192 MB.
+    # One row, repeated to a size of 192 MB.
     code = """
 import re, numpy, meniscus
 def peak(): return int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
@@ -128,7 +128,7 @@ def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword:
         meniscus.reconstruct(Nowhere(ball))
 
 
-def test_an_array_without_astype_is_told_of_its_own_way_and_type(ball: Any) -> None:
+def test_an_error_for_an_array_without_astype_names_its_type_and_conversion(ball: Any) -> None:
     class Half(OnlyDLPack):
         dtype = "torch.half"
 
@@ -140,7 +140,7 @@ def test_an_array_without_astype_is_told_of_its_own_way_and_type(ball: Any) -> N
         meniscus.reconstruct(Half(ball.astype(object)))
 
 
-def test_a_field_that_makes_arrays_is_told_to_do_so() -> None:
+def test_an_error_for_a_field_names_the_method_that_makes_an_array() -> None:
     class Field:
         def to_numpy(self) -> None: ...
 
@@ -208,7 +208,7 @@ IDENTIFIERS = {
     "uint16": (np.int32, 60_000),
     "int32": (np.int32, -(2**31)),
     "uint32": (np.uint32, 2**31),
-    # By their values.
+    # Converted by value.
     "int64": (np.int32, -(2**25) - 1),
     "uint64": (np.uint32, 2**32 - 3000),
 }
@@ -225,7 +225,7 @@ def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> 
     assert found.dtype == kind and found.shape == (len(mesh.vertices),) and set(found.tolist()) <= set(ids.tolist())
     assert mesh.attributes["pair"].dtype == kind and np.array_equal(mesh.attributes["pair"][:, 0], found)
     if not narrow:
-        # Each names one particle.
+        # Each value identifies one particle.
         near = ball[found.astype(np.int64) - first]
         assert np.linalg.norm(mesh.vertices - near, axis=1).max() < 2.0
     assert mesh.attributes["height"].dtype == np.float32

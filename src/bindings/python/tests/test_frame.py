@@ -1,4 +1,4 @@
-"""Frames that are sampled once, drawn often, and packed."""
+"""Frames that are sampled once for several surfaces, or packed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_its_surface_is_that_of_its_particles_by_whatever_keywords(ball: Any) ->
     asked = meniscus.reconstruct(ball, spacing=1.0, velocity=ball, normals=True)
     assert same(frame.surface(), asked) and np.array_equal(frame.surface().normals, asked.normals)  # type: ignore[arg-type]
     assert np.array_equal(frame.surface().attributes["velocity"], asked.attributes["velocity"])
-    # What is given here goes before, and what is not stays.
+    # Given keywords override those of the frame; others stay.
     calm = frame.surface(smooth=2.5)
     assert same(calm, meniscus.reconstruct(ball, spacing=1.0, smooth=2.5)) and calm.normals is not None
     assert frame.surface(normals=False).normals is None

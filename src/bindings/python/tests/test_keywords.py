@@ -13,7 +13,7 @@ import pytest
 
 import meniscus
 
-# What belongs to the end of a call, to files, or to a terminal.
+# Options of the command line, of files, or of a terminal.
 OF_FILES = {
     "output": "Mesh.write() takes it",
     "overwrite": "Mesh.write() takes it, too",
@@ -41,12 +41,12 @@ OF_THE_PROGRAM = {
     "version": "meniscus.__version__ is it",
 }
 SIMULATION = set(OF_FILES) - {"output"}
-# What is no option: arrays beside the positions, and the bars of a terminal, which are a callback here.
+# Keywords that are not options: arrays besides the positions, and the progress callback.
 OWN = {"velocity", "attributes", "progress"}
 
 
 def keywords(function: Any) -> set[str]:
-    """All that may be said by its name."""
+    """All keyword parameters."""
     parameters = inspect.signature(function).parameters.values()
     return {parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
 
@@ -74,7 +74,7 @@ def typed(name: str) -> dict[str, ast.expr]:
 
 
 def stub_keywords(function: ast.FunctionDef) -> set[str]:
-    """All that may be said by its name, as the stub has it."""
+    """All keyword parameters in the stub."""
     own = {argument.arg for argument in function.args.kwonlyargs}
     others = function.args.kwarg
     if others is None or others.annotation is None:
@@ -95,7 +95,7 @@ def members(annotation: ast.expr) -> list[ast.expr]:
     return [annotation]
 
 
-# A value of each type of a keyword that is not a list of words.
+# A value for each type of keyword, except lists of words.
 SAMPLES: dict[str, Any] = {
     "None": None,
     "bool": False,
@@ -111,7 +111,7 @@ SAMPLES: dict[str, Any] = {
 
 
 def words(member: ast.expr) -> list[str]:
-    """The words of a Literal, or of an alias of one; none of another type."""
+    """The words of a Literal, or of an alias of one; empty for other types."""
     member = ALIASES.get(ast.unparse(member), member)
     text = ast.unparse(member)
     return re.findall(r"'([^']*)'", text) if text.startswith("Literal") else []
@@ -137,7 +137,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
     assert keywords(meniscus.Simulation) == wanted
     assert "output" in inspect.signature(meniscus.Simulation).parameters
     assert keywords(meniscus.Mesh.write) == {"overwrite", "preview"} <= options
-    # As in the program, attributes are named there.
+    # As in the program, this names attributes.
     assert "attributes" in wanted
 
 
@@ -162,7 +162,7 @@ def test_the_stub_has_the_keywords_of_each_function() -> None:
 
 @pytest.mark.parametrize("name", sorted(typed("_OfFrames")))
 def test_every_type_of_the_stub_is_taken(name: str, tmp_path: Any) -> None:
-    """By a simulation, which takes all keywords: values may be refused, but not their types."""
+    """Passes keywords to a simulation, which takes all: values may be rejected, but not their types."""
     inputs, output = tmp_path / "in_{}.bgeo", tmp_path / "out_{}.ply"
     known: list[str] = []
     for member in members(typed("_OfFrames")[name]):

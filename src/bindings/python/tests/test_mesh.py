@@ -1,4 +1,4 @@
-"""Meshes: their arrays, what is measured of them, and files."""
+"""Meshes: arrays, measures and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The installed package: its program, its licences, and what happens beside the other package named meniscus."""
+"""The installed package: its program, its licences, and conflicts with the other package named meniscus."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROGRAMS = [[sys.executable, "-m", "meniscus"], *([str(Path(sysconfig.get_path("
 
 
 def run(*command: object, path: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Runs a command, with a folder of packages that come before all others."""
+    """Runs a command, with a folder of packages that precedes all others."""
     environment = {"PYTHONPATH": str(path)} if path else {}
     return subprocess.run([*map(str, command)], capture_output=True, text=True, check=False, env=environment)
 
@@ -44,7 +44,7 @@ def test_the_program_of_the_wheel_writes_the_bytes_of_the_program(program: objec
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A copy of the installed package, in a folder of packages of its own."""
+    """A copy of the installed package in a separate folder."""
     shutil.copytree(Path(meniscus.__file__).parent, tmp_path / "meniscus")
     return tmp_path
 
@@ -64,7 +64,7 @@ def test_a_package_whose_files_the_other_one_replaced_or_removed_says_so(site: P
     package = site / "meniscus" / "__init__.py"
     package.unlink() if other is None else package.write_text(other)
     for command in [["-m", "meniscus", "--version"], ["-c", "import meniscus.compat.pysplashsurf"]]:
-        # Without the environment's own packages, of which this one is.
+        # Without the environment's packages, which include this one.
         done = run(sys.executable, "-S", *command, path=site)
         assert done.returncode != 0 and "pip uninstall meniscus meniscus-surface" in done.stderr, done.stderr
 

@@ -1,4 +1,4 @@
-"""Files of particles are read as by the program, whatever their format, and those of either width."""
+"""Particle files of all formats and widths are read like in the program."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import meniscus
 from conftest import ROOT, lattice
 
 DATA = ROOT / "tests" / "data"
-# Of other programs, with a spacing where the file holds none, or too few particles to tell.
+# Files of other programs, with a spacing if the file has none, or too few particles for an estimate.
 FILES: dict[str, dict[str, Any]] = {
     "dambreak_small/ParticleData_Fluid_20.bgeo": {},
     "dambreak_small/ParticleData_Fluid_10.vtk": {},
@@ -33,12 +33,12 @@ FILES: dict[str, dict[str, Any]] = {
     "simulations/points.csv": {"spacing": 0.1},
     "h5/steps.h5part#10": {"spacing": 0.1},
 }
-# Written here, of numbers of 32 and of 64 bits.
+# Files that this test writes, with 32-bit and 64-bit numbers.
 WRITTEN = ["csv", "dat", "dump", "json", "npy", "npz", "ply", "txt", "vtk", "vtp", "vtu"]
 
 
 def put(path: Path, positions: Any, velocity: Any) -> None:
-    """Writes particles to a file in the format that its extension names, and in the width of the positions."""
+    """Writes particles to a file in the format of its extension, with the width of the positions."""
     kind, bits = path.suffix[1:], positions.dtype.itemsize * 8
     count = len(positions)
     if kind == "npy":
@@ -90,7 +90,7 @@ def put(path: Path, positions: Any, velocity: Any) -> None:
 
 
 def compare(folder: Path, program: Any, path: Path, options: dict[str, Any]) -> meniscus.Particles:
-    """Compares the program's mesh of a file with the mesh of its arrays, and with that of the file itself."""
+    """Compares the program's mesh of a file with the mesh of its arrays, and with this module's mesh of the file."""
     given = [f"--{name}={value}" for name, value in options.items()]
     program("reconstruct", path, "-o", folder / "theirs.ply", "-q", "--overwrite", *given)
     theirs = (folder / "theirs.ply").read_bytes()
@@ -114,7 +114,7 @@ def test_files_of_other_programs_give_the_programs_bytes(tmp_path: Path, program
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("extension", WRITTEN)
 def test_every_width_of_numbers_gives_the_programs_bytes(tmp_path: Path, program: Any, extension: str, dtype: str) -> None:
-    # So far off that numbers of 32 bits would move particles.
+    # So far from the origin that 32-bit numbers would move particles.
     positions = (lattice(6.0) + (1000.0 if dtype == "float64" else 0.0)).astype(dtype)
     velocity = positions.astype(np.float32)
     path = tmp_path / f"water.{extension}"
@@ -123,7 +123,7 @@ def test_every_width_of_numbers_gives_the_programs_bytes(tmp_path: Path, program
     assert np.array_equal(particles.positions, positions)
     if extension not in ("json", "npy"):
         assert particles.velocity is not None and np.array_equal(particles.velocity, velocity)
-    # Gzipped it is the same.
+    # The gzipped file gives the same.
     packed = path.with_suffix(path.suffix + ".gz")
     packed.write_bytes(gzip.compress(path.read_bytes()))
     assert np.array_equal(compare(tmp_path, program, packed, {"spacing": 1.0}).positions, positions)
@@ -142,7 +142,7 @@ def test_no_format_of_the_programs_is_left_out() -> None:
     known = set(re.findall(r"\.(\w+)", str(raised.value).split("abc", 1)[1])) - {"gz", "xz", "zst"}
     assert len(known) > 15
     tried = {Path(file.split("#")[0]).suffix[1:] for file in FILES} | set(WRITTEN) | {"xyz"}
-    # Names of the same formats, or of lists of the same pieces.
+    # Other extensions of the same formats, or lists of the same pieces.
     alike = {"bhclassic": "bgeo", "geo": "bgeo", "sc": "bgeo", "extxyz": "xyz", "h5md": "h5", "hdf": "hdf5", "lammpstrj": "dump", "vtm": "pvtp", "vtpc": "pvtp", "vtpd": "pvtp"}
     assert {alike.get(name, name) for name in known} == tried
 

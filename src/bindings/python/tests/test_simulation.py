@@ -1,4 +1,4 @@
-"""Frames of simulations: all alike, from memory and from files."""
+"""Frames of simulations with one calibration, from memory and from files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from conftest import lattice
 
 @pytest.fixture(scope="module")
 def pool() -> Any:
-    """Fluid that is deeper than the filters reach."""
+    """Fluid that is deeper than the reach of the filters."""
     rng = np.random.default_rng(5)
     steps = np.arange(0.5, 30.0)
     points = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
@@ -26,7 +26,7 @@ def test_what_is_measured_once_is_kept_for_the_frames_that_follow(pool: Any) -> 
     assert not simulation.settled
     first = simulation.frame(pool)
     assert simulation.settled
-    # Alone, particles twice as far apart would have cells twice as large.
+    # As a single frame, particles with twice the spacing would have cells of twice the size.
     later = simulation.frame(2.0 * pool)
     assert later.report.cell_size == first.report.cell_size
     assert meniscus.reconstruct(2.0 * pool).report.cell_size > 1.5 * first.report.cell_size
@@ -103,7 +103,7 @@ def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dam
     assert {event.output for event in done} == {tmp_path / "ours" / f"{number:03}.ply" for number in (1, 10, 20)}
     assert str(done[0]) == done[0].message and "triangles" in done[0].message
     assert {"measured", "started", "stage", "ended"} <= {event.kind for event in events}
-    # A second run has nothing to do where it may go on, and refuses to replace where not.
+    # A second run does nothing with resume, and is an error without.
     (again,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True, resume=True).run()
     assert again.made == 0 and again.complete
     with pytest.raises(meniscus.FileError, match="exists already"):
@@ -126,7 +126,7 @@ def test_what_a_callback_raises_ends_a_conversion(tmp_path: Path, dambreak: Path
     with pytest.raises(ZeroDivisionError):
         simulation.run(progress=stop)
     assert not list(tmp_path.glob("*.ply"))
-    # Neither was it for good.
+    # Neither was permanent.
     (summary,) = simulation.run()
     assert summary.made == 3
 

@@ -1,4 +1,4 @@
-"""Types: what the stubs say is what the module has, and examples keep to it."""
+"""Types: the stubs match the module, and the examples match the stubs."""
 
 from __future__ import annotations
 

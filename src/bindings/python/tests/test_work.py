@@ -1,4 +1,4 @@
-"""Work: without the interpreter's lock, ended at any time, and nothing left of it."""
+"""Work without the interpreter's lock, cancelled at any time, without leftovers."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def long() -> Any:
     return {"positions": lattice(16.0), "spacing": 1.0, "cell": 0.1, "threads": 1}
 
 
-def test_progress_is_told_on_the_callers_thread_stage_by_stage(ball: Any) -> None:
-    told: list[tuple[str, float, int]] = []
-    meniscus.reconstruct(ball, simplify=0.5, progress=lambda stage, done: told.append((stage, done, threading.get_ident())))
-    assert {thread for *_, thread in told} == {threading.get_ident()}
-    stages = list(dict.fromkeys(stage for stage, *_ in told))
+def test_progress_is_reported_on_the_callers_thread_stage_by_stage(ball: Any) -> None:
+    reports: list[tuple[str, float, int]] = []
+    meniscus.reconstruct(ball, simplify=0.5, progress=lambda stage, done: reports.append((stage, done, threading.get_ident())))
+    assert {thread for *_, thread in reports} == {threading.get_ident()}
+    stages = list(dict.fromkeys(stage for stage, *_ in reports))
     assert stages == ["reading", "counting", "sampling", "meshing", "simplifying"]
     for stage in stages:
-        shares = [done for name, done, _ in told if name == stage]
+        shares = [done for name, done, _ in reports if name == stage]
         assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
 
 
 def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
-    # Seconds of the processor's, as others may load it.
+    # CPU seconds, because other processes may load the machine.
     begin = time.process_time()
     meniscus.reconstruct(**long)
     whole = time.process_time() - begin
@@ -53,7 +53,7 @@ def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """Python's own handling of interrupts, which what a shell starts in the background begins without."""
+    """Restores Python's handling of interrupts, which background processes of a shell lack."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -125,7 +125,7 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     calm = lattice(8.0)
     positions = calm.copy()
     over = threading.Event()
-    # Whoever holds it has the array as it was: a quick machine might refuse every other call.
+    # A view keeps the old array, so a fast machine might reject every second call.
     still = threading.Lock()
 
     def disturb() -> None:
@@ -177,7 +177,7 @@ def test_memory_is_given_back_after_each_call() -> None:
     command = [sys.executable, "-W", "ignore", "-c", RESIDENT, "5000", "60"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     before, after, _ = map(float, done.stdout.split())
-    # A mesh that stays takes 0.7 MiB; arenas of threads come and go.
+    # A leaked mesh takes 0.7 MiB; arenas of threads come and go.
     assert after < before + 10, f"{before} MiB grew to {after}"
 
 

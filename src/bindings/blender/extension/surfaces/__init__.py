@@ -1,1 +1,1 @@
-"""From what is asked for to arrays, without Blender: which file a frame is, what a surface depends on, and what is kept of those that were made."""
+"""From requests to arrays, without Blender: the file of a frame, the inputs of a surface, and a cache of surfaces."""

@@ -1,4 +1,4 @@
-"""A surface as the arrays that Blender takes: float32 and int32, in one piece."""
+"""A surface as arrays for Blender: contiguous float32 and int32."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 
 class OutOfRange(Exception):
-    """A mesh that single precision cannot hold."""
+    """A mesh that single precision cannot represent."""
 
 
 @dataclass(frozen=True)
 class Arrays:
-    """A triangle mesh with what its vertices carry, and what is to be said of it."""
+    """A triangle mesh with attributes of its vertices, and notes about it."""
 
     vertices: npt.NDArray[np.float32]
     triangles: npt.NDArray[np.int32]
@@ -25,19 +25,19 @@ class Arrays:
 
     @classmethod
     def of(cls, mesh: meniscus.Mesh) -> Arrays:
-        """The arrays of a mesh of the library's, whose own are given back with it."""
-        # Blender has float32 only: half the memory to keep.
+        """The arrays of a mesh of the library, whose own arrays are freed with it."""
+        # Blender has only float32, which halves the memory.
         with np.errstate(over="ignore", invalid="ignore"):
             vertices = mesh.vertices.astype(np.float32)
-            # Infinities stay in a sum, and one is faster told than each of all.
+            # A sum keeps infinities, and is faster than a test of each number.
             is_finite = np.isfinite(vertices.sum(dtype=np.float64))
         if not is_finite:
-            raise OutOfRange("The surface is larger than single precision holds, which is all that Blender has")
+            raise OutOfRange("The surface exceeds single precision, which Blender uses")
         return cls(
             vertices=vertices,
-            # The same bits, for there are never 2^31 vertices in one of Blender's meshes.
+            # The bits are the same, because a Blender mesh has fewer than 2^31 vertices.
             triangles=mesh.triangles.view(np.int32),
-            # Whole numbers have a sign there: beyond 2^31 they are the same bits.
+            # Integers are signed there: from 2^31 on, only the bits are the same.
             attributes={
                 name: values.view(np.int32) if values.dtype == np.uint32 else values for name, values in mesh.attributes.items()
             },
@@ -47,10 +47,10 @@ class Arrays:
 
     @classmethod
     def empty(cls) -> Arrays:
-        """No triangle."""
+        """Arrays without triangles."""
         return cls(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 
     @property
     def nbytes(self) -> int:
-        """Memory that they take."""
+        """Bytes of memory."""
         return self.vertices.nbytes + self.triangles.nbytes + sum(values.nbytes for values in self.attributes.values())

@@ -1,4 +1,4 @@
-"""Values that took long to make, as many as a bound of memory allows."""
+"""A cache of values that take long to make, within a memory limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 
 class Sized(Protocol):
-    """Whatever says how much memory it takes."""
+    """A value with a known size in memory."""
 
     @property
     def nbytes(self) -> int: ...
@@ -18,7 +18,7 @@ V = TypeVar("V", bound=Sized)
 
 
 class Cache(Generic[V]):
-    """What was used last, up to so many bytes; a value that alone is larger is not kept."""
+    """Keeps the most recently used values, up to a number of bytes; a value that is larger alone is not kept."""
 
     def __init__(self, bound: int) -> None:
         self._values: OrderedDict[Hashable, V] = OrderedDict()
@@ -38,29 +38,29 @@ class Cache(Generic[V]):
         self._shrink()
 
     def get(self, key: Hashable) -> V | None:
-        """The value, which counts as used."""
+        """Returns a value, and counts it as used."""
         value = self._values.get(key)
         if value is not None:
             self._values.move_to_end(key)
         return value
 
     def put(self, key: Hashable, value: V) -> None:
-        """Keeps a value, in the place of those that were not used for longest."""
+        """Adds a value, and removes the least recently used ones."""
         self.drop(key)
-        # What does not fit would drive out all others, for nothing.
+        # A value that does not fit would only remove all others.
         if value.nbytes <= self._bound:
             self._values[key] = value
             self.nbytes += value.nbytes
             self._shrink()
 
     def drop(self, key: Hashable) -> None:
-        """Forgets a value, if it is there."""
+        """Removes a value, if it exists."""
         value = self._values.pop(key, None)
         if value is not None:
             self.nbytes -= value.nbytes
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Removes all values."""
         self._values.clear()
         self.nbytes = 0
 

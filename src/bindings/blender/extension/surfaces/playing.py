@@ -1,4 +1,4 @@
-"""When a conversion's stage is read, so that it shows what the live surface would."""
+"""The times of a conversion's stage, so that it shows the same as the live surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .sequence import Timing
 
 @dataclass(frozen=True)
 class Reading:
-    """Time codes of a stage by the scene's frames: `at_start` at the frame `start`, and so many more for `each`."""
+    """Maps the scene's frames to time codes of a stage: `at_start` at the frame `start`, plus `each` per frame."""
 
     start: int
     at_start: float
@@ -19,17 +19,17 @@ class Reading:
 
     @property
     def offset(self) -> float | None:
-        """What is to be taken off a frame to get its time code, if that is all there is to do."""
+        """The number to subtract from a frame to get its time code, if the mapping is only a shift."""
         return self.start - self.at_start if abs(self.each - 1.0) < 1e-4 else None
 
     @property
     def expression(self) -> str:
-        """The time code of `frame`, as drivers have it."""
+        """The time code of `frame`, as a driver expression."""
         return f"{self.at_start:.9g} + ({self.each:.9g}) * (frame - {self.start})"
 
 
 def reading(listing: Path, timing: Timing) -> Reading:
-    """Reads how times follow from numbers in what the library lists of a conversion, whose stage has `fps` time codes a second."""
+    """Reads the times of frame numbers from a conversion's list, whose stage has `fps` time codes per second."""
     listed = json.loads(listing.read_text())
     first, last, fps = listed["frames"][0], listed["frames"][-1], listed["fps"]
     numbers = last["frame"] - first["frame"]

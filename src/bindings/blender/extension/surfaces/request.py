@@ -1,4 +1,4 @@
-"""What a surface depends on: what it is made of and how, which is the key that it is kept by."""
+"""The inputs and settings of a surface, which are its key in the cache."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ import numpy.typing as npt
 from .arrays import Arrays
 from .sequence import stamp_of
 
-#: Packed frames have cells and a spacing of their own, and no attributes.
+#: Packed frames have their own cells and spacing, and no attributes.
 PACKED = ".mnf"
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How particles are sampled. What is None is the library's choice."""
+    """Settings of the sampling. None is the library's default."""
 
     spacing: float | None = None
     cell: float | None = None
     attributes: tuple[str, ...] | None = None
     where: str | None = None
-    #: The lowest and the highest corner of a tank.
+    #: The lowest and highest corner of a tank.
     domain: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
 class Filters:
-    """How a surface is drawn of samples, for which the particles are not needed again."""
+    """Settings of a surface that need only samples, not particles."""
 
     smooth: float | None = None
     smallest_drop: int | None = None
@@ -46,7 +46,7 @@ def _given(of: Sampling | Filters) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class FromFile:
-    """The particles of a file, or a packed frame."""
+    """A particle file or a packed frame."""
 
     path: str
     sampling: Sampling
@@ -57,7 +57,7 @@ class FromFile:
 
     @property
     def key(self) -> Hashable:
-        """Changes where the samples would."""
+        """Changes if the samples would change."""
         stamp = stamp_of(self.path)
         return self.path, stamp, None if self.is_packed else self.sampling
 
@@ -82,7 +82,7 @@ class FromPoints:
 
     @property
     def key(self) -> Hashable:
-        """Changes where the samples would."""
+        """Changes if the samples would change."""
         return self.digest, len(self.positions), self._asked
 
     def sample(self) -> meniscus.Frame:
@@ -90,30 +90,30 @@ class FromPoints:
 
     @property
     def _asked(self) -> Sampling:
-        """What is of files says nothing of these."""
+        """Settings of files do not apply to particles in memory."""
         return replace(self.sampling, attributes=None, where=None)
 
 
 @dataclass(frozen=True)
 class Request:
-    """A surface that is asked for."""
+    """A request for a surface."""
 
     source: FromFile | FromPoints
     filters: Filters
 
     @property
     def key(self) -> Hashable:
-        """Changes where the surface would."""
+        """Changes if the surface would change."""
         return self.source.key, self.filters
 
     @property
     def name(self) -> str:
-        """The key in few letters, to be kept beside a mesh."""
+        """A short form of the key, to be stored with a mesh."""
         return hashlib.blake2b(repr(self.key).encode(), digest_size=16).hexdigest()
 
 
 class Maker:
-    """Makes surfaces, and keeps the samples of the last one, so that other filters need no particles."""
+    """Makes surfaces, and keeps the last samples, so that other filters need no particles."""
 
     def __init__(self) -> None:
         self._key: Hashable = None
@@ -126,16 +126,16 @@ class Maker:
         """
         key = request.source.key
         if self._frame is None or key != self._key:
-            # The one before makes room first.
+            # Frees the memory of the last samples first.
             self._frame = None
             self._frame, self._key = request.source.sample(), key
         return Arrays.of(self._frame.surface(**_given(request.filters)))
 
     @property
     def particles_up(self) -> str | None:
-        """The axis that points up in the particles that were sampled last."""
+        """The axis that points up in the last sampled particles."""
         return self._frame.particles_up if self._frame else None
 
     def forget(self) -> None:
-        """Gives the samples' memory back."""
+        """Frees the memory of the samples."""
         self._frame, self._key = None, None

@@ -1,4 +1,4 @@
-"""Which file of a sequence a frame of the scene shows.
+"""Finds the file of a sequence for a frame of the scene.
 
 What the frames of a name, a folder or a file of several steps are, the library says; here is what of them is shown when.
 """
@@ -14,14 +14,14 @@ from pathlib import Path
 
 import meniscus
 
-#: Extensions of all files that hold particles or list such, of packed frames, and of compressed files.
+#: Extensions of particle files and lists of them, packed frames, and compressed files.
 EXTENSIONS = (
     ".bgeo", ".bhclassic", ".bi4", ".csv", ".dat", ".dump", ".extxyz", ".geo", ".h5", ".h5md", ".h5part", ".hdf",
     ".hdf5", ".json", ".lammpstrj", ".mnf", ".npy", ".npz", ".ply", ".pvd", ".pvtp", ".pvtu", ".sc", ".series", ".txt",
     ".vtk", ".vtkhdf", ".vtm", ".vtp", ".vtpc", ".vtpd", ".vtu", ".xyz",
     ".gz", ".xz", ".zst",
 )
-#: The last digits before the extensions that are no number themselves, with a sign where the dash is not of the name.
+#: The last digits before the extensions, with a minus sign unless the dash belongs to the name.
 _NUMBER = re.compile(r"^(.*?)((?:(?<![^_. \-=(\[])-)?\d+)(\D*|\.\w+|\.\w+\.(?:gz|xz|zst))$")
 
 Stamp = tuple[int, int]
@@ -29,34 +29,34 @@ Stamp = tuple[int, int]
 
 @dataclass(frozen=True)
 class Shown:
-    """The file that is shown at a frame of the scene."""
+    """The file for a frame of the scene."""
 
     number: int
     path: str
-    #: The number that would be shown if its file was there.
+    #: The number that should be shown.
     wanted: int
 
     @property
     def is_gap(self) -> bool:
-        """Whether the file is shown in place of one that is missing."""
+        """Whether the file replaces a missing one."""
         return self.number < self.wanted
 
 
 @dataclass(frozen=True)
 class Timing:
-    """When the numbers of a sequence are shown: `first` at the scene's frame `start`, then `step` numbers a frame."""
+    """Timing of a sequence: the number `first` at the scene's frame `start`, then `step` numbers per frame."""
 
     start: int = 1
     first: int = 0
     step: float = 1.0
 
     def number(self, frame: int) -> int:
-        """The number that belongs to a frame of the scene."""
+        """The number for a frame of the scene."""
         return self.first + math.floor((frame - self.start) * self.step + 1e-6)
 
 
 def sequence_of(path: str) -> str:
-    """What names the sequence that a file belongs to: the file itself where its frames are steps in it, or it has no number."""
+    """The name of the sequence that contains a file: the file itself if it has steps or no number."""
     folder, name = os.path.split(path)
     if "#" in name or "{" in name or os.path.isdir(path):
         return path
@@ -64,7 +64,7 @@ def sequence_of(path: str) -> str:
         try:
             steps = meniscus.list_frames(path)
         except meniscus.Error:
-            # It is told of when its turn comes.
+            # The error is reported when the file is read.
             steps = []
         if any("#" in file.name for _, file in steps):
             return path
@@ -79,7 +79,7 @@ def number_of(path: str) -> int | None:
 
 
 def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Shown:
-    """The file for a frame of the scene: before the first that one, after the last that one, and in a gap the one before it."""
+    """The file for a frame of the scene: the first before the start, the last after the end, and in a gap the previous one."""
     wanted = timing.number(frame)
     at = max(bisect.bisect_right(frames, wanted, key=lambda known: known[0]) - 1, 0)
     number, path = frames[at]
@@ -88,7 +88,7 @@ def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Show
 
 
 def stamp_of(path: str) -> Stamp | None:
-    """Size and time of a file, by which it is told whether it is the same; nothing of one that is not there."""
+    """Size and time of a file, which show whether it has changed; None if it does not exist."""
     name, step = os.path.split(path)[1], path.rsplit("#", 1)
     try:
         found = os.stat(step[0] if "#" in name else path)
@@ -98,13 +98,13 @@ def stamp_of(path: str) -> Stamp | None:
 
 
 class Listings:
-    """Lists of frames, read again where their folder or file has changed."""
+    """Lists of frames, which are read again if their folder or file has changed."""
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[Stamp | None, list[tuple[int, Path]]]] = {}
 
     def frames(self, inputs: str) -> list[tuple[int, Path]]:
-        """The frames that a name stands for.
+        """The frames of a name.
 
         Raises what `meniscus.list_frames` raises.
         """
@@ -116,5 +116,5 @@ class Listings:
         return known[1]
 
     def clear(self) -> None:
-        """Reads all anew when it is asked for again."""
+        """Discards all lists, so that they are read again."""
         self._known.clear()

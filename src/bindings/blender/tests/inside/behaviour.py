@@ -1,4 +1,4 @@
-"""What a surface does in Blender: frames, settings, undo, files, errors, conversions. Run by tools/bindings/blender check."""
+"""Tests of surfaces in Blender: frames, settings, undo, files, errors, conversions. Run by tools/bindings/blender check."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ checks: list[Callable[[], None]] = []
 
 
 def check(sentence: Callable[[], None]) -> Callable[[], None]:
-    """Has a function run, whose name is what it finds true."""
+    """Registers a test, whose name is a sentence that must be true."""
     checks.append(sentence)
     return sentence
 
 
 def count_making() -> None:
-    """Writes down whatever is made by the library from here on."""
+    """Records all calls of the library from now on."""
     make = extension.surfaces.request.Maker.make
 
     def counted(self: Any, request: Any) -> Any:
@@ -77,7 +77,7 @@ def frames_are_made_once_and_shown_by_their_numbers() -> None:
         scene.frame_set(frame)
         assert shows(shown.data, expected(number)), frame
         gap = live.status_of(shown.data).notes
-        assert (gap == ("Frame 15 is missing: frame 10 is held",)) == (frame == 15), gap
+        assert (gap == ("Frame 15 is missing: showing frame 10",)) == (frame == 15), gap
     assert [Path(path).stem.rsplit("_", 1)[1] for path in made] == ["10", "20"], made
 
 
@@ -100,7 +100,7 @@ def a_frame_is_made_again_where_its_file_has_changed() -> None:
     assert before[0] > 0
     (folder / "pool_2.npy").unlink()
     scene.frame_set(2)
-    # Nothing comes after it any more.
+    # Nothing follows it.
     assert sizes(shown.data) == before and not live.status_of(shown.data).error
 
 
@@ -193,7 +193,7 @@ def packed_frames_take_filters_and_no_particles() -> None:
 
 
 def object_of(points: np.ndarray, scene: bpy.types.Scene) -> bpy.types.Object:
-    """Adds an object with those vertices and nothing else."""
+    """Adds an object with only these vertices."""
     mesh = bpy.data.meshes.new("points")
     mesh.vertices.add(len(points))
     mesh.vertices.foreach_set("co", points.reshape(-1))
@@ -347,14 +347,14 @@ def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
         made.clear()
         scene.render.filepath = str(options.folder / f"blurred_{blurred}.png")
         bpy.ops.render.render(write_still=True)
-        # The viewport's is kept; the render's is kept for the second.
+        # The viewport's surface is cached; the render's is cached for the second render.
         assert len(made) == (0 if blurred else 1), made
         assert drawn.pop() == len(expected(10, cell=0.5).triangles) and shows(shown.data, expected(10))
         pictures.append(picture_of(options.folder / f"blurred_{blurred}.png"))
     moved = np.abs(pictures[0] - pictures[1]).mean()
     print(f"    motion blur changes a pixel by {moved:.5f}")
     assert moved > 1e-3, "no motion blur"
-    # Without velocities the picture is sharp, whatever is asked for.
+    # Without velocities, the picture is always sharp.
     settings.attributes = "density"
     scene.render.filepath = str(options.folder / "still.png")
     bpy.ops.render.render(write_still=True)
@@ -388,7 +388,7 @@ def vertices_are_rendered_in_fine_cells_too() -> None:
     bpy.ops.render.render(write_still=True)
     bpy.app.handlers.render_post.clear()
     assert drawn[0] > 2 * coarse[1] and sizes(shown.data) == coarse, (drawn, coarse)
-    # Also where they are at another frame.
+    # Also at other frames.
     source.keyframe_insert("location", frame=1)
     source.location.x = 4.0
     source.keyframe_insert("location", frame=11)
@@ -419,7 +419,7 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     conversion = operators.conversion_of(shown.data)
     conversion.join()
     assert (conversion.done, conversion.total, conversion.error, conversion.problems) == (3, 3, "", []), vars(conversion)
-    # Timers are of a window's loop.
+    # Timers need the loop of a window.
     assert operators._poll(shown.data.session_uid) is None and not conversion.error, conversion.error
     played = [each for each in bpy.data.objects if each.modifiers.get("MeshSequenceCache") or any(m.type == "MESH_SEQUENCE_CACHE" for m in each.modifiers)]
     assert len(played) == 1 and shown.hide_render, list(bpy.data.objects)
@@ -436,7 +436,7 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     lowest = np.min([np.array(evaluated.matrix_world) @ [*corner, 1.0] for corner in evaluated.bound_box], axis=0)
     upright = np.min([np.array(shown.matrix_world) @ [*corner, 1.0] for corner in positions(shown.data)], axis=0)
     assert abs(lowest[:3] - upright[:3]).max() < 0.1, (lowest, upright)
-    # Twice as fast from another frame, it is read where the live surface would be.
+    # At twice the speed from another frame, it has the times of the live surface.
     settings.start, settings.step = 5, 9.5
     bpy.data.objects.remove(played[0])
     (replayed,) = operators.play(bpy.context, shown.data, conversion.order.stage)

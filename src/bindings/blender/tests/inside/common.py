@@ -1,4 +1,4 @@
-"""The extension, installed from its zip in a Blender that knows nothing of it, and frames to show."""
+"""Installs the extension from its zip in a fresh Blender, and makes frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DAM = ROOT / "tests" / "data" / "dambreak_small"
 
 
 def arguments() -> argparse.Namespace:
-    """The zip, and a folder for what is written."""
+    """The zip, and a folder for outputs."""
     parser = argparse.ArgumentParser()
     parser.add_argument("zip", type=Path)
     parser.add_argument("folder", type=Path)
@@ -28,13 +28,13 @@ def installed(zipped: Path) -> types.ModuleType:
     import bl_ext.user_default.meniscus_surfaces as extension
     import meniscus
 
-    # The one of the zip, and no other that Python may find.
+    # The one of the zip, not another in the Python path.
     assert "extensions" in meniscus.__file__, meniscus.__file__
     return extension
 
 
 def emptied() -> bpy.types.Scene:
-    """A scene with nothing in it."""
+    """An empty scene."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=False)
     return bpy.context.scene
 
@@ -52,7 +52,7 @@ def positions(mesh: bpy.types.Mesh) -> np.ndarray[Any, Any]:
 
 
 def block(count: int, spacing: float = 0.1) -> np.ndarray[Any, Any]:
-    """A block of jittered particles, about so many."""
+    """A block of about this many jittered particles."""
     side = round(count ** (1 / 3))
     steps = np.arange(side) * spacing
     points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)

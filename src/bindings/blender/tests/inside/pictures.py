@@ -1,4 +1,4 @@
-"""Pictures of frames by Cycles, on the processor. Run by tools/bindings/blender pictures.
+"""Pictures of frames by Cycles, on the CPU. Run by tools/bindings/blender pictures.
 
 usage: pictures.py ZIP FOLDER PARTICLES...
 """
@@ -36,7 +36,7 @@ def water() -> bpy.types.Material:
 
 
 def stage(shown: bpy.types.Object) -> None:
-    """Camera, light and ground for what is there."""
+    """Adds a camera, light and ground."""
     scene = bpy.context.scene
     points = positions(shown.data) @ np.array(shown.matrix_world)[:3, :3].T
     low, high = points.min(axis=0), points.max(axis=0)

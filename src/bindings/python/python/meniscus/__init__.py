@@ -8,8 +8,8 @@
 >>> bool(mesh.check())
 True
 
-``reconstruct`` makes a mesh of arrays, ``Simulation`` the meshes of a simulation's frames, ``Frame`` is sampled once and drawn often, and
-``read_particles`` and ``list_frames`` read files. ``meniscus.compat.pysplashsurf`` takes pysplashsurf's calls.
+``reconstruct`` makes a mesh from arrays, ``Simulation`` the meshes of a simulation's frames, ``Frame`` samples once for several surfaces, and
+``read_particles`` and ``list_frames`` read files. ``meniscus.compat.pysplashsurf`` has the interface of pysplashsurf.
 """
 
 import warnings as _warnings

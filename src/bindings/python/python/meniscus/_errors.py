@@ -1,4 +1,4 @@
-"""Exceptions and warnings: a kind of error each, with the library's sentence."""
+"""Exceptions and warnings by kind of error, with the library's messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Error(Exception):
 
 
 class InputError(Error, ValueError):
-    """A request that makes no sense, or particles that have no surface."""
+    """An invalid request, or particles without a surface."""
 
 
 class FileError(Error, OSError):
@@ -20,11 +20,11 @@ class FileError(Error, OSError):
 
 
 class DeviceError(Error, RuntimeError):
-    """A device that was asked for, and cannot be used."""
+    """A requested device that cannot be used."""
 
 
 class _Sentence(str):
-    """A sentence that equals others which differ from it in numbers only."""
+    """A message that equals messages with other numbers."""
 
     __slots__ = ()
 
@@ -44,7 +44,7 @@ class _Sentence(str):
 
 
 class MeshWarning(UserWarning):
-    """A doubt about a mesh, although there is one.
+    """A warning about a mesh.
 
     By default Python shows a warning once for each line of a program. Warnings of a loop over frames that differ in numbers only are the
     same warning. ``figures`` are those numbers, in their order.

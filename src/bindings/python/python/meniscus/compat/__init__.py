@@ -1,4 +1,4 @@
-"""Doors for those who call other packages."""
+"""Modules with the interfaces of other packages."""
 
 from .. import _conflict
 

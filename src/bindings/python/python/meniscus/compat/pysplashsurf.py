@@ -1,4 +1,4 @@
-"""The calls of pysplashsurf 0.14, made by meniscus: import this in its place.
+"""The interface of pysplashsurf 0.14, implemented by meniscus: import this instead.
 
 Keywords have pysplashsurf's names and meaning; lengths are relative to the particle radius, as they are in its code. Each keyword is the
 same here, or means what is nearest, or is ignored with one warning; the README of the bindings has a table.
@@ -31,20 +31,20 @@ __all__ = [
 _Array: TypeAlias = npt.NDArray[Any]
 _Corner: TypeAlias = Sequence[float] | npt.NDArray[Any] | None
 
-# A smoothing length of 2 radii, which splashsurf advises, is the library's default width of 1.6 spacings; widths have these limits.
+# A smoothing length of 2 radii, which splashsurf recommends, corresponds to the default width of 1.6 spacings; widths have these limits.
 _SPACINGS_A_RADIUS = 0.8
 _NARROWEST, _WIDEST = 0.8, 4.0
 
 
 class MeshType(enum.Enum):
-    """The type of mesh that a ``MeshWithData`` holds: triangles always."""
+    """The type of mesh in a ``MeshWithData``: always triangles."""
 
     Tri3d = 0
     MixedTriQuad3d = 1
 
 
 class Aabb3d:
-    """A box by its lowest and its highest corner."""
+    """A box with its lowest and highest corner."""
 
     def __init__(self, low: _Array, high: _Array) -> None:
         self.min = np.asarray(low, dtype=np.float64)
@@ -52,21 +52,21 @@ class Aabb3d:
 
     @staticmethod
     def from_min_max(min: Sequence[float], max: Sequence[float]) -> Aabb3d:
-        """Makes a box by its corners."""
+        """Makes a box from its corners."""
         return Aabb3d(np.asarray(min), np.asarray(max))
 
     @staticmethod
     def from_points(points: _Array) -> Aabb3d:
-        """Makes the smallest box around points."""
+        """Makes the bounding box of points."""
         return Aabb3d(points.min(axis=0), points.max(axis=0))
 
     def contains_point(self, point: Sequence[float]) -> bool:
-        """Tells whether a point is inside; one on an upper face is not."""
+        """Whether a point is inside; points on an upper face are not."""
         return bool(np.all(self.min <= point) and np.all(point < self.max))
 
 
 class UniformGrid:
-    """The cells of the reconstruction, as far as they are around the mesh: the others are nowhere."""
+    """The cells of the reconstruction around the mesh; others are not stored."""
 
     def __init__(self, vertices: _Array, origin: Sequence[float], cell_size: float) -> None:
         self.cell_size = cell_size
@@ -81,7 +81,7 @@ class UniformGrid:
 
 
 class TriMesh3d:
-    """A triangle mesh: vertices of the particles' type, and triangles of uint64."""
+    """A triangle mesh: vertices with the particles' type, and triangles as uint64."""
 
     def __init__(self, vertices: _Array, triangles: npt.NDArray[np.uint64]) -> None:
         self.vertices = vertices
@@ -93,11 +93,11 @@ class TriMesh3d:
         return self.vertices.dtype
 
     def copy(self) -> TriMesh3d:
-        """Copies it."""
+        """Copies the mesh."""
         return TriMesh3d(self.vertices.copy(), self.triangles.copy())
 
     def vertex_normals_parallel(self) -> _Array:
-        """Computes vertex normals as means of the triangles around each, by area."""
+        """Computes vertex normals as area-weighted means of the surrounding triangles."""
         a, b, c = (self.vertices[self.triangles[:, corner]] for corner in range(3))
         of_triangles = np.cross(b - a, c - a)
         normals = np.zeros_like(self.vertices)
@@ -108,12 +108,12 @@ class TriMesh3d:
         return normals
 
     def write_to_file(self, path: str | os.PathLike[str], *, file_format: str | None = "vtk42") -> None:
-        """Writes it by meshio."""
+        """Writes the mesh with meshio."""
         MeshWithData(self).write_to_file(path, file_format=file_format)
 
 
 class MeshWithData:
-    """A mesh with values on its vertices and triangles."""
+    """A mesh with attributes of its vertices and triangles."""
 
     def __init__(self, mesh: TriMesh3d | MeshWithData) -> None:
         self.mesh: TriMesh3d = mesh.mesh if isinstance(mesh, MeshWithData) else mesh
@@ -141,26 +141,26 @@ class MeshWithData:
         return MeshType.Tri3d
 
     def copy_mesh(self) -> TriMesh3d:
-        """Copies the mesh alone."""
+        """Copies the mesh without attributes."""
         return self.mesh.copy()
 
     def copy(self) -> MeshWithData:
-        """Copies all of it."""
+        """Copies the mesh with its attributes."""
         copy = MeshWithData(self.mesh.copy())
         copy.point_attributes = {name: values.copy() for name, values in self.point_attributes.items()}
         copy.cell_attributes = {name: values.copy() for name, values in self.cell_attributes.items()}
         return copy
 
     def add_point_attribute(self, name: str, attribute: _Array) -> None:
-        """Attaches a value to each vertex."""
+        """Adds an attribute of the vertices."""
         self.point_attributes[name] = _one_each(name, attribute, self.nvertices)
 
     def add_cell_attribute(self, name: str, attribute: _Array) -> None:
-        """Attaches a value to each triangle."""
+        """Adds an attribute of the triangles."""
         self.cell_attributes[name] = _one_each(name, attribute, self.ncells)
 
     def write_to_file(self, path: str | os.PathLike[str], *, file_format: str | None = "vtk42") -> None:
-        """Writes it by meshio, as pysplashsurf does."""
+        """Writes the mesh with meshio, like pysplashsurf."""
         import meshio  # type: ignore[import-untyped, import-not-found, unused-ignore]
 
         meshio.write_points_cells(
@@ -174,7 +174,7 @@ class MeshWithData:
 
 
 class SurfaceReconstruction:
-    """The mesh before post-processing, and what is known of how it was made.
+    """The mesh before post-processing, with data of the reconstruction.
 
     ``particle_densities`` and ``particle_neighbors`` are None: there are none.
     """
@@ -198,7 +198,7 @@ _ignored: set[str] = set()
 
 
 def _ignore(keywords: Mapping[str, bool]) -> None:
-    """Warns of keywords that were given and have no effect: once each."""
+    """Warns about given keywords without effect, once each."""
     new = [name for name, given in keywords.items() if given and name not in _ignored]
     if new:
         _ignored.update(new)
@@ -207,7 +207,7 @@ def _ignore(keywords: Mapping[str, bool]) -> None:
 
 
 def _within(points: _Array, low: _Corner, high: _Corner) -> npt.NDArray[np.bool_] | None:
-    """Tells which points are inside of a box that may be open."""
+    """Returns which points are inside a box that may be open."""
     if low is None and high is None:
         return None
     inside = np.ones(len(points), dtype=np.bool_)
@@ -228,7 +228,7 @@ def _surface(
     normals: bool,
     attributes: Mapping[str, _Array],
 ) -> tuple[MeshWithData, SurfaceReconstruction]:
-    """Makes the surface by the library's own request."""
+    """Makes the surface with a request of the library."""
     if not isinstance(particles, np.ndarray) or particles.dtype not in (np.float32, np.float64):
         raise TypeError("unsupported mesh scalar data type, only f32 and f64 are supported")
     inside = _within(particles, *corners)
@@ -245,7 +245,7 @@ def _surface(
         for name, values in attributes.items():
             empty.point_attributes[name] = np.empty((0, *values.shape[1:]), dtype)
         return empty, SurfaceReconstruction(nothing, UniformGrid(particles, (0, 0, 0), cell_size), inside)
-    # By numbers: what is called as velocities are would be called velocity on the mesh.
+    # Named by numbers, because the mesh would rename attributes with a usual name of the velocity.
     numbered = {str(number): _floats(values) for number, values in enumerate(attributes.values())}
     whole = reconstruct(
         particles,
@@ -268,12 +268,12 @@ def _surface(
 
 
 def _floats(values: _Array) -> _Array:
-    """Numbers of other types, such as those that tell particles apart, as f64."""
+    """Numbers of other types, such as identifiers, as f64."""
     return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
 
 
 def _cut(data: MeshWithData, low: _Corner, high: _Corner, clamp: bool) -> MeshWithData:
-    """Leaves out triangles that are wholly outside of a box, and moves vertices onto it."""
+    """Removes triangles outside of a box, and moves outer vertices onto it."""
     mesh = data.mesh
     inside = _within(mesh.vertices, low, high)
     if inside is None:
