@@ -261,7 +261,7 @@ impl Sizes {
         size.map_or(self.usual, |size| size.min(self.coarsest))
     }
 
-    /// The same attributes of other particles.
+    /// Finds the attributes with these sizes among those of other particles.
     ///
     /// # Errors
     /// [`SizeFault`] if they do not exist.
