@@ -302,7 +302,7 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--fps", "0"], 2, "--fps"),
         (vec!["in/f_1.xyz", "-o", "out.ply", "--resume"], 2, "--resume"),
         (vec!["none", "-o", "out_{}.ply"], 3, "no frames"),
-        (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no frames"),
+        (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no file matches"),
     ] {
         let errors = run(folder.path(), &arguments, code);
         assert!(errors.contains(says), "{arguments:?}: {errors}");
