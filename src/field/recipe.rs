@@ -187,6 +187,9 @@ pub struct WideFields<T> {
     pub outlying: T,
 }
 
+/// The calm surface, and what is made of it.
+pub type WithCalm<T> = (T, WideFields<T>);
+
 /// All that distances need of wide cells: it is made once for whatever cells lie between these.
 pub fn bulk<F: Fields>(
     distances: &Distances,
@@ -200,7 +203,7 @@ pub fn bulk<F: Fields>(
 pub fn calm_and_bulk<F: Fields>(
     distances: &Distances,
     fields: &mut F,
-) -> Result<(F::Field, WideFields<F::Field>), F::Error> {
+) -> Result<WithCalm<F::Field>, F::Error> {
     let Distances { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let filled = fields.filled(&clouds)?;

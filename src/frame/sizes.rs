@@ -55,9 +55,9 @@ impl SampledSizes {
             let pages = LayerPages::new(bins, octaves, octave, facts.walls(), &size);
             let sink = || FieldSink::new(plan, estimate, shape, &resources.scratch);
             let mut sinks = [sink().map_err(&in_scratch)?, sink().map_err(&in_scratch)?];
-            for first in (0..pages.len()).step_by(TOGETHER) {
+            for first in (0..pages.bins()).step_by(TOGETHER) {
                 resources.go_on()?;
-                let groups = first..pages.len().min(first + TOGETHER);
+                let groups = first..pages.bins().min(first + TOGETHER);
                 let (volumes, fractions) = pages.pages(groups).map_err(&in_scratch)?;
                 for (sink, pages) in sinks.iter_mut().zip([volumes, fractions]) {
                     sink.push(pages, shape).map_err(&in_scratch)?;

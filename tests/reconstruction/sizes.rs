@@ -92,9 +92,9 @@ fn pools_of_several_sizes_are_level_in_their_own_spacings() {
         let [bias, rms] = level(&mesh, [first + margin, first + WIDTH - margin], size);
         assert!(bias.abs() < 0.06 && rms < 0.07, "size {size}: {bias} {rms}");
     }
-    for i in 1..3 {
+    for (i, size) in sizes.into_iter().enumerate().skip(1) {
         let seam = i as f64 * WIDTH;
-        let [bias, rms] = level(&mesh, [seam - 2.0 * sizes[i], seam + 2.0 * sizes[i]], sizes[i]);
+        let [bias, rms] = level(&mesh, [seam - 2.0 * size, seam + 2.0 * size], size);
         assert!(bias.abs() < 0.1 && rms < 0.07, "seam {i}: {bias} {rms}");
     }
     // With one size for all, the coarse water is lost.
@@ -219,7 +219,7 @@ fn one_size_is_as_without_the_attribute() {
     let with = request().run(&cloud).unwrap().to_mesh().unwrap();
     assert!(with == request().run(&water.positions).unwrap().to_mesh().unwrap());
     let spacing = request().spacing(1.0);
-    let other = Sized { sizes: vec![1.0, 9.0].repeat(radii.len() / 2), ..water.clone() };
+    let other = Sized { sizes: [1.0, 9.0].repeat(radii.len() / 2), ..water.clone() };
     let given = other.mesh(&spacing);
     assert!(given == spacing.run(&water.positions).unwrap().to_mesh().unwrap(), "a given spacing");
 }

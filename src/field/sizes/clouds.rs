@@ -6,7 +6,7 @@ use std::ops::Range;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::brick::{Bins, Block, PageInfo, Pages, coarsened};
+use crate::brick::{Bins, Block, PageInfo, PageSamples, Pages, coarsened};
 use crate::field::distance::{refined, wide_cells};
 use crate::field::indicator::{Amount, Clouds, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
@@ -67,7 +67,7 @@ impl<'a> LayerPages<'a> {
     }
 
     /// The number of bins of the octave that may have pages.
-    pub fn len(&self) -> usize {
+    pub fn bins(&self) -> usize {
         self.groups.len()
     }
 
@@ -85,15 +85,7 @@ impl<'a> LayerPages<'a> {
         Ok((volumes.into_iter().flatten().collect(), fractions.into_iter().flatten().collect()))
     }
 
-    #[allow(clippy::type_complexity, reason = "pages, as they are everywhere")]
-    fn page(
-        &self,
-        room: &mut [u16],
-        group: Range<usize>,
-    ) -> io::Result<(
-        Option<(PageInfo, crate::brick::PageSamples)>,
-        Option<(PageInfo, crate::brick::PageSamples)>,
-    )> {
+    fn page(&self, room: &mut [u16], group: Range<usize>) -> io::Result<(Page, Page)> {
         let own: IVec3 = self.bins.keys()[group.start].coord() >> self.octave as i32;
         let (mut volumes, mut fractions) = (Vec::new(), Vec::new());
         for bin in group {
@@ -122,6 +114,9 @@ impl<'a> LayerPages<'a> {
         Ok((page(&volumes), page(&fractions)))
     }
 }
+
+/// A page, if it holds anything.
+type Page = Option<(PageInfo, PageSamples)>;
 
 /// The part of the clouds that is gathered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

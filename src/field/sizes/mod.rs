@@ -10,10 +10,10 @@
 //!    joined into wider cells, and coarser ones become cells by quadratic B-splines.
 //! 2. Field. Each octave turns that density into [distances](super::distance), with the filters of
 //!    one size, in its own spacings.
-//! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of
-//!    1.5 spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, held between 0 and
-//!    1. With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1): in fluid
-//!    of size 2^k d this is B_k. The bulk's surface is R_0.
+//! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of 1.5
+//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, but at least 0 and at
+//!    most 1. With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1): in
+//!    fluid of size 2^k d this is B_k. The bulk's surface is R_0.
 //! 4. Drops. In each octave, particles that lie outside of R_k add their drops, and sheets. Their
 //!    radius grows with the mean logarithm of the sizes of the octave's particles near by.
 //!
