@@ -156,8 +156,8 @@ impl Engine {
                     .visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
                 bins.and_then(Bins::sorted).map_err(&in_scratch)
             };
-            Ok::<_, FrameError>(match *method {
-                Method::Indicator { .. } if let Some(sized) = sizes => {
+            Ok::<_, FrameError>(match (*method, sizes) {
+                (Method::Indicator { .. }, Some(sized)) => {
                     let bins = kept(binned, &mut occupied)?;
                     timings.done("bin");
                     let sampled =
@@ -165,7 +165,7 @@ impl Engine {
                     timings.done("indicate");
                     (Field::Sizes(sampled), occupied, keep.then(|| Arc::new(bins)))
                 }
-                Method::Indicator { kind, mean } => {
+                (Method::Indicator { kind, mean }, None) => {
                     timings.done("bin");
                     let stages = resources.backend.executor().start(budget);
                     let shape = kind.shape(*side);
@@ -187,7 +187,7 @@ impl Engine {
                     timings.done("indicate");
                     (Field::Dif { sampled, stages }, occupied, bins)
                 }
-                Method::Kernels(kernels) => {
+                (Method::Kernels(kernels), _) => {
                     let bins = kept(binned, &mut occupied)?;
                     timings.done("bin");
                     let sampled = SampledKernels::sample(&bins, facts, kernels, plan, &resources)?;
