@@ -109,7 +109,7 @@ impl<T: Copy + Default> Block<T> {
 
     /// The first and the last cell of whose sample `is` holds.
     fn ends_of(&self, is: impl Fn(T) -> bool) -> Option<[IVec3; 2]> {
-        // Of most samples it holds nowhere, which is told of many at a time.
+        // `is` holds for few samples: a whole piece is tested at once.
         let any = |samples: &&[T]| {
             samples.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) > 0
         };

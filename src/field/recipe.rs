@@ -187,7 +187,7 @@ pub struct WideFields<T> {
     pub outlying: T,
 }
 
-/// The calm surface, and what is made of it.
+/// The calm surface, with the wide fields that were computed from it.
 pub type WithCalm<T> = (T, WideFields<T>);
 
 /// All that distances need of wide cells: it is made once for whatever cells lie between these.
@@ -199,7 +199,7 @@ pub fn bulk<F: Fields>(
     Ok(wide)
 }
 
-/// The calm surface, which outlying particles lie outside of, and what is made of it.
+/// Computes the calm surface, and from it the bulk and how far particles lie outside of it.
 pub fn calm_and_bulk<F: Fields>(
     distances: &Distances,
     fields: &mut F,

@@ -1,20 +1,15 @@
 //! A frame by one of the kernel methods.
 
-use std::io;
-
-use rayon::prelude::*;
-
-use crate::backend::REGIONS_TOGETHER;
 use crate::baselines::{KernelField, KernelMethod, Spacing, kernel_field};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::Plan;
 use crate::grid::units::Sigma;
-use crate::grid::{CellBox, Grid, PeriodicMesh};
+use crate::grid::{Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
 
-use super::surface::Drawable;
+use super::surface::{Drawable, region_by_region};
 use super::{FrameError, Resources};
 
 /// The kernels of a frame.
@@ -54,24 +49,7 @@ impl SampledKernels {
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),
             nothing: FrameError::NoKernelSurface,
-            // One pass over the blocks: sums of kernels and of attributes leave each other what
-            // they do not use of a core.
-            contour: Box::new(move |regions, meter, finish, push| {
-                let block = |&region: &CellBox| {
-                    if !meter.goes_on() {
-                        return Ok(None);
-                    }
-                    let mut block = self.field.mesh(region, normals, walls)?;
-                    block.as_mut().map_or(Ok(()), finish)?;
-                    meter.add(1);
-                    Ok(block)
-                };
-                regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-                    let blocks: Vec<_> =
-                        regions.par_iter().map(block).collect::<io::Result<_>>()?;
-                    push(blocks.into_iter().flatten().collect())
-                })
-            }),
+            contour: region_by_region(move |region| self.field.mesh(region, normals, walls)),
         }
     }
 }

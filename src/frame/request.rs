@@ -78,7 +78,7 @@ impl Sampling {
     /// Sampling of particles of several sizes, if there are `sizes`.
     ///
     /// # Errors
-    /// [`SizeFault`] where an attribute that tells them is missing.
+    /// [`SizeFault`] if an attribute with the sizes is missing.
     pub fn sized(
         self,
         sizes: Option<&Sizes>,

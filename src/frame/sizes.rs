@@ -1,8 +1,6 @@
 //! A frame of particles of several sizes.
 
-use rayon::prelude::*;
-
-use crate::backend::{REGIONS_TOGETHER, SizedField};
+use crate::backend::SizedField;
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{Calibrated, Calibration, Plateau};
@@ -14,7 +12,7 @@ use crate::grid::CellBox;
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 
 use super::sink::FieldSink;
-use super::surface::Drawable;
+use super::surface::{Drawable, region_by_region};
 use super::{FrameError, Resources, SizedParticles, Surfacing};
 
 /// The clouds of a frame's particles, by octaves of their sizes.
@@ -104,23 +102,10 @@ impl SampledSizes {
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothing(surfacing),
             nothing: FrameError::no_surface(field.recipe()),
-            contour: Box::new(move |regions, meter, finish, push| {
-                let block = |&region: &CellBox| {
-                    if !meter.goes_on() {
-                        return Ok(None);
-                    }
-                    let away = walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-                    let samples = field.on(normals.cells(region), away);
-                    let mesh = samples
-                        .and_then(|samples| block_mesh(&samples, region, iso, normals, walls));
-                    meter.add(1);
-                    mesh.map(|mut mesh| finish(&mut mesh).map(|()| mesh)).transpose()
-                };
-                regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-                    let blocks: Vec<_> =
-                        regions.par_iter().map(block).collect::<std::io::Result<_>>()?;
-                    push(blocks.into_iter().flatten().collect())
-                })
+            contour: region_by_region(move |region| {
+                let away = walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+                let samples = field.on(normals.cells(region), away);
+                Ok(samples.and_then(|samples| block_mesh(&samples, region, iso, normals, walls)))
             }),
         }
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::backend::{Stages, Surfaces};
+use crate::backend::{REGIONS_TOGETHER, Stages, Surfaces};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
@@ -35,6 +35,28 @@ pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 /// Meshes some regions of a field where it has a surface, finishes every mesh, and hands them on.
 type Contour<'a> =
     dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
+
+/// Meshes each region by itself, by `mesh`, and finishes the mesh on the same thread: sums of a
+/// field and of attributes leave each other what they do not use of a core.
+pub(super) fn region_by_region<'a>(
+    mesh: impl Fn(CellBox) -> io::Result<Option<BlockMesh>> + Sync + 'a,
+) -> Box<Contour<'a>> {
+    Box::new(move |regions, meter, finish, push| {
+        let block = |&region: &CellBox| {
+            if !meter.goes_on() {
+                return Ok(None);
+            }
+            let mut block = mesh(region)?;
+            block.as_mut().map_or(Ok(()), finish)?;
+            meter.add(1);
+            Ok(block)
+        };
+        regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
+            let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+            push(blocks.into_iter().flatten().collect())
+        })
+    })
+}
 
 /// A field of which a surface is known, whatever makes it.
 pub(super) struct Drawable<'a> {

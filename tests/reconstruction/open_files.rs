@@ -132,7 +132,7 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
             assert!(is_changed(&after(changed..changed + 1, change).unwrap_err()));
         }
     }
-    // So many that some have been closed.
+    // There are more pieces than open files, so some pieces have been closed.
     let many = 0..MAY_BE_OPEN;
     // Another file with the same name, size and time.
     let replaced = |path: &Path| {

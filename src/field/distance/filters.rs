@@ -279,7 +279,7 @@ impl Distances {
     }
 }
 
-/// Drops and sheets in cells 2^`level` times as wide as those of particles `spacing` cells apart, by
+/// Drops and sheets of particles `spacing` cells apart, made in cells 2^`level` times as wide, by
 /// whether splines refine them.
 fn thin_fluid(
     sheets: SheetStretch,

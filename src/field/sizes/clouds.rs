@@ -128,8 +128,8 @@ enum Part {
 }
 
 impl SizedClouds {
-    /// Takes octaves from the finest on, of which each has as many
-    /// [more levels](SampledDif::with_more_levels) as there are coarser ones.
+    /// Takes octaves from the finest on. Each octave needs one
+    /// [more level](SampledDif::with_more_levels) for every coarser octave.
     ///
     /// # Panics
     /// If there is none.

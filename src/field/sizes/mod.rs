@@ -11,9 +11,9 @@
 //! 2. Field. Each octave turns that density into [distances](super::distance), with the filters of
 //!    one size, in its own spacings.
 //! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of 1.5
-//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, but at least 0 and at
-//!    most 1. With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1): in
-//!    fluid of size 2^k d this is B_k. The bulk's surface is R_0.
+//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, but at least 0 and
+//!    at most 1. With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1):
+//!    in fluid of size 2^k d this is B_k. The bulk's surface is R_0.
 //! 4. Drops. In each octave, particles that lie outside of R_k add their drops, and sheets. Their
 //!    radius grows with the mean logarithm of the sizes of the octave's particles near by.
 //!
@@ -117,12 +117,6 @@ impl Octaves {
         // Sizes of next to a power of two are one.
         let fraction = if fraction < 0.01 { 0.0 } else { fraction };
         Share { octave, amount: amount as u32, fraction: (amount * fraction).round() as u32 }
-    }
-
-    /// The samples deep in a fluid, in the wide cells of an octave.
-    #[must_use]
-    pub fn plateau(wide: WideCells) -> f64 {
-        wide.plateau() / 2.0
     }
 
     /// The kind of the samples.
