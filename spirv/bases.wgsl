@@ -12,7 +12,7 @@ struct BasesPush {
 }
 
 var<immediate> push: BasesPush;
-@group(0) @binding(0) var<storage, read_write> tallies: array<Tally>;
+@group(0) @binding(0) var<storage, read_write> tallies: array<BlockTally>;
 // Work groups, one a tile, in rows; none where vertices do not fit.
 @group(0) @binding(1) var<storage, read_write> groups: array<u32, 3>;
 

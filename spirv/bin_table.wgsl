@@ -1,6 +1,6 @@
 // A hash table of bins: none is ever removed, so each has one slot.
 
-struct Slot {
+struct BinSlot {
     // 0 where it is free, SETTLED where `key` is known; else one more than the number in the chunk of the particle that
     // took it, whose key it has.
     owner: atomic<u32>,

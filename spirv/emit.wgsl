@@ -16,9 +16,9 @@ var<immediate> push: EmitPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read> signs: array<vec2<u32>>;
-@group(0) @binding(3) var<storage, read> slots: array<Slot>;
+@group(0) @binding(3) var<storage, read> slots: array<TileSlot>;
 // Where each block begins in the batch.
-@group(0) @binding(4) var<storage, read> tallies: array<Tally>;
+@group(0) @binding(4) var<storage, read> tallies: array<BlockTally>;
 // TILE_WORDS each: Morton index, first vertex in the block, eight corners.
 @group(0) @binding(5) var<storage, read_write> tiles: array<u32>;
 // Per vertex the sample at the lower end of its edge, and at the upper.

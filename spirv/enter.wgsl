@@ -19,7 +19,7 @@ struct Census {
 
 var<immediate> push: EnterPush;
 @group(0) @binding(0) var<storage, read> keys: array<vec2<u32>>;
-@group(0) @binding(1) var<storage, read_write> slots: array<Slot>;
+@group(0) @binding(1) var<storage, read_write> slots: array<BinSlot>;
 @group(0) @binding(2) var<storage, read_write> census: array<Census>;
 // The slot of each particle's bin; NO_BIN where it has none.
 @group(0) @binding(3) var<storage, read_write> homes: array<u32>;

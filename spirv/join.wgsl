@@ -1,4 +1,4 @@
-//! with block gate
+//! with block ramp
 // The bulk's surface, and where particles lie outside of it near by as much of the drops as they do so.
 
 struct JoinPush {
@@ -27,7 +27,7 @@ var<immediate> push: JoinPush;
 @group(0) @binding(6) var<storage, read_write> field: array<u32>;
 
 fn joined(bulk: u32, outlying: u32, share: u32) -> u32 {
-    let weight = passed(outlying, Gate(push.begin, push.range, push.slope));
+    let weight = ramp_at(outlying, Ramp(push.begin, push.range, push.slope));
     if weight == 0u {
         return bulk;
     }

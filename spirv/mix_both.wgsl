@@ -1,4 +1,4 @@
-//! with block gate
+//! with block ramp
 // The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid. There is none
 // where nothing is near, and it is at its greatest in bricks that are inside.
 
@@ -39,8 +39,8 @@ fn mixed(calm: u32, fine: u32, apart: u32, near: u32) -> u32 {
         return 0u;
     }
     let distance = u32(abs(i32(apart) - DISTANCE_ZERO));
-    let shallow = 4096u - passed(calm, Gate(push.deep_begin, push.deep_range, push.deep_slope));
-    let told = passed(distance, Gate(push.apart_begin, push.apart_range, push.apart_slope));
+    let shallow = 4096u - ramp_at(calm, Ramp(push.deep_begin, push.deep_range, push.deep_slope));
+    let told = ramp_at(distance, Ramp(push.apart_begin, push.apart_range, push.apart_slope));
     let share = (told * shallow) >> 12u;
     return u32(i32(calm) + (((i32(fine) - i32(calm)) * i32(share) + 2048) >> 12u));
 }

@@ -7,7 +7,7 @@ struct SettlePush {
 
 var<immediate> push: SettlePush;
 @group(0) @binding(0) var<storage, read> keys: array<vec2<u32>>;
-@group(0) @binding(1) var<storage, read_write> slots: array<Slot>;
+@group(0) @binding(1) var<storage, read_write> slots: array<BinSlot>;
 
 @compute @workgroup_size(256)
 fn settle(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {

@@ -1,4 +1,4 @@
-//! with block gate
+//! with block ramp
 // Shares of sheets and threads and how certain these are, by the smoothed density. Cells beyond a wall are the outermost before it.
 // The formulas stand in src/field/sheets/mod.rs; numbers have SHEET_BITS fraction bits, and logarithms are to base 2.
 
@@ -45,8 +45,8 @@ const ONE: i32 = 1 << SHEET_BITS;
 const MOST_BEND: i32 = 2 * ONE;
 const MOST_SLOPE: i32 = 4 * ONE;
 
-fn gate_of(begin: u32, range: u32) -> Gate {
-    return Gate(begin, range, ((1u << 28u) + range - 1u) / range);
+fn ramp_of(begin: u32, range: u32) -> Ramp {
+    return Ramp(begin, range, ((1u << 28u) + range - 1u) / range);
 }
 
 fn log_two(sample: u32) -> i32 {
@@ -145,11 +145,11 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
 
     let sheet_stretch = push.sheet_stretch + (((push.thread_stretch - push.sheet_stretch) * threaded) >> SHEET_BITS);
     let stretch = u32(clamp(sheet_stretch - ((thick * (ONE / 2 + threaded / 2)) >> SHEET_BITS), 0, 65535));
-    let whole = 4096u - passed(stretch, gate_of(push.torn_begin, push.torn_range));
-    let pure_share = 4096u - passed(impure, gate_of(push.impure_begin, push.impure_range));
-    let thin = passed(u32(directions), gate_of(push.thin_begin, push.thin_range));
-    let stretched = 4096u - passed(u32(directions), gate_of(push.round_begin, push.round_range));
-    let here = 4096u - passed(u32(beyond), gate_of(push.beyond_begin, push.beyond_range));
+    let whole = 4096u - ramp_at(stretch, ramp_of(push.torn_begin, push.torn_range));
+    let pure_share = 4096u - ramp_at(impure, ramp_of(push.impure_begin, push.impure_range));
+    let thin = ramp_at(u32(directions), ramp_of(push.thin_begin, push.thin_range));
+    let stretched = 4096u - ramp_at(u32(directions), ramp_of(push.round_begin, push.round_range));
+    let here = 4096u - ramp_at(u32(beyond), ramp_of(push.beyond_begin, push.beyond_range));
     let all = (((whole * pure_share) >> 12u) * ((((thin * stretched) >> 12u) * here) >> 12u)) >> 12u;
     let certain = (all * all) >> 12u;
     if certain == 0u {

@@ -1,6 +1,6 @@
 // A tile that the surface passes through, and the signs of a block's tiles.
 
-struct Slot {
+struct TileSlot {
     // Its Morton index in the block.
     index: u32,
     // The numbers of its first vertex and its first triangle, counted in the block.

@@ -6,8 +6,8 @@
 @group(0) @binding(1) var<storage, read> signs: array<vec2<u32>>;
 // Triangles by case.
 @group(0) @binding(2) var<storage, read> lengths: array<u32>;
-@group(0) @binding(3) var<storage, read_write> slots: array<Slot>;
-@group(0) @binding(4) var<storage, read_write> tallies: array<Tally>;
+@group(0) @binding(3) var<storage, read_write> slots: array<TileSlot>;
+@group(0) @binding(4) var<storage, read_write> tallies: array<BlockTally>;
 
 fn tally(number: u32, block: Block, index: u32) -> vec3<u32> {
     let tile = tile_at(block, index);
@@ -40,10 +40,10 @@ fn tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) 
     let middle = end - two;
     let begin = middle - one;
     if one.x == 1u {
-        slots[number * BLOCK_TILES + begin.x] = Slot(2u * i, begin.y, begin.z, 0u);
+        slots[number * BLOCK_TILES + begin.x] = TileSlot(2u * i, begin.y, begin.z, 0u);
     }
     if two.x == 1u {
-        slots[number * BLOCK_TILES + middle.x] = Slot(2u * i + 1u, middle.y, middle.z, 0u);
+        slots[number * BLOCK_TILES + middle.x] = TileSlot(2u * i + 1u, middle.y, middle.z, 0u);
     }
     if i == GROUP - 1u {
         tallies[number] = tally_of(end);

@@ -220,7 +220,7 @@ pub mod guide {
 /// Meshes in pieces and in memory: checks, measures and comparisons.
 pub mod mesh {
     pub use crate::io::output::read_mesh;
-    pub use crate::surface::mesh::check::{Found, Report as CheckReport, Topology, check};
+    pub use crate::surface::mesh::check::{CheckReport, Defects, Topology, check};
     pub use crate::surface::mesh::compare::{Comparison, Distances, Side, compare};
     pub use crate::surface::mesh::measure::{Measures, Quality, measure};
     pub use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
@@ -245,12 +245,12 @@ pub mod files {
     pub use crate::io::stamp::Stamp;
     pub use crate::io::stamp::is_same_file;
     pub use crate::io::whole::Replace;
-    pub use crate::io::{LeftOut, ParticleFile, UpAxis};
+    pub use crate::io::{ParticleFile, UnreadPart, UpAxis};
     pub use crate::particles::occurring::{Value, ValueCounts};
     pub use crate::particles::{AttributeInfo, AttributeKind, Label, velocity_attribute};
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_with,
-        open_particles, usual_up,
+        FrameInfo, Info, MeshInfo, Output, PackReport, PackedOutput, ParticlesInfo, info,
+        info_with, open_particles, usual_up,
     };
     pub use crate::simulation::{FrameFile, files, frames};
 }
@@ -269,7 +269,7 @@ pub mod devices {
     pub use crate::grid::units::{SheetStretch, Sigma, Smooth};
     pub use crate::vulkan::{
         Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions,
-        ExternalDevice, Instance, Moment, Timing, View,
+        ExternalDevice, Instance, SemaphorePoint, Timing, View,
     };
 }
 
@@ -347,10 +347,10 @@ pub mod internals {
 pub use baselines::KernelMethod;
 pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
-pub use field::calibration::{Calibrated, Calibration, Plateau};
+pub use field::calibration::{Calibration, MeasuredCalibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
 pub use field::walls::BeyondWall;
-pub use frame::{Coincident, Shortfall};
+pub use frame::{CoincidentParticles, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
 pub use grid::{Domain, Grid, Periodic, PeriodicMesh, Walls};
 pub use io::UpAxis;
@@ -359,14 +359,14 @@ pub use particles::mixture::Mixture;
 pub use particles::sizes::{Meaning as SizeMeaning, Sizes};
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, EmptyReason, FoundWalls, Frame, Needs, Opened, PartDone, PartNeeds, PartShare, Parts,
-    PartsPlan, Reconstruction, Report, Slab, SpacingMistake, SpacingSource, SpacingWarning,
+    Cells, EmptyReason, FoundWalls, Frame, Needs, OpenedFrame, PartDone, PartNeeds, PartShare,
+    Parts, PartsPlan, Reconstruction, Report, Slab, SpacingMistake, SpacingSource, SpacingWarning,
     Surface, Warning,
 };
 pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Tank, Where};
 pub use simulation::{
-    Event, Forecast, FrameCounts, FrameDone, FrameFailed, Largest, LeftOut, LiveSimulation,
-    Missing, SharedCalibration, Simulation, Summary, Trust,
+    Event, Forecast, FrameCounts, FrameDone, FrameFailed, LargestFrame, LiveSimulation,
+    MissingFrames, OmittedCounts, SharedCalibration, Simulation, Summary, Trust,
 };
 pub use surface::simplify::TooSmall;
 pub use system::cancel::Cancel;

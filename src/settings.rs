@@ -20,8 +20,8 @@ use crate::surface::mesh::up::UpAxis;
 pub use crate::particles::condition::Where;
 use crate::particles::sizes::SizeChoice;
 pub use faces::{Faces, Tank};
-use value::Given;
-pub use value::{Iso, MethodName, Source, Taken};
+use value::OptionalSetting;
+pub use value::{FromSource, Iso, MethodName, Source};
 
 /// The name of a setting, such as `smallest_drop`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -88,7 +88,7 @@ macro_rules! settings {
         pub struct Settings {
             $(
                 $(#[doc = $doc])*
-                #[serde(skip_serializing_if = "Given::is_not_given")]
+                #[serde(skip_serializing_if = "OptionalSetting::is_not_given")]
                 #[cfg_attr(feature = "cli", arg(long, $($arg)*))]
                 pub $name: $type,
             )*
@@ -108,7 +108,7 @@ macro_rules! settings {
             /// Those of the source, for a value of another type.
             pub fn set<S: Source>(&mut self, name: &str, source: &S) -> Result<bool, S::Error> {
                 $(if name == const { Setting::of_field(stringify!($name)) }.0 {
-                    self.$name = Taken::taken(source)?;
+                    self.$name = FromSource::taken(source)?;
                     return Ok(true);
                 })*
                 Ok(false)
@@ -314,11 +314,11 @@ settings! {
 }
 
 /// Settings by their keys, as state files and plans store them.
-pub type Kept = Map<String, Value>;
+pub type StoredSettings = Map<String, Value>;
 
 /// Names of the settings that differ from those kept by a run of `version`, or "version" if that
 /// differs, since another version may give another mesh; empty if nothing differs.
-pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
+pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSettings) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "version".into();
     }
@@ -441,7 +441,7 @@ impl Settings {
     /// The settings as state files and plans store them: equal for settings that make the same
     /// mesh.
     #[must_use]
-    pub fn kept(&self) -> Kept {
+    pub fn kept(&self) -> StoredSettings {
         // Rounded to the nearest step of the field.
         let iso = self.isovalue().and_then(|iso| Isovalue::new(iso).ok());
         let kept = Self {
@@ -452,7 +452,7 @@ impl Settings {
         };
         match serde_json::to_value(kept) {
             Ok(Value::Object(map)) => map,
-            _ => Kept::new(),
+            _ => StoredSettings::new(),
         }
     }
 }

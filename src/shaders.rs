@@ -24,11 +24,11 @@ pub const SHADERS: [&Shader; 30] = [
     &HALVE,
     &INDICATE,
     &JOIN,
-    &LOOK,
     &LOST,
     &MIX_BOTH,
     &OUTLYING,
     &PLACE,
+    &PROBE,
     &QUOTIENT,
     &REFINE,
     &SETTLE,
@@ -154,14 +154,6 @@ pub const JOIN: Shader = Shader {
     group: 256,
 };
 
-pub const LOOK: Shader = Shader {
-    name: "look",
-    code: include_bytes!("../spirv/look.spv"),
-    buffers: &["blocks", "looks", "bulk", "outlying", "seen"],
-    push_bytes: size_of::<LookPush>() as u32,
-    group: 256,
-};
-
 pub const LOST: Shader = Shader {
     name: "lost",
     code: include_bytes!("../spirv/lost.spv"),
@@ -191,6 +183,14 @@ pub const PLACE: Shader = Shader {
     code: include_bytes!("../spirv/place.spv"),
     buffers: &["grid", "positions", "keys", "packed", "census"],
     push_bytes: size_of::<PlacePush>() as u32,
+    group: 256,
+};
+
+pub const PROBE: Shader = Shader {
+    name: "probe",
+    code: include_bytes!("../spirv/probe.spv"),
+    buffers: &["blocks", "probes", "bulk", "outlying", "results"],
+    push_bytes: size_of::<ProbePush>() as u32,
     group: 256,
 };
 
@@ -406,13 +406,6 @@ pub struct JoinPush {
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
-pub struct LookPush {
-    pub threshold: u32,
-    pub begin: u32,
-}
-
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
-#[repr(C)]
 pub struct LostPush {
     pub words: u32,
     pub threshold: u32,
@@ -443,6 +436,13 @@ pub struct PlacePush {
     pub count: u32,
     pub width: u32,
     pub chunk: u32,
+}
+
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct ProbePush {
+    pub threshold: u32,
+    pub begin: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

@@ -10,11 +10,11 @@ use rayon::prelude::*;
 
 use crate::brick::{Bins, Block};
 use crate::grid::{BIN, BLOCK, CellBox, block_parts};
-use crate::surface::dual_mc::{Normals, Zero, block_mesh};
+use crate::surface::dual_mc::{Normals, ZeroLevel, block_mesh};
 use crate::surface::mesh::BlockMesh;
 use crate::system::scratch::Lists;
 
-use super::neighbours::{Neighbours, places};
+use super::neighbours::{NeighbourGrid, places};
 use super::scheme::Scheme;
 
 /// Particles whose kernels are worked out at once, or those of one bin.
@@ -47,14 +47,14 @@ pub(super) struct Kernels<S: Scheme> {
     scheme: S,
     /// The kernels of each bin, in the order of its particles.
     kernels: Lists<S::Kernel>,
-    bins: Vec<Reached>,
+    bins: Vec<ReachedCells>,
     /// The bins whose kernels reach a block or its margin, in order.
     by_block: HashMap<IVec3, Vec<u32>>,
 }
 
 /// The cells that the kernels of a bin reach.
 #[derive(Debug)]
-struct Reached {
+struct ReachedCells {
     /// The bin's lowest cell.
     corner: IVec3,
     /// All cells whose centre a kernel may reach.
@@ -97,7 +97,7 @@ impl<S: Scheme> Kernels<S> {
     fn field(&self, cells: CellBox, block: IVec3) -> io::Result<Block<f64>> {
         let mut sums = Block::zero(cells);
         for &bin in self.by_block.get(&block).map_or(&[][..], |bins| bins) {
-            let Reached { corner, cells: reached } = &self.bins[bin as usize];
+            let ReachedCells { corner, cells: reached } = &self.bins[bin as usize];
             if reached.intersection(&cells).is_empty() {
                 continue;
             }
@@ -138,11 +138,12 @@ fn bin_kernels<S: Scheme>(
     bins: &Bins,
     bin: usize,
     scheme: &S,
-) -> io::Result<(Vec<S::Kernel>, Reached)> {
+) -> io::Result<(Vec<S::Kernel>, ReachedCells)> {
     let coord = bins.keys()[bin].coord();
     let corner = coord * BIN;
     let reach = scheme.neighbourhood().ceil() as i32;
-    let neighbours = Neighbours::load(bins, CellBox::cube(coord, BIN).grown(reach, reach), corner)?;
+    let neighbours =
+        NeighbourGrid::load(bins, CellBox::cube(coord, BIN).grown(reach, reach), corner)?;
     let contents = bins.contents(bin)?;
     let kernels: Vec<_> = places(&contents, IVec3::ZERO)
         .map(|(_, place)| scheme.kernel(place, &neighbours))
@@ -151,7 +152,7 @@ fn bin_kernels<S: Scheme>(
         let [place, reach] = scheme.extent(kernel);
         cells.union(&centres(place, reach, corner))
     });
-    Ok((kernels, Reached { corner, cells: reached }))
+    Ok((kernels, ReachedCells { corner, cells: reached }))
 }
 
 /// The cells whose centres are no farther along any axis.
@@ -181,6 +182,6 @@ impl<S: Scheme> KernelField for Kernels<S> {
         if let Some(walls) = walls {
             field.repeat_edges(walls);
         }
-        Ok(block_mesh(&field, region, Zero, with, walls))
+        Ok(block_mesh(&field, region, ZeroLevel, with, walls))
     }
 }

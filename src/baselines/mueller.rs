@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 
-use super::neighbours::Neighbours;
+use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
 
 /// The field is phi - iso.
@@ -24,7 +24,7 @@ impl Mueller {
 }
 
 /// The number density at a place, over that of a particle alone: sum_j w(x_j - place).
-pub fn density(place: DVec3, support: f64, neighbours: &Neighbours) -> f64 {
+pub fn density(place: DVec3, support: f64, neighbours: &NeighbourGrid) -> f64 {
     let mut density = 0.0;
     neighbours
         .within(place, support, |_, squared| density += weight(squared / (support * support)));
@@ -40,7 +40,7 @@ impl Scheme for Mueller {
         self.support
     }
 
-    fn kernel(&self, place: DVec3, neighbours: &Neighbours) -> [f64; 4] {
+    fn kernel(&self, place: DVec3, neighbours: &NeighbourGrid) -> [f64; 4] {
         place.extend(density(place, self.support, neighbours).recip()).to_array()
     }
 

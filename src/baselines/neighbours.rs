@@ -9,7 +9,7 @@ use crate::grid::{BIN, CellBox, FRACTIONS, MortonKey};
 
 /// Particles by cell.
 #[derive(Debug)]
-pub struct Neighbours {
+pub struct NeighbourGrid {
     /// Relative to an origin, as are the places.
     cells: CellBox,
     /// Where each cell's particles begin, and where the last one's end.
@@ -29,7 +29,7 @@ pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item =
     })
 }
 
-impl Neighbours {
+impl NeighbourGrid {
     /// The particles in `cells`, placed relative to the corner of the cell `origin`.
     ///
     /// # Errors

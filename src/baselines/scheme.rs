@@ -6,7 +6,7 @@ use bytemuck::Pod;
 use glam::DVec3;
 use thiserror::Error;
 
-use super::neighbours::Neighbours;
+use super::neighbours::NeighbourGrid;
 
 /// The particles' spacing in cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,7 +65,7 @@ pub(super) trait Scheme: Debug + Send + Sync {
     fn neighbourhood(&self) -> f64;
 
     /// The kernel of a particle.
-    fn kernel(&self, place: DVec3, neighbours: &Neighbours) -> Self::Kernel;
+    fn kernel(&self, place: DVec3, neighbours: &NeighbourGrid) -> Self::Kernel;
 
     /// Where it is, and how far it reaches along each axis.
     fn extent(&self, kernel: &Self::Kernel) -> [DVec3; 2];

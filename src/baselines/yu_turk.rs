@@ -23,7 +23,7 @@ use glam::{DMat3, DVec3};
 use glamx::DSymmetricEigen3;
 
 use super::mueller::density;
-use super::neighbours::Neighbours;
+use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
 
 /// How far a centre moves towards the mean of its neighbours.
@@ -56,7 +56,7 @@ impl YuTurk {
     }
 
     /// The mean of the particles around a place, and A diag(s'_k) A^T.
-    fn ellipsoid(&self, place: DVec3, neighbours: &Neighbours) -> (DVec3, DMat3) {
+    fn ellipsoid(&self, place: DVec3, neighbours: &NeighbourGrid) -> (DVec3, DMat3) {
         let radius = self.neighbourhood();
         let mut found = 0;
         let (mut weights, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);
@@ -105,7 +105,7 @@ impl Scheme for YuTurk {
         NEIGHBOURHOOD * self.support
     }
 
-    fn kernel(&self, place: DVec3, neighbours: &Neighbours) -> Ellipsoid {
+    fn kernel(&self, place: DVec3, neighbours: &NeighbourGrid) -> Ellipsoid {
         let (mean, widths) = self.ellipsoid(place, neighbours);
         let axes = self.support * widths;
         Ellipsoid {

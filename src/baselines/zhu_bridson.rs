@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::neighbours::Neighbours;
+use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
 
 /// The field is -phi.
@@ -32,7 +32,7 @@ impl Scheme for ZhuBridson {
         0.0
     }
 
-    fn kernel(&self, place: DVec3, _: &Neighbours) -> [f64; 3] {
+    fn kernel(&self, place: DVec3, _: &NeighbourGrid) -> [f64; 3] {
         place.to_array()
     }
 

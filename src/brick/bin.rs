@@ -16,14 +16,14 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::grid::stretch::WantedBins;
-use crate::grid::{Domain, Grid, MortonKey, Unplaced};
-use crate::particles::{AttributeKind, Particles, Unread};
+use crate::grid::{Domain, Grid, MortonKey, PlacementError};
+use crate::particles::{AttributeKind, Particles, RereadError};
 use crate::system::memory::empty_in_huge_pages;
 
 use super::bin_table::{BinTable, LatestNumbers, NOWHERE, Placed};
 use super::bins::{Bins, FREE_BITS, RECORD_BITS};
 use super::cubes::{BinCode, CUBE, bin_coord};
-use super::place::{CHUNK, Placer, Sieve};
+use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
 /// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits
@@ -238,8 +238,8 @@ impl BinPlan {
             && let Some((index, position, fault)) = counts.iter().find_map(|c| c.first_invalid)
         {
             return Err(match fault {
-                Unplaced::NotFinite => BinError::NotFinite { index, position },
-                Unplaced::TooFar => {
+                PlacementError::NotFinite => BinError::NotFinite { index, position },
+                PlacementError::TooFar => {
                     BinError::TooFar { index, position, cell_size: grid.cell_size() }
                 }
             });
@@ -300,7 +300,7 @@ impl BinPlan {
     /// Bytes per thread to look up the bins of `particles`, of which those that are not `wanted`
     /// may be left out.
     pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
-        LatestNumbers::bytes(particles) + if wanted { Sieve::bytes(particles) } else { 0 }
+        LatestNumbers::bytes(particles) + if wanted { BinSieve::bytes(particles) } else { 0 }
     }
 
     /// Bytes of the places that were kept.
@@ -312,12 +312,12 @@ impl BinPlan {
     /// the attributes whose numbers are in `carried`.
     ///
     /// # Errors
-    /// [`Unread::Changed`] for particles that are not where they were when they were counted.
+    /// [`RereadError::Changed`] for particles that are not where they were when they were counted.
     pub fn fill(
         self,
         particles: &(impl Particles + ?Sized),
         carried: &[usize],
-    ) -> Result<Bins, Unread> {
+    ) -> Result<Bins, RereadError> {
         let Self { placer, census, keys, first, ranges } = self;
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
@@ -381,7 +381,7 @@ impl BinPlan {
         if as_counted.reduce(|| true, |one, other| one & other) {
             Ok(Bins::of_slots(slots, keys, first, components))
         } else {
-            Err(Unread::Changed)
+            Err(RereadError::Changed)
         }
     }
 }
@@ -450,7 +450,7 @@ fn ranges(len: usize) -> Vec<Range<usize>> {
 struct RangeCount {
     table: BinTable,
     census: Census,
-    first_invalid: Option<(usize, [f64; 3], Unplaced)>,
+    first_invalid: Option<(usize, [f64; 3], PlacementError)>,
     /// The packed place of each particle; empty where they are not kept.
     places: Vec<Record>,
 }
@@ -498,8 +498,8 @@ impl Counter {
             for (i, _) in nowhere.filter(|_| self.placer.wanted.is_none()) {
                 if let Err(fault) = self.placer.place(positions[i]) {
                     match fault {
-                        Unplaced::NotFinite => census.not_finite += 1,
-                        Unplaced::TooFar => census.too_far += 1,
+                        PlacementError::NotFinite => census.not_finite += 1,
+                        PlacementError::TooFar => census.too_far += 1,
                     }
                     first_invalid.get_or_insert((first + i, positions[i], fault));
                 } else {

@@ -9,7 +9,7 @@ use std::hash::BuildHasher;
 use hashbrown::hash_table::Entry;
 use hashbrown::{DefaultHashBuilder, HashTable};
 
-use super::cubes::{BinCode, CUBE, Latest, bin_of_cube, in_cube};
+use super::cubes::{BinCode, CUBE, CubeCache, bin_of_cube, in_cube};
 use super::place::Address;
 use super::slots::Record;
 
@@ -20,7 +20,7 @@ pub(super) type Placed = (u32, Record);
 pub(super) const NOWHERE: u32 = u32::MAX;
 
 /// The numbers of cubes in one table that were last asked for.
-pub(super) type LatestNumbers = Latest<u32>;
+pub(super) type LatestNumbers = CubeCache<u32>;
 
 /// The bins that a range of particles touches, by cubes: a hash finds a cube, and a cube its bins.
 #[derive(Default)]

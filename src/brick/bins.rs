@@ -32,12 +32,12 @@ pub struct Bins {
     pub(super) components: Vec<usize>,
     /// For each attribute, the particles that have no finite value of it.
     pub(super) without: Vec<usize>,
-    pub(super) store: Store,
+    pub(super) store: ParticleStore,
 }
 
 /// Where the particles are kept, records and attributes each on their own.
 #[derive(Debug)]
-pub(super) enum Store {
+pub(super) enum ParticleStore {
     Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
 }
@@ -91,7 +91,13 @@ impl Bins {
             values.par_chunks(n.max(1)).filter(is_lacking).count()
         };
         let without = attributes.iter().zip(&components).map(without).collect();
-        Self { keys, first, components, without, store: Store::Memory { records, attributes } }
+        Self {
+            keys,
+            first,
+            components,
+            without,
+            store: ParticleStore::Memory { records, attributes },
+        }
     }
 
     /// Bytes that a bin takes in tables until the surface is done, however little it holds.
@@ -155,13 +161,13 @@ impl Bins {
     ) -> io::Result<()> {
         let range = self.first[bin]..self.first[bin + 1];
         match &mut self.store {
-            Store::Memory { records: to, attributes: all } => {
+            ParticleStore::Memory { records: to, attributes: all } => {
                 to[range.clone()].copy_from_slice(records);
                 for ((to, from), n) in all.iter_mut().zip(attributes).zip(&self.components) {
                     to[range.start * n..range.end * n].copy_from_slice(from);
                 }
             }
-            Store::File { scratch, records_at, attributes_at } => {
+            ParticleStore::File { scratch, records_at, attributes_at } => {
                 let first = range.start as u64;
                 scratch.write_at(*records_at + 8 * first, bytemuck::cast_slice(records))?;
                 for ((at, from), &n) in attributes_at.iter().zip(attributes).zip(&self.components) {
@@ -180,7 +186,7 @@ impl Bins {
     pub fn contents(&self, bin: usize) -> io::Result<BinContents<'_>> {
         let range = self.first[bin]..self.first[bin + 1];
         match &self.store {
-            Store::Memory { records, attributes } => Ok(BinContents {
+            ParticleStore::Memory { records, attributes } => Ok(BinContents {
                 records: Cow::Borrowed(&records[range.clone()]),
                 attributes: attributes
                     .iter()
@@ -188,7 +194,7 @@ impl Bins {
                     .map(|(values, n)| Cow::Borrowed(&values[range.start * n..range.end * n]))
                     .collect(),
             }),
-            Store::File { scratch, records_at, attributes_at } => {
+            ParticleStore::File { scratch, records_at, attributes_at } => {
                 let mut records = vec![0; range.len()];
                 let first = range.start as u64;
                 scratch.read_at(records_at + 8 * first, bytemuck::cast_slice_mut(&mut records))?;

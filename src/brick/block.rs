@@ -15,13 +15,13 @@ const PIECE: usize = 256;
 
 /// Rows of a block: see [`Block::rows`].
 #[derive(Debug, Clone)]
-pub struct Rows<'a, T> {
+pub struct BlockRows<'a, T> {
     block: &'a Block<T>,
     part: CellBox,
     next: [i32; 2],
 }
 
-impl<'a, T: Copy + Default> Iterator for Rows<'a, T> {
+impl<'a, T: Copy + Default> Iterator for BlockRows<'a, T> {
     type Item = ([i32; 2], &'a [T]);
 
     #[inline]
@@ -92,10 +92,10 @@ impl<T: Copy + Default> Block<T> {
     ///
     /// # Panics
     /// If the block does not cover `part`.
-    pub fn rows(&self, part: CellBox) -> Rows<'_, T> {
+    pub fn rows(&self, part: CellBox) -> BlockRows<'_, T> {
         assert!(self.cells.covers(&part), "{part:?} is not in {:?}", self.cells);
         let z = if part.is_empty() { part.hi.z } else { part.lo.z };
-        Rows { block: self, part, next: [part.lo.y, z] }
+        BlockRows { block: self, part, next: [part.lo.y, z] }
     }
 
     /// The cell whose sample stands at a place.

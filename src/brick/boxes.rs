@@ -8,7 +8,7 @@ use glam::{DVec3, IVec3};
 use multiversion::multiversion;
 
 use crate::grid::{CellBox, Domain, Grid};
-use crate::particles::{AttributeInfo, Particles, Unread};
+use crate::particles::{AttributeInfo, Particles, RereadError};
 
 use super::bins::AXIS_BITS;
 
@@ -20,11 +20,11 @@ const LANES: usize = 8;
 pub struct WithBoxes<'a, P: ?Sized> {
     particles: &'a P,
     grid: Grid,
-    chunks: Vec<Chunk>,
+    chunks: Vec<ChunkExtent>,
 }
 
 #[derive(Debug)]
-struct Chunk {
+struct ChunkExtent {
     /// The number of the first particle.
     first: usize,
     extent: Mutex<Extent>,
@@ -62,7 +62,7 @@ impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
         let chunks = counts.map(|count| {
             let first = end;
             end += count;
-            Chunk { first, extent: Mutex::new(Extent::NONE) }
+            ChunkExtent { first, extent: Mutex::new(Extent::NONE) }
         });
         let chunks = chunks.collect();
         assert_eq!(end, particles.len(), "particles of all chunks");
@@ -73,7 +73,7 @@ impl<'a, P: Particles + ?Sized> WithBoxes<'a, P> {
     /// grid, and within a domain's walls, lie in bins of their chunk's box. `None` where none is on
     /// the grid.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
-        let bins = |chunk: &Chunk| {
+        let bins = |chunk: &ChunkExtent| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);
             // Placing rounds down, and walls clamp: both keep the order of coordinates.
             let bin = |corner: DVec3| {
@@ -142,7 +142,7 @@ impl<P: Particles + ?Sized> Particles for WithBoxes<'_, P> {
         self.watch(first, out);
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         self.particles.check()
     }
 

@@ -72,20 +72,20 @@ struct Halving {
     factor: Factor,
     bins: Vec<IVec3>,
     /// The pages that a scratch file holds.
-    kept: Option<Kept>,
+    kept: Option<ScratchPages>,
 }
 
 /// Pages in a scratch file: made again, each of a halved field that was halved before would take
 /// hundreds of pages of the finest.
 #[derive(Debug)]
-struct Kept {
+struct ScratchPages {
     scratch: Scratch,
     /// Where each page begins, and how many words it takes; `None` for one that could not be
     /// written.
     places: Vec<Option<(u64, usize)>>,
 }
 
-impl Kept {
+impl ScratchPages {
     fn keep(scratch: &Scratch, samples: &PageSamples) -> Option<(u64, usize)> {
         let words = samples.to_words();
         Some((scratch.append(bytemuck::cast_slice(&words)).ok()?, words.len()))
@@ -219,13 +219,13 @@ impl DifField {
                     let (info, samples) = page(bin)?;
                     Some((
                         (*bin, info),
-                        scratch.as_ref().and_then(|scratch| Kept::keep(scratch, &samples)),
+                        scratch.as_ref().and_then(|scratch| ScratchPages::keep(scratch, &samples)),
                     ))
                 });
                 let (pages, places): (Vec<_>, Vec<_>) =
                     pages.collect::<Vec<_>>().into_iter().unzip();
                 let (bins, infos) = pages.into_iter().unzip();
-                let kept = scratch.map(|scratch| Kept { scratch, places });
+                let kept = scratch.map(|scratch| ScratchPages { scratch, places });
                 Self::paged(HALVED, infos, Box::new(Halving { bins, kept, ..halving }), share)
             }
         }
@@ -315,12 +315,12 @@ mod tests {
 
     /// Pages in memory, which counts how often they are asked for.
     #[derive(Debug)]
-    struct Counting {
+    struct CountingPages {
         field: Arc<DifField>,
         asked: Arc<AtomicUsize>,
     }
 
-    impl PageSource for Counting {
+    impl PageSource for CountingPages {
         fn samples(&self, page: usize) -> Vec<u16> {
             self.asked.fetch_add(1, Ordering::Relaxed);
             self.field.stored(page).into_owned()
@@ -335,7 +335,7 @@ mod tests {
         let expected = Arc::new(fine.halved(None, 0.5, None)).halved(None, 0.5, None).gather(cells);
         for scratch in [Some(folder.path()), None, Some(Path::new("/nowhere"))] {
             let asked = Arc::new(AtomicUsize::new(0));
-            let source = Counting { field: Arc::clone(&fine), asked: Arc::clone(&asked) };
+            let source = CountingPages { field: Arc::clone(&fine), asked: Arc::clone(&asked) };
             // No page fits into so little memory.
             let beyond = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
             let wide = Arc::new(Arc::new(beyond).halved(None, 0.5, scratch));

@@ -42,13 +42,13 @@ pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
 }
 
 /// A direct-mapped cache for cubes. Of all cubes with the same slot, it stores the last one used.
-pub(super) struct Latest<T> {
+pub(super) struct CubeCache<T> {
     /// The number of low bits of a cube's coordinate that index the cache, along each axis.
     bits: u32,
     cubes: Vec<(BinCode, T)>,
 }
 
-impl<T: Copy + Default> Latest<T> {
+impl<T: Copy + Default> CubeCache<T> {
     /// A cache for `particles` in any order: about as many cubes along each axis as a pool of them
     /// has.
     pub(super) fn of(particles: usize) -> Self {

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::grid::units::FULL;
 use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 
-use super::store::Store;
+use super::store::PageStore;
 use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Pages};
 
 /// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
@@ -23,13 +23,13 @@ pub struct DifField {
     shape: PageShape,
     infos: Vec<PageInfo>,
     rank: HashMap<IVec3, u32>,
-    store: Store,
-    stored: Stored,
+    store: PageStore,
+    stored: SampleMeaning,
 }
 
 /// The meaning of a field's stored samples.
 #[derive(Debug)]
-enum Stored {
+enum SampleMeaning {
     /// The DIF itself.
     Theta,
     /// Numbers of particles, which a table turns into the DIF on the way out.
@@ -40,7 +40,7 @@ impl DifField {
     /// Makes a field of pages in memory, in the order of their keys.
     pub fn in_memory(shape: PageShape, pages: Pages) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
-        Self::new(shape, infos, Store::Memory(samples))
+        Self::new(shape, infos, PageStore::Memory(samples))
     }
 
     /// Makes a field of pages, in the order of their keys, whose samples are read from `source`.
@@ -53,7 +53,7 @@ impl DifField {
     ) -> Self {
         let bytes: usize = infos.iter().map(|info| info.most_bytes(shape)).sum();
         let mean_bytes = (bytes / infos.len().max(1)) as u64;
-        Self::new(shape, infos, Store::paged(source, cache_bytes, mean_bytes))
+        Self::new(shape, infos, PageStore::paged(source, cache_bytes, mean_bytes))
     }
 
     /// Makes a field of pages, in the order of their keys, whose samples are elsewhere and come
@@ -61,23 +61,23 @@ impl DifField {
     pub fn elsewhere_paged(
         shape: PageShape,
         infos: Vec<PageInfo>,
-        pages: Box<dyn Elsewhere>,
+        pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
     ) -> Self {
         debug_assert_eq!(infos.len(), pages.count(), "pages are those of the infos");
-        Self::new(shape, infos, Store::elsewhere(pages, otherwise))
+        Self::new(shape, infos, PageStore::elsewhere(pages, otherwise))
     }
 
-    fn new(shape: PageShape, infos: Vec<PageInfo>, store: Store) -> Self {
+    fn new(shape: PageShape, infos: Vec<PageInfo>, store: PageStore) -> Self {
         debug_assert!(infos.is_sorted_by(|a, b| a.key < b.key), "pages are in order");
         let rank = (0..).zip(&infos).map(|(rank, info)| (info.key.coord(), rank)).collect();
-        Self { shape, infos, rank, store, stored: Stored::Theta }
+        Self { shape, infos, rank, store, stored: SampleMeaning::Theta }
     }
 
     /// Takes what is stored for numbers of particles, and `theta` for the DIF by number: 0 for
     /// none, more than 0 for any, and 1 beyond its end.
     pub fn with_decode(self, theta: &[u16]) -> Self {
-        Self { stored: Stored::Counts(DecodeTable::new(theta)), ..self }
+        Self { stored: SampleMeaning::Counts(DecodeTable::new(theta)), ..self }
     }
 
     /// Bytes of samples that may be in memory; `None` where all are.
@@ -87,10 +87,10 @@ impl DifField {
 
     /// Returns the samples that are in another memory than the host's, such as a device's, if the
     /// field has such.
-    pub fn elsewhere(&self) -> Option<&dyn Elsewhere> {
+    pub fn elsewhere(&self) -> Option<&dyn RemotePages> {
         match &self.store {
-            Store::Elsewhere { pages, .. } => Some(&**pages),
-            Store::Memory(_) | Store::Paged { .. } => None,
+            PageStore::Elsewhere { pages, .. } => Some(&**pages),
+            PageStore::Memory(_) | PageStore::Paged { .. } => None,
         }
     }
 
@@ -137,11 +137,11 @@ impl DifField {
     /// Cuts the DIF of `cells` out of the bricks.
     pub fn gather(&self, cells: CellBox) -> Block {
         match &self.stored {
-            Stored::Theta if self.shape.ghost_layer > 0 => {
+            SampleMeaning::Theta if self.shape.ghost_layer > 0 => {
                 self.gather_by(cells, u16::saturating_add)
             }
-            Stored::Theta => self.gather_by(cells, |_, theta| theta),
-            Stored::Counts(table) => self.gather_by(cells, |_, count| table.theta(count)),
+            SampleMeaning::Theta => self.gather_by(cells, |_, theta| theta),
+            SampleMeaning::Counts(table) => self.gather_by(cells, |_, count| table.theta(count)),
         }
     }
 
@@ -207,7 +207,7 @@ impl DifField {
     /// counts.
     pub fn decode_table(&self) -> Option<&[u16]> {
         match &self.stored {
-            Stored::Counts(table) => Some(&table.0),
+            SampleMeaning::Counts(table) => Some(&table.0),
             _ => None,
         }
     }
@@ -293,7 +293,7 @@ fn join(boxes: &mut Vec<CellBox>, mut new: CellBox, gap: i32) {
     boxes.push(new);
 }
 
-impl Stored {
+impl SampleMeaning {
     #[inline]
     fn theta(&self, sample: u16) -> u16 {
         match self {
@@ -341,7 +341,7 @@ impl Factor {
 
 /// Samples that are not in the host's memory, and what can be made of them where they are. Whatever
 /// fails is `None`, and made on the host.
-pub trait Elsewhere: Send + Sync + Debug {
+pub trait RemotePages: Send + Sync + Debug {
     /// How many pages there are.
     fn count(&self) -> usize;
 
@@ -355,7 +355,7 @@ pub trait Elsewhere: Send + Sync + Debug {
         bins: &[IVec3],
         walls: Option<CellBox>,
         factor: Factor,
-    ) -> Option<(Vec<PageInfo>, Box<dyn Elsewhere>)>;
+    ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 
     /// For each page a bit for each brick of four cells, by its Morton index: those that no cube of
     /// `width` parts along each axis touches that holds less than `least`; a part is two cells

@@ -11,8 +11,8 @@ use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::grid::{Domain, Grid, Periodic, Unplaced};
-use crate::particles::{AttributeInfo, Metered, Particles, Unread};
+use crate::grid::{Domain, Grid, Periodic, PlacementError};
+use crate::particles::{AttributeInfo, MeteredParticles, Particles, RereadError};
 
 use crate::system::control::Stage;
 
@@ -25,7 +25,7 @@ const GROUP: usize = 1 << 10;
 /// Particles as they are to be binned: with their images, if their box is periodic.
 #[derive(Debug)]
 pub struct WithImages<'a, P: ?Sized> {
-    particles: Metered<'a, P>,
+    particles: MeteredParticles<'a, P>,
     images: Option<Images<'a>>,
 }
 
@@ -42,7 +42,7 @@ struct Images<'a> {
 
 /// Counts of all groups.
 #[derive(Default)]
-struct Counts {
+struct InvalidCounts {
     astray: AtomicUsize,
     /// The first group that has an invalid particle, and that particle.
     first_invalid: Mutex<Option<(usize, BinError)>>,
@@ -55,7 +55,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless
     /// such are skipped.
     pub fn of(
-        particles: Metered<'a, P>,
+        particles: MeteredParticles<'a, P>,
         grid: &Grid,
         domain: Option<&Domain>,
         periodic: Option<&'a Periodic>,
@@ -65,12 +65,12 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
         let images = Images { placer, periodic, before: Vec::new(), astray: 0 };
         let mut before = Vec::new();
-        let (counts, groups) = (Counts::default(), particles.len().div_ceil(GROUP));
+        let (counts, groups) = (InvalidCounts::default(), particles.len().div_ceil(GROUP));
         (0..groups)
             .into_par_iter()
             .map(|group| images.count(&particles, group, &counts))
             .collect_into_vec(&mut before);
-        let Counts { astray, first_invalid } = counts;
+        let InvalidCounts { astray, first_invalid } = counts;
         let first_invalid = first_invalid.into_inner().unwrap_or_else(PoisonError::into_inner);
         if let (InvalidParticles::Refuse, Some((_, error))) = (invalid, first_invalid) {
             return Err(error);
@@ -108,11 +108,11 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
 type Placed = ([f64; 3], [i64; 3]);
 
 /// A particle that cannot be binned.
-enum Misplaced {
+enum MisplacedParticle {
     /// Outside of the box, along this axis.
     Astray(char),
     /// Nowhere on the grid.
-    Unplaced(Unplaced),
+    Unplaced(PlacementError),
 }
 
 /// The particles of a group.
@@ -126,9 +126,9 @@ impl Images<'_> {
     }
 
     /// Where a particle is between the faces, and its steps; `None` outside of the domain.
-    fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, Misplaced> {
-        let inside = self.periodic.inside(position).map_err(Misplaced::Astray)?;
-        let steps = self.placer.place(inside).map_err(Misplaced::Unplaced)?;
+    fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, MisplacedParticle> {
+        let inside = self.periodic.inside(position).map_err(MisplacedParticle::Astray)?;
+        let steps = self.placer.place(inside).map_err(MisplacedParticle::Unplaced)?;
         Ok(steps.map(|steps| (inside, steps)))
     }
 
@@ -144,7 +144,12 @@ impl Images<'_> {
     }
 
     /// Counts the images of a group, and its particles that cannot be binned.
-    fn count(&self, particles: &(impl Particles + ?Sized), group: usize, counts: &Counts) -> u64 {
+    fn count(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        group: usize,
+        counts: &InvalidCounts,
+    ) -> u64 {
         let range = group_range(particles, group);
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
@@ -155,14 +160,14 @@ impl Images<'_> {
                     images += placed.map_or(0, |placed| self.images(placed).count()) as u64;
                     continue;
                 }
-                Err(Misplaced::Astray(axis)) => {
+                Err(MisplacedParticle::Astray(axis)) => {
                     astray += 1;
                     BinError::OutsideBox { index, position, axis }
                 }
-                Err(Misplaced::Unplaced(Unplaced::NotFinite)) => {
+                Err(MisplacedParticle::Unplaced(PlacementError::NotFinite)) => {
                     BinError::NotFinite { index, position }
                 }
-                Err(Misplaced::Unplaced(Unplaced::TooFar)) => {
+                Err(MisplacedParticle::Unplaced(PlacementError::TooFar)) => {
                     BinError::TooFar { index, position, cell_size: self.placer.grid.cell_size() }
                 }
             };
@@ -245,7 +250,7 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
         });
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         self.particles.check()
     }
 
@@ -312,9 +317,9 @@ mod tests {
 
     /// Particles that carry their own numbers.
     #[derive(Debug)]
-    struct Numbered(Vec<[f64; 3]>, Vec<AttributeInfo>);
+    struct NumberedParticles(Vec<[f64; 3]>, Vec<AttributeInfo>);
 
-    impl Particles for Numbered {
+    impl Particles for NumberedParticles {
         fn len(&self) -> usize {
             self.0.len()
         }
@@ -344,9 +349,9 @@ mod tests {
         (positions[7], positions[8], positions[9]) =
             ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
         let info = AttributeInfo::new("number", 2);
-        let particles = Numbered(positions, vec![info]);
+        let particles = NumberedParticles(positions, vec![info]);
         let control = Control::default();
-        let metered = || Metered::new(&particles, &control, Stage::Counting);
+        let metered = || MeteredParticles::new(&particles, &control, Stage::Counting);
         let of = |invalid| WithImages::of(metered(), &grid, None, Some(&periodic), invalid);
         let first = of(InvalidParticles::Refuse).unwrap_err();
         assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
@@ -391,9 +396,9 @@ mod tests {
     }
 
     /// Particles that are elsewhere each time they are read.
-    struct Restless(AtomicUsize);
+    struct UnstableParticles(AtomicUsize);
 
-    impl Particles for Restless {
+    impl Particles for UnstableParticles {
         fn len(&self) -> usize {
             3000
         }
@@ -410,10 +415,10 @@ mod tests {
     fn particles_that_move_between_two_readings_fill_what_is_asked_for_and_no_more() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
-        let restless = Restless(0.into());
+        let restless = UnstableParticles(0.into());
         let invalid = InvalidParticles::Refuse;
         let control = Control::default();
-        let metered = Metered::new(&restless, &control, Stage::Counting);
+        let metered = MeteredParticles::new(&restless, &control, Stage::Counting);
         let all = WithImages::of(metered, &grid, None, Some(&periodic), invalid).unwrap();
         for first in [0, 2990, 3000, 3100, all.len() - 5] {
             let mut positions = vec![[7.0; 3]; all.len() - first];

@@ -35,7 +35,7 @@ pub use coarse::{HALVED, HALVED_BITS, halved_box, halved_from, halved_from_box};
 pub use cubes::COORD_BITS;
 pub use facts::FrameFacts;
 pub use field::DifField;
-pub use field::{Elsewhere, Factor};
+pub use field::{Factor, RemotePages};
 pub use images::WithImages;
 pub use page::{PageInfo, Pages, full_bits, fullness};
 pub use samples::PageSamples;

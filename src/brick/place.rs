@@ -5,11 +5,11 @@ use std::ops::Range;
 use multiversion::multiversion;
 
 use crate::grid::stretch::WantedBins;
-use crate::grid::{Domain, FRACTIONS, Grid, STEP_LIMIT, Unplaced};
+use crate::grid::{Domain, FRACTIONS, Grid, PlacementError, STEP_LIMIT};
 use crate::particles::Particles;
 
 use super::bins::{AXIS_BITS, pack};
-use super::cubes::{BinCode, COORD_BITS, CUBE, Latest, bin_coord, in_cube};
+use super::cubes::{BinCode, COORD_BITS, CUBE, CubeCache, bin_coord, in_cube};
 use super::slots::Record;
 
 /// Particles decoded at once: small enough to stay in the first-level cache.
@@ -52,9 +52,9 @@ pub(super) struct Placer {
 }
 
 /// Leaves particles out that are in no bin that is wanted.
-pub(super) struct Sieve {
+pub(super) struct BinSieve {
     wanted: WantedBins,
-    known: Latest<KnownBins>,
+    known: CubeCache<KnownBins>,
 }
 
 /// Bits of a cube's bins, one for each: whether it was asked for, and whether it is wanted.
@@ -65,15 +65,15 @@ struct KnownBins {
 }
 const _: () = assert!(CUBE <= u8::BITS as usize);
 
-impl Sieve {
+impl BinSieve {
     /// Lookup of bins for `particles`.
     fn new(wanted: WantedBins, particles: usize) -> Self {
-        Self { wanted, known: Latest::of(particles) }
+        Self { wanted, known: CubeCache::of(particles) }
     }
 
     /// Bytes of a lookup for `particles`.
     pub(super) fn bytes(particles: usize) -> u64 {
-        Latest::<KnownBins>::bytes(particles)
+        CubeCache::<KnownBins>::bytes(particles)
     }
 
     #[inline(always)]
@@ -97,7 +97,7 @@ impl Sieve {
 
 impl Placer {
     /// The place in steps, as by [`Grid::place`]; `None` outside of the domain.
-    pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, Unplaced> {
+    pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, PlacementError> {
         match (self.grid.place(position), &self.domain) {
             (Ok(steps), None) => Ok(Some(steps)),
             (Ok(steps), Some(domain)) => {
@@ -106,7 +106,7 @@ impl Placer {
                 Ok(domain.contains(position).then(clamped))
             }
             // What lies outside of the domain is no concern of the grid.
-            (Err(Unplaced::TooFar), Some(domain)) if !domain.contains(position) => Ok(None),
+            (Err(PlacementError::TooFar), Some(domain)) if !domain.contains(position) => Ok(None),
             (Err(fault), _) => Err(fault),
         }
     }
@@ -119,10 +119,10 @@ impl Placer {
         range: Range<usize>,
         mut each: impl FnMut(usize, &[[f64; 3]], &[Address]) -> Result<(), E>,
     ) -> Result<(), E> {
-        let bounds = Bounds::of(self);
+        let bounds = LaneBounds::of(self);
         let mut positions = vec![[0.0; 3]; CHUNK];
         let mut addresses = vec![Address::NOWHERE; CHUNK];
-        let mut sieve = self.wanted.map(|wanted| Sieve::new(wanted, particles.len()));
+        let mut sieve = self.wanted.map(|wanted| BinSieve::new(wanted, particles.len()));
         for first in range.clone().step_by(CHUNK) {
             let count = CHUNK.min(range.end - first);
             particles.positions(first, &mut positions[..count]);
@@ -150,7 +150,7 @@ impl Placer {
 }
 
 /// The bounds that [`Placer::place`] compares with, repeated for [`LANES`] consecutive positions.
-struct Bounds {
+struct LaneBounds {
     origin: [f64; 3 * LANES],
     cell: f64,
     /// The walls, in world coordinates.
@@ -159,7 +159,7 @@ struct Bounds {
     steps: [[f64; 3 * LANES]; 2],
 }
 
-impl Bounds {
+impl LaneBounds {
     fn of(placer: &Placer) -> Self {
         let repeated = |xyz: [f64; 3]| std::array::from_fn(|i| xyz[i % 3]);
         let unbounded = [[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]];
@@ -179,7 +179,7 @@ impl Bounds {
 
 /// [`Placer::place`] for a chunk; whether all of it is somewhere. If not, no address is right.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn place_all(bounds: &Bounds, positions: &[[f64; 3]], addresses: &mut [Address]) -> bool {
+fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Address]) -> bool {
     /// An integer below 2^51 added to this stands in the lower bits of the sum.
     const INTEGER: f64 = 1.5 * (1_u64 << 52) as f64;
     let mut astray = 0;
@@ -210,7 +210,7 @@ fn place_all(bounds: &Bounds, positions: &[[f64; 3]], addresses: &mut [Address])
 mod tests {
     use glam::{DVec3, IVec3};
 
-    use crate::grid::stretch::{Sight, Stretch};
+    use crate::grid::stretch::{DecidingCells, Stretch};
     use crate::grid::{BIN, BLOCK, CellBox, MortonKey};
 
     use super::*;
@@ -230,14 +230,14 @@ mod tests {
 
     #[test]
     fn particles_are_left_out_whose_bins_are_not_wanted_in_whatever_order_bins_are_asked_for() {
-        let sight = Sight::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
+        let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let stretch = Stretch {
             first: MortonKey::of(IVec3::splat(-9)),
             end: MortonKey::of(IVec3::new(7, -3, 2)),
         };
         let wanted = WantedBins { stretch, sight };
         // More bins along each axis than the cache has room for, each asked for several times.
-        let (edge, mut sieve) = (41_i64, Sieve::new(wanted, 1));
+        let (edge, mut sieve) = (41_i64, BinSieve::new(wanted, 1));
         let address = |i: i64| {
             let at = i * 7919 % edge.pow(3);
             let bin = [at, at / edge, at / edge.pow(2)].map(|c| c % edge - edge / 2);
@@ -274,7 +274,7 @@ mod tests {
                 positions.iter_mut().for_each(|p| *p = p.map(|x| x.clamp(-3.1, 40.0)));
             }
             let mut all = vec![Address::NOWHERE; CHUNK];
-            assert!(place_all(&Bounds::of(&placer), &positions, &mut all));
+            assert!(place_all(&LaneBounds::of(&placer), &positions, &mut all));
             for (position, address) in positions.iter().zip(all) {
                 assert_eq!(
                     placer.place(*position).map(|steps| steps.map(Address::of)),
@@ -284,7 +284,11 @@ mod tests {
             for stray in [f64::NAN, f64::INFINITY, 1e9, -1e9] {
                 let mut one = positions.clone();
                 one[77][1] = stray;
-                assert!(!place_all(&Bounds::of(&placer), &one, &mut vec![Address::NOWHERE; CHUNK]));
+                assert!(!place_all(
+                    &LaneBounds::of(&placer),
+                    &one,
+                    &mut vec![Address::NOWHERE; CHUNK]
+                ));
             }
         }
     }

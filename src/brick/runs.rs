@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::particles::{Particles, Unread};
+use crate::particles::{Particles, RereadError};
 
 use super::bin::{BinPlan, RangePlan, Tuples, components};
 use super::bin_table::{LatestNumbers, NOWHERE};
@@ -55,8 +55,8 @@ impl BinPlan {
     /// all, and runs `memory_bytes`, the rest of them being in the file.
     ///
     /// # Errors
-    /// Where the scratch file cannot be created or written; and within, [`Unread::Changed`] for
-    /// particles that are not where they were when they were counted.
+    /// Where the scratch file cannot be created or written; and within, [`RereadError::Changed`]
+    /// for particles that are not where they were when they were counted.
     pub fn spill(
         self,
         particles: &(impl Particles + ?Sized),
@@ -65,7 +65,7 @@ impl BinPlan {
         folder: &Path,
         buffer_bytes: usize,
         memory_bytes: u64,
-    ) -> io::Result<Result<SpilledBins, Unread>> {
+    ) -> io::Result<Result<SpilledBins, RereadError>> {
         let Self { placer, keys, first, mut ranges, .. } = self;
         ranges.iter_mut().for_each(|range| range.places = Vec::new());
         let mut at_of_bin = vec![0; keys.len()];
@@ -83,11 +83,11 @@ impl BinPlan {
                 let mut buffers = spilled.buffers(threads, buffer_bytes);
                 let mut latest = LatestNumbers::of(particles.len());
                 let counts = table.counts().iter().zip(ranks);
-                let expected = |(&left, bin)| Expected {
+                let expected = |(&left, bin)| ExpectedBin {
                     at: *at_of_bin.get(bin as usize).unwrap_or(&0),
                     left,
                 };
-                let mut expected: Vec<Expected> = counts.map(expected).collect();
+                let mut expected: Vec<ExpectedBin> = counts.map(expected).collect();
                 let mut unexpected = false;
                 let (mut placed, mut found) =
                     (Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK));
@@ -124,12 +124,12 @@ impl BinPlan {
             });
         let as_counted =
             as_counted.try_reduce(|| true, |one, other| Ok::<_, io::Error>(one & other))?;
-        Ok(if as_counted { Ok(spilled) } else { Err(Unread::Changed) })
+        Ok(if as_counted { Ok(spilled) } else { Err(RereadError::Changed) })
     }
 }
 
 /// A bin of a range's table as the second reading finds it.
-struct Expected {
+struct ExpectedBin {
     /// The number of its run, and, in the lower [`RUN_BITS`] bits, its own in the run.
     at: u32,
     /// Particles that are still to come.

@@ -20,7 +20,7 @@ use crate::grid::MortonKey;
 use crate::system::scratch::Scratch;
 
 use super::bin::Tuples;
-use super::bins::{Bins, RECORD_BITS, Store, tuple_bytes};
+use super::bins::{Bins, ParticleStore, RECORD_BITS, tuple_bytes};
 use super::elias_fano::EliasFano;
 use super::slabs::Slabs;
 use super::slots::{Record, Slots};
@@ -43,19 +43,19 @@ pub struct SpilledBins {
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
     scratch: Scratch,
-    held: Vec<Mutex<Held>>,
-    memory: Room,
+    held: Vec<Mutex<RunParticles>>,
+    memory: SpillBudget,
 }
 
 /// The particles of a run.
 #[derive(Debug)]
-struct Held {
+struct RunParticles {
     /// Where they are; those in memory come in the order of their places there.
-    pieces: Vec<Piece>,
+    pieces: Vec<RunPiece>,
     memory: Slabs,
 }
 
-impl Held {
+impl RunParticles {
     fn take(&mut self) -> Self {
         Self { pieces: std::mem::take(&mut self.pieces), memory: self.memory.take() }
     }
@@ -63,14 +63,14 @@ impl Held {
 
 /// The memory that pieces may take.
 #[derive(Debug)]
-struct Room {
+struct SpillBudget {
     /// Bytes at the most, with what visitors keep of the runs that they have seen.
     most: u64,
     /// Bytes that pieces take.
     taken: AtomicU64,
 }
 
-impl Room {
+impl SpillBudget {
     /// Reserves `bytes` and returns true if there is room.
     fn take(&self, bytes: u64) -> bool {
         let fitting = |taken: u64| Some(taken + bytes).filter(|&taken| taken <= self.most);
@@ -88,15 +88,15 @@ impl Room {
 
 /// Some particles of a run.
 #[derive(Debug)]
-struct Piece {
+struct RunPiece {
     particles: usize,
-    at: Place,
+    at: PieceLocation,
 }
 
 /// Where the words of a piece begin: the code of its packed particles, and all components of all
 /// attributes of one particle after the other.
 #[derive(Debug)]
-enum Place {
+enum PieceLocation {
     /// In the memory of its run.
     Memory(usize),
     /// In the scratch file.
@@ -122,9 +122,9 @@ impl SpilledBins {
         memory_bytes: u64,
     ) -> io::Result<Self> {
         let slab = Slabs::slab_bytes(memory_bytes / runs.len().max(1) as u64);
-        let held = || Held { pieces: Vec::new(), memory: Slabs::new(slab) };
+        let held = || RunParticles { pieces: Vec::new(), memory: Slabs::new(slab) };
         let held = runs.iter().map(|_| held().into()).collect();
-        let memory = Room { most: memory_bytes, taken: AtomicU64::new(0) };
+        let memory = SpillBudget { most: memory_bytes, taken: AtomicU64::new(0) };
         Ok(Self {
             keys,
             first,
@@ -136,7 +136,7 @@ impl SpilledBins {
         })
     }
 
-    fn held(&self, run: usize) -> MutexGuard<'_, Held> {
+    fn held(&self, run: usize) -> MutexGuard<'_, RunParticles> {
         self.held[run].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -198,15 +198,15 @@ impl SpilledBins {
     /// first that are wanted last.
     fn keep_within(&self, bytes: u64) -> io::Result<()> {
         for run in (0..self.runs.len()).rev() {
-            let Held { pieces, memory } = &mut *self.held(run);
+            let RunParticles { pieces, memory } = &mut *self.held(run);
             for piece in pieces.iter_mut().rev() {
                 if self.memory.taken() <= bytes {
                     return Ok(());
                 }
-                if let Place::Memory(at) = piece.at {
+                if let PieceLocation::Memory(at) = piece.at {
                     let words = memory.get(at..at + self.words(run, piece.particles));
                     let in_file = self.scratch.append(cast_slice(&words))?;
-                    piece.at = Place::File(in_file);
+                    piece.at = PieceLocation::File(in_file);
                     self.memory.give_back(memory.truncate(at));
                 }
             }
@@ -217,33 +217,38 @@ impl SpilledBins {
     /// Adds a piece of `particles` to run number `run`, in memory while there is room.
     fn keep(&self, run: usize, particles: usize, words: &[u64]) -> io::Result<()> {
         if !self.keep_in_memory(run, particles, words) {
-            let at = Place::File(self.scratch.append(cast_slice(words))?);
-            self.held(run).pieces.push(Piece { particles, at });
+            let at = PieceLocation::File(self.scratch.append(cast_slice(words))?);
+            self.held(run).pieces.push(RunPiece { particles, at });
         }
         Ok(())
     }
 
     /// Whether there was room for a piece, and the system gave it.
     fn keep_in_memory(&self, run: usize, particles: usize, words: &[u64]) -> bool {
-        let Held { pieces, memory } = &mut *self.held(run);
+        let RunParticles { pieces, memory } = &mut *self.held(run);
         let more = memory.bytes_for(words.len());
         if !self.memory.take(more) {
             return false;
         }
         let added = memory.push(words);
         match added {
-            Ok(at) => pieces.push(Piece { particles, at: Place::Memory(at) }),
+            Ok(at) => pieces.push(RunPiece { particles, at: PieceLocation::Memory(at) }),
             Err(_) => self.memory.give_back(more),
         }
         added.is_ok()
     }
 
     /// The words of a piece of run number `run`, whose memory is at hand.
-    fn read<'a>(&self, run: usize, piece: &Piece, memory: &'a Slabs) -> io::Result<Cow<'a, [u64]>> {
+    fn read<'a>(
+        &self,
+        run: usize,
+        piece: &RunPiece,
+        memory: &'a Slabs,
+    ) -> io::Result<Cow<'a, [u64]>> {
         let len = self.words(run, piece.particles);
         match piece.at {
-            Place::Memory(at) => Ok(memory.get(at..at + len)),
-            Place::File(at) => {
+            PieceLocation::Memory(at) => Ok(memory.get(at..at + len)),
+            PieceLocation::File(at) => {
                 let mut words = vec![0; len];
                 self.scratch.read_at(at, cast_slice_mut(&mut words))?;
                 Ok(words.into())
@@ -259,7 +264,7 @@ impl SpilledBins {
         let next: Vec<AtomicUsize> =
             self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
         let width = self.width();
-        let Held { pieces, memory } = self.held(run).take();
+        let RunParticles { pieces, memory } = self.held(run).take();
         let buffers = || (Vec::new(), Vec::new());
         pieces.par_iter().try_for_each_init(buffers, |(records, bin_slots), piece| {
             let code = self.code(run, piece.particles);
@@ -310,7 +315,7 @@ impl SpilledBins {
             first: self.first.clone(),
             components: self.components.clone(),
             without: vec![0; self.components.len()],
-            store: Store::File { scratch, records_at, attributes_at },
+            store: ParticleStore::File { scratch, records_at, attributes_at },
         };
         Ok(SortedStore { bins, written: 0 })
     }
@@ -331,8 +336,8 @@ impl SortedStore {
     /// Where the scratch file cannot be written.
     pub fn push(&mut self, run: &Bins) -> io::Result<()> {
         let (
-            Store::Memory { records, attributes },
-            Store::File { scratch, records_at, attributes_at },
+            ParticleStore::Memory { records, attributes },
+            ParticleStore::File { scratch, records_at, attributes_at },
         ) = (&run.store, &self.bins.store)
         else {
             unreachable!("a run is in memory, and the store is a file");

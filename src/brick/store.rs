@@ -9,7 +9,7 @@ use std::sync::{Arc, OnceLock};
 use quick_cache::sync::Cache;
 use quick_cache::{OptionsBuilder, Weighter};
 
-use super::{Elsewhere, PageSamples, PageShape};
+use super::{PageSamples, PageShape, RemotePages};
 
 /// Bytes of a cached page besides its samples: its entry in the cache, and the heads of its
 /// allocations.
@@ -25,12 +25,12 @@ pub trait PageSource: Send + Sync + Debug {
 const TOGETHER: usize = 64;
 
 /// A page that is in memory: in the field's own, or in its cache.
-pub(super) enum Cached<'a> {
+pub(super) enum CachedPage<'a> {
     Own(&'a PageSamples),
     Shared(Arc<PageSamples>),
 }
 
-impl Deref for Cached<'_> {
+impl Deref for CachedPage<'_> {
     type Target = PageSamples;
 
     #[inline]
@@ -44,22 +44,22 @@ impl Deref for Cached<'_> {
 
 /// The samples of all pages of a field.
 #[derive(Debug)]
-pub(super) enum Store {
+pub(super) enum PageStore {
     Memory(Vec<PageSamples>),
     Paged {
         source: Box<dyn PageSource>,
-        cache: Cache<u32, Arc<PageSamples>, Bytes>,
+        cache: Cache<u32, Arc<PageSamples>, PageWeighter>,
     },
     /// Pages outside of the host's memory; those wanted on the host are kept in it too,
     /// [`TOGETHER`] at a time.
     Elsewhere {
-        pages: Box<dyn Elsewhere>,
+        pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
         here: Vec<OnceLock<Vec<PageSamples>>>,
     },
 }
 
-impl Store {
+impl PageStore {
     /// Pages of `mean_bytes` on average at the most, as many of them in memory as fit into
     /// `cache_bytes`.
     pub(super) fn paged(source: Box<dyn PageSource>, cache_bytes: u64, mean_bytes: u64) -> Self {
@@ -69,12 +69,13 @@ impl Store {
             .weight_capacity(cache_bytes)
             .build()
             .expect("all that has no default is given");
-        let cache = Cache::with_options(options, Bytes, Default::default(), Default::default());
+        let cache =
+            Cache::with_options(options, PageWeighter, Default::default(), Default::default());
         Self::Paged { source, cache }
     }
 
     /// Pages that are elsewhere; where that fails they are made by `otherwise`.
-    pub(super) fn elsewhere(pages: Box<dyn Elsewhere>, otherwise: Box<dyn PageSource>) -> Self {
+    pub(super) fn elsewhere(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
         let here =
             std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
         Self::Elsewhere { pages, otherwise, here }
@@ -90,9 +91,9 @@ impl Store {
 
     /// For a page that is likely to be wanted again soon.
     #[inline]
-    pub(super) fn cached(&self, page: u32, shape: PageShape) -> Cached<'_> {
+    pub(super) fn cached(&self, page: u32, shape: PageShape) -> CachedPage<'_> {
         match self {
-            Self::Memory(pages) => Cached::Own(&pages[page as usize]),
+            Self::Memory(pages) => CachedPage::Own(&pages[page as usize]),
             Self::Paged { source, cache } => {
                 let read = || {
                     let samples = source.samples(page as usize);
@@ -102,9 +103,9 @@ impl Store {
                     )))
                 };
                 let Ok(samples) = cache.get_or_insert_with(&page, read);
-                Cached::Shared(samples)
+                CachedPage::Shared(samples)
             }
-            Self::Elsewhere { .. } => Cached::Own(self.fetched(page as usize, shape)),
+            Self::Elsewhere { .. } => CachedPage::Own(self.fetched(page as usize, shape)),
         }
     }
 
@@ -140,9 +141,9 @@ impl Store {
 
 /// Weighs pages by what they take of memory.
 #[derive(Debug, Clone)]
-pub(super) struct Bytes;
+pub(super) struct PageWeighter;
 
-impl Weighter<u32, Arc<PageSamples>> for Bytes {
+impl Weighter<u32, Arc<PageSamples>> for PageWeighter {
     fn weight(&self, _: &u32, samples: &Arc<PageSamples>) -> u64 {
         CACHED_PAGE + samples.bytes() as u64
     }

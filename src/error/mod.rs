@@ -18,7 +18,7 @@ pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::units::{UnitError, shown, significant};
 pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::io::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
-pub use crate::particles::Unread;
+pub use crate::particles::RereadError;
 pub use crate::particles::kind::KindFault;
 pub use crate::particles::selection::SelectionFault;
 pub use crate::particles::sizes::SizeFault;

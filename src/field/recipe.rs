@@ -5,9 +5,9 @@
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
-use crate::field::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width};
+use crate::field::distance::{Bulk, Depths, DistanceFilters, Drops, InsideBricks, Ramp, Width};
 use crate::field::indicator::IndicatorKind;
-use crate::field::sheets::{Sheeted, Sheets};
+use crate::field::sheets::{SheetFields, Sheets};
 use crate::grid::units::{Isovalue, Sigma};
 use crate::grid::{BLOCK, CellBox};
 
@@ -26,7 +26,7 @@ pub enum Filters {
     /// The paper's filters, for its indicators.
     Paper(PaperFilters),
     /// Distances from clouds.
-    Distances(Box<Distances>),
+    Distances(Box<DistanceFilters>),
 }
 
 /// The paper's filters.
@@ -146,7 +146,7 @@ impl Recipe {
     }
 
     /// By distances, which are 0 on the surface.
-    pub fn of_distances(distances: Distances) -> Self {
+    pub fn of_distances(distances: DistanceFilters) -> Self {
         Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::NO_DISTANCE }
     }
 
@@ -192,7 +192,7 @@ pub type WithCalm<T> = (T, WideFields<T>);
 
 /// All that distances need of wide cells: it is made once for whatever cells lie between these.
 pub fn bulk<F: Fields>(
-    distances: &Distances,
+    distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<WideFields<F::Field>, F::Error> {
     let (_, wide) = calm_and_bulk(distances, fields)?;
@@ -201,10 +201,10 @@ pub fn bulk<F: Fields>(
 
 /// Computes the calm surface, and from it the bulk and how far particles lie outside of it.
 pub fn calm_and_bulk<F: Fields>(
-    distances: &Distances,
+    distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<WithCalm<F::Field>, F::Error> {
-    let Distances { level, bulk, near, least, inside, .. } = distances;
+    let DistanceFilters { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let filled = fields.filled(&clouds)?;
     let mut share = |width: &Width| fields.blur(filled.clone(), &width.weights);
@@ -222,29 +222,32 @@ pub fn calm_and_bulk<F: Fields>(
 
 /// The field, of what is known of wide cells, and of drops in cells where any can be seen.
 pub fn joined<F: Fields>(
-    distances: &Distances,
+    distances: &DistanceFilters,
     fields: &mut F,
     wide: WideFields<F::Field>,
 ) -> Result<F::Field, F::Error> {
-    let Distances { level, gate, drops_level, drops, .. } = distances;
-    fields.look(&wide, *level, gate)?;
+    let DistanceFilters { level, ramp, drops_level, drops, .. } = distances;
+    fields.probe(&wide, *level, ramp)?;
     let bulk = fields.refined(wide.bulk, *level)?;
-    if !fields.narrowed(&wide.outlying, *level, gate) {
+    if !fields.narrowed(&wide.outlying, *level, ramp) {
         return Ok(bulk);
     }
     let near = fields.refined(wide.outlying, *level)?;
-    if !fields.narrowed(&near, 0, gate) {
+    if !fields.narrowed(&near, 0, ramp) {
         return Ok(bulk);
     }
     let shares = thin_shares(distances, fields)?;
     let shares = fields.refined(shares, *drops_level)?;
-    fields.joined(bulk, near, shares, (drops, gate))
+    fields.joined(bulk, near, shares, (drops, ramp))
 }
 
 /// The shares of drops, and of the sheets that they give way to, in the cells that they are made
 /// in.
-pub fn thin_shares<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F::Field, F::Error> {
-    let Distances { drops_level, drops, sheets, .. } = distances;
+pub fn thin_shares<F: Fields>(
+    distances: &DistanceFilters,
+    fields: &mut F,
+) -> Result<F::Field, F::Error> {
+    let DistanceFilters { drops_level, drops, sheets, .. } = distances;
     let clouds = fields.samples(*drops_level, distances.drops_halo())?;
     let sheets = sheets.as_ref().filter(|sheets| fields.may_hold(sheets, &clouds));
     let density = sheets.map(|sheets| fields.blur(clouds.clone(), &sheets.around)).transpose()?;
@@ -253,10 +256,10 @@ pub fn thin_shares<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F
     let shares = fields.quotient(clouds, around, drops.bits)?;
     let mut shares = fields.blur(shares, &drops.spread)?;
     if let (Some(by), Some(density)) = (sheets, density)
-        && let Some(Sheeted { shares: of_sheets, certainty }) = fields.sheets(by, density)?
+        && let Some(SheetFields { shares: of_sheets, certainty }) = fields.sheets(by, density)?
     {
         let certainty = fields.blur(certainty, &by.average)?;
-        shares = fields.blended(shares, Sheeted { shares: of_sheets, certainty })?;
+        shares = fields.blended(shares, SheetFields { shares: of_sheets, certainty })?;
     }
     Ok(shares)
 }
@@ -306,7 +309,7 @@ pub trait Fields {
     fn mixed(
         &mut self,
         bulk: &Bulk,
-        inside: &Inside,
+        inside: &InsideBricks,
         depths: Depths<Self::Field>,
         near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
@@ -325,11 +328,11 @@ pub trait Fields {
 
     /// Looks at what is known of cells 2^`level` times as wide, and may stop where no surface can
     /// come of it.
-    fn look(
+    fn probe(
         &mut self,
         wide: &WideFields<Self::Field>,
         level: u32,
-        gate: &Gate,
+        ramp: &Ramp,
     ) -> Result<(), Self::Error>;
 
     /// A field of cells 2^`level` times as wide at the middles of those that it is asked for on.
@@ -337,7 +340,7 @@ pub trait Fields {
 
     /// Whether particles stand out in any cell, as far as cells 2^`level` times as wide tell. From
     /// then on samples and fields are those of the cells where they can.
-    fn narrowed(&mut self, near: &Self::Field, level: u32, gate: &Gate) -> bool;
+    fn narrowed(&mut self, near: &Self::Field, level: u32, ramp: &Ramp) -> bool;
 
     /// Shares of clouds in what is around them.
     fn quotient(
@@ -358,13 +361,13 @@ pub trait Fields {
         &mut self,
         sheets: &Sheets,
         density: Self::Field,
-    ) -> Result<Option<Sheeted<Self::Field>>, Self::Error>;
+    ) -> Result<Option<SheetFields<Self::Field>>, Self::Error>;
 
     /// Shares of drops blended with those of sheets.
     fn blended(
         &mut self,
         drops: Self::Field,
-        sheets: Sheeted<Self::Field>,
+        sheets: SheetFields<Self::Field>,
     ) -> Result<Self::Field, Self::Error>;
 
     /// The field, of the bulk's surface and of drops.
@@ -373,7 +376,7 @@ pub trait Fields {
         bulk: Self::Field,
         near: Self::Field,
         shares: Self::Field,
-        by: (&Drops, &Gate),
+        by: (&Drops, &Ramp),
     ) -> Result<Self::Field, Self::Error>;
 }
 

@@ -47,14 +47,14 @@ pub const FARTHEST: i16 = 3 * 2048;
 
 /// The filters that continue clouds into solids.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fill {
+pub struct SolidFill {
     fit: Weights,
     /// The variance of a fit along each axis that is added, in squared cells.
     stiffness: f64,
     mean: Weights,
 }
 
-impl Fill {
+impl SolidFill {
     /// Makes the filters for cells of `edge` spacings.
     #[must_use]
     pub fn new(edge: f64) -> Self {
@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn a_fluid_of_even_density_goes_on_into_a_solid_and_air_stays_empty() {
-        let fill = Fill::new(0.7);
+        let fill = SolidFill::new(0.7);
         let cells = CellBox { lo: IVec3::splat(-4), hi: IVec3::splat(5) };
         let around = cells.grown(fill.reach(), fill.reach());
         let mut distances = Block::zero(around);

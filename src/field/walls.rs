@@ -69,7 +69,7 @@ const STEPS: f64 = 1024.0;
 
 /// A side of the box around the particles, as one frame shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Side {
+pub enum BoxSide {
     /// Too little fluid is behind it, or its end is not quite level.
     Unclear,
     /// Hardly any particles are there.
@@ -85,7 +85,7 @@ pub enum Side {
 pub struct Ends {
     /// The least and the greatest coordinate along each axis.
     reach: [[f64; 2]; 3],
-    sides: [[Side; 2]; 3],
+    sides: [[BoxSide; 2]; 3],
     spacing: f64,
     /// The axis across the plane that all particles lie in.
     flat: Option<usize>,
@@ -105,7 +105,7 @@ pub struct BeyondWall {
 }
 
 /// Counts of the particles in a column near a side.
-struct Column {
+struct ColumnCounts {
     /// The least depth, in steps.
     nearest: AtomicU32,
     /// Particles of the shell.
@@ -119,7 +119,7 @@ struct Column {
 }
 
 /// The columns behind one side.
-struct Columns {
+struct SideColumns {
     axis: usize,
     /// 1 for the upper side, and 0 for the lower one.
     end: usize,
@@ -129,7 +129,7 @@ struct Columns {
     stride: u64,
     /// Groups that are looked at in a row.
     row: u64,
-    columns: Vec<Column>,
+    columns: Vec<ColumnCounts>,
     /// The area of a column, in squared spacings.
     area: f64,
 }
@@ -149,8 +149,8 @@ impl Ends {
         let held = |position: &&[f64; 3]| grid.place(**position).is_ok();
         let bounds = bounds_held(particles, grid)?;
         let axes = (0..3).filter(|axis| flat != Some(*axis));
-        let sides: Vec<Columns> = axes
-            .flat_map(|axis| [0, 1].map(|end| Columns::of(axis, end, &bounds, spacing, flat)))
+        let sides: Vec<SideColumns> = axes
+            .flat_map(|axis| [0, 1].map(|end| SideColumns::of(axis, end, &bounds, spacing, flat)))
             .collect();
         let (lo, per_spacing) = (bounds.lo, 1.0 / spacing);
         finite_chunks(particles).for_each(|chunk| {
@@ -160,7 +160,7 @@ impl Ends {
         });
         let mut ends = Self {
             reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
-            sides: [[Side::Unclear; 2]; 3],
+            sides: [[BoxSide::Unclear; 2]; 3],
             spacing,
             flat,
         };
@@ -171,7 +171,7 @@ impl Ends {
     }
 }
 
-impl Columns {
+impl SideColumns {
     fn of(axis: usize, end: usize, bounds: &Bounds, spacing: f64, flat: Option<usize>) -> Self {
         let at = [bounds.lo, bounds.hi][end][axis];
         let groups = |axis: usize| {
@@ -184,7 +184,7 @@ impl Columns {
             stride *= 2;
         }
         let (row, rows) = (u.div_ceil(stride), v.div_ceil(stride));
-        let columns = (0..row * rows * GROUP * GROUP).map(|_| Column::new()).collect();
+        let columns = (0..row * rows * GROUP * GROUP).map(|_| ColumnCounts::new()).collect();
         let area = if flat.is_some() { COLUMN } else { COLUMN * COLUMN };
         Self { axis, end, at, stride, row, columns, area }
     }
@@ -220,14 +220,14 @@ impl Columns {
     }
 
     /// Whether the columns show a wall, and where.
-    fn judged(&self, spacing: f64) -> Side {
+    fn judged(&self, spacing: f64) -> BoxSide {
         /// Full columns that say anything, and those of a group, by the area of a column: an area
         /// of 120 squared spacings, and 24 spacings of particles in a plane.
         const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
         let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
-        let is_full = |column: &&Column| f64::from(column.behind.load(Relaxed)) >= behind;
-        let nearest = |column: &Column| f64::from(column.nearest.load(Relaxed)) / STEPS;
+        let is_full = |column: &&ColumnCounts| f64::from(column.behind.load(Relaxed)) >= behind;
+        let nearest = |column: &ColumnCounts| f64::from(column.nearest.load(Relaxed)) / STEPS;
         let (mut full, mut shell, mut in_gap, mut depths) = (0, 0, 0, 0);
         for column in self.columns.iter().filter(is_full) {
             full += 1;
@@ -246,7 +246,7 @@ impl Columns {
         if full < least || groups.len() < 3 {
             let all = self.columns.iter().map(|column| u64::from(column.shell.load(Relaxed)));
             let is_stray = all.sum::<u64>().saturating_mul(self.stride.pow(2)) <= FEW;
-            return if is_stray { Side::Stray } else { Side::Unclear };
+            return if is_stray { BoxSide::Stray } else { BoxSide::Unclear };
         }
         groups.sort_unstable_by(f64::total_cmp);
         let median = groups[groups.len() / 2];
@@ -257,20 +257,20 @@ impl Columns {
         let area = full as f64 * self.area;
         let shell_per_area = shell as f64 / area;
         if (ending as f64) < ENDING * full as f64 || !DENSITY.contains(&(shell_per_area / SHELL)) {
-            return Side::Ragged;
+            return BoxSide::Ragged;
         }
         if (level as f64) < LEVEL_SHARE * groups.len() as f64 {
-            return Side::Unclear;
+            return BoxSide::Unclear;
         }
         let has_gap = in_gap as f64 <= IN_GAP * area * (GAP.end - GAP.start);
         let standing_for = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
         let mean = depths as f64 / STEPS / shell.max(1) as f64;
         let outside = (standing_for / 2.0 - mean).clamp(0.0, FARTHEST) * spacing;
-        Side::Plane(outward(self.end, self.at, outside))
+        BoxSide::Plane(outward(self.end, self.at, outside))
     }
 }
 
-impl Column {
+impl ColumnCounts {
     fn new() -> Self {
         let [nearest, shell, in_gap, behind] = [u32::MAX, 0, 0, 0].map(AtomicU32::new);
         Self { nearest, shell, in_gap, behind, depths: AtomicU64::new(0) }
@@ -376,10 +376,10 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     let (mut shown, mut against) = (0, 0);
     for frame in frames {
         match frame.sides[axis][end] {
-            Side::Plane(at) if is_same(at) => shown += 1,
-            Side::Stray => {}
+            BoxSide::Plane(at) if is_same(at) => shown += 1,
+            BoxSide::Stray => {}
             _ if frame.passes(axis, end, wall) => return None,
-            Side::Ragged if is_same(frame.reach[axis][end]) => against += 1,
+            BoxSide::Ragged if is_same(frame.reach[axis][end]) => against += 1,
             _ => {}
         }
     }
@@ -398,8 +398,8 @@ fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
 impl Ends {
     fn plane(&self, axis: usize, end: usize) -> Option<f64> {
         match self.sides[axis][end] {
-            Side::Plane(at) => Some(at),
-            Side::Unclear | Side::Stray | Side::Ragged => None,
+            BoxSide::Plane(at) => Some(at),
+            BoxSide::Unclear | BoxSide::Stray | BoxSide::Ragged => None,
         }
     }
 

@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use crate::backend::Stages;
 use crate::brick::{BinPlan, BinnedParticles, Bins};
-use crate::field::calibration::{Binned, Fullness};
+use crate::field::calibration::{BinnedFrame, Fullness};
 use crate::field::indicator::PageRule;
-use crate::frame::estimate::Plan;
+use crate::frame::estimate::MemoryPlan;
 use crate::particles::Particles;
 use crate::system::control::Meter;
 
-use super::lost::Occupied;
+use super::lost::OccupiedTiles;
 use super::sink::FieldSink;
 use super::{FrameError, Resources};
 
@@ -19,10 +19,10 @@ pub(super) fn sorted(
     bin_plan: BinPlan,
     particles: &(impl Particles + ?Sized),
     carried: &[usize],
-    plan: Plan,
+    plan: MemoryPlan,
     resources: &Resources,
 ) -> Result<BinnedParticles, FrameError> {
-    let Plan::OutOfCore(shares) = plan else {
+    let MemoryPlan::OutOfCore(shares) = plan else {
         return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)?));
     };
     let runs = bin_plan.runs(particles, carried, shares.particles);
@@ -38,7 +38,7 @@ pub(super) struct HostBins<'a> {
     pub(super) binned: BinnedParticles,
     pub(super) stages: &'a dyn Stages,
     pub(super) sink: FieldSink,
-    pub(super) occupied: Occupied,
+    pub(super) occupied: OccupiedTiles,
     pub(super) resources: &'a Resources,
     /// Whether the bins are needed after the pages are made, for their attributes.
     pub(super) keep: bool,
@@ -46,8 +46,8 @@ pub(super) struct HostBins<'a> {
     pub(super) meter: Meter<'a>,
 }
 
-impl Binned for HostBins<'_> {
-    type Made = (FieldSink, Occupied, Option<Arc<Bins>>);
+impl BinnedFrame for HostBins<'_> {
+    type Made = (FieldSink, OccupiedTiles, Option<Arc<Bins>>);
     type Error = FrameError;
 
     fn make_pages(self, rule: &PageRule) -> Result<(Fullness, Self::Made), FrameError> {

@@ -10,7 +10,7 @@ use crate::grid::{BIN, FRACTIONS, Grid};
 /// Particles that are in the same place as another one, to 1 / [`FRACTIONS`] of a cell.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct Coincident {
+pub struct CoincidentParticles {
     /// The number of particles beyond one in each place.
     pub particles: u64,
     /// The largest number of particles in one place.
@@ -23,7 +23,7 @@ pub struct Coincident {
 
 /// Particles in the same place, bin by bin.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Found {
+pub struct CoincidentCounts {
     particles: u64,
     most: u64,
     bin: IVec3,
@@ -35,7 +35,7 @@ const BITS: u32 = 13;
 /// The largest number of records in a bin for which the hash finds few candidates.
 const FEW: usize = 1 << (BITS - 1);
 
-impl Found {
+impl CoincidentCounts {
     /// Finds those among the records of a bin's particles.
     #[must_use]
     pub fn among(bin: IVec3, records: &[u64]) -> Self {
@@ -70,13 +70,13 @@ impl Found {
         &self,
         grid: &Grid,
         bins: impl Iterator<Item = (IVec3, u64)>,
-    ) -> Option<Coincident> {
+    ) -> Option<CoincidentParticles> {
         let (cell, offset) = unpack(self.record);
         let cell = self.bin * BIN + IVec3::from(cell.map(|c| c as i32));
         let offset = DVec3::from(offset.map(f64::from)) / f64::from(FRACTIONS);
         let near = |(bin, _): &(IVec3, u64)| (*bin - self.bin).abs().max_element() <= 1;
         let around: u64 = bins.filter(near).map(|(_, particles)| particles).sum();
-        (self.particles > 0).then(|| Coincident {
+        (self.particles > 0).then(|| CoincidentParticles {
             particles: self.particles,
             most: self.most,
             at: grid.world_from_cells(cell.as_dvec3() + offset).to_array(),
@@ -113,11 +113,11 @@ mod tests {
     fn coincident_records_are_counted_whether_few_or_many_are_in_their_bin() {
         for all in [100_u64, 2000, 10_000] {
             let mut records: Vec<u64> = (0..all).map(|i| i * 7_919_317 % (1 << 51)).collect();
-            assert_eq!(Found::among(IVec3::ONE, &records).particles, 0, "{all}");
+            assert_eq!(CoincidentCounts::among(IVec3::ONE, &records).particles, 0, "{all}");
             let (pair, clump) = (records[3], records[50]);
             records.push(pair);
             records.extend([clump; 4]);
-            let found = Found::among(IVec3::ONE, &records);
+            let found = CoincidentCounts::among(IVec3::ONE, &records);
             assert_eq!((found.particles, found.most, found.record), (5, 5, clump), "{all}");
         }
     }
@@ -127,8 +127,8 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
         // Cell (1, 0, 0) of its bin, in the middle.
         let record = (1 << 13) | (1 << 12) | (1 << 12) << 17 | (1 << 12) << 34;
-        let mut all = Found::among(IVec3::new(2, 0, 0), &[7, 7]);
-        all.add(&Found::among(IVec3::new(-2, 0, 0), &[record; 3]));
+        let mut all = CoincidentCounts::among(IVec3::new(2, 0, 0), &[7, 7]);
+        all.add(&CoincidentCounts::among(IVec3::new(-2, 0, 0), &[record; 3]));
         let report = |other: i32| {
             all.report(&grid, [(IVec3::new(-2, 0, 0), 3), (IVec3::new(other, 0, 0), 9)].into_iter())
         };

@@ -3,18 +3,18 @@
 use glam::IVec3;
 
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles, WithImages};
-use crate::frame::estimate::{BLOCKS_A_THREAD, Estimate, OverBudget, SMALLEST_BUDGET};
+use crate::frame::estimate::{BLOCKS_A_THREAD, MemoryEstimate, OverBudget, SMALLEST_BUDGET};
 use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{BLOCK, CellBox, Grid, MortonKey};
-use crate::particles::{Metered, Particles};
+use crate::particles::{MeteredParticles, Particles};
 use crate::surface::mesh::spool::Spool;
 use crate::system::control::Stage;
 
-use super::{FrameError, Method, Occupied, Sampling, Surfacing};
+use super::{FrameError, Method, OccupiedTiles, Sampling, Surfacing};
 
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them
 /// yet.
-pub struct Counted<'a, P: ?Sized> {
+pub struct CountedFrame<'a, P: ?Sized> {
     pub(super) particles: WithImages<'a, P>,
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan,
@@ -24,7 +24,7 @@ pub struct Counted<'a, P: ?Sized> {
     stretch: Stretch,
 }
 
-impl<'a, P: Particles + ?Sized> Counted<'a, P> {
+impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
     /// Counts the particles, and refuses what cannot be done with them.
     ///
     /// # Errors
@@ -71,7 +71,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         count: impl FnOnce(&WithImages<'a, P>, CountingRoom) -> Result<BinPlan, BinError>,
     ) -> Result<(WithImages<'a, P>, BinPlan), FrameError> {
         let Sampling { grid, domain, periodic, resources, .. } = sampling;
-        let metered = Metered::new(given, &resources.control, Stage::Counting);
+        let metered = MeteredParticles::new(given, &resources.control, Stage::Counting);
         let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
         resources.go_on()?;
         given.check()?;
@@ -139,22 +139,22 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     }
 
     /// Estimates the memory and disk space that the frame will take.
-    pub fn estimate(&self) -> Estimate {
+    pub fn estimate(&self) -> MemoryEstimate {
         let bins = self.bins();
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
-        let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
+        let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
             // Clouds of sizes are made of the sorted particles, octave by octave, once of their
             // volumes and once of their sizes.
             Method::Indicator { .. } if self.sampling.sizes.is_some() => {
-                Estimate { field: 2 * estimate.field, carried: true, ..estimate }
+                MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }
             Method::Indicator { .. } => estimate,
             // Kernels are kept until the surface is done, and so are the particles at the most.
             // Images have them as well.
             Method::Kernels(kernels) => {
                 let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
-                Estimate { particles: estimate.particles + bytes, carried: true, ..estimate }
+                MemoryEstimate { particles: estimate.particles + bytes, carried: true, ..estimate }
             }
         }
     }
@@ -169,7 +169,7 @@ impl Sampling {
         surfacing: &Surfacing,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         stretch: Stretch,
-    ) -> Estimate {
+    ) -> MemoryEstimate {
         let Self { grid, method, side, spacing, resources, .. } = self;
         let attributes = particles.attributes();
         let sorted = self.sorted_attributes().into_iter();
@@ -182,9 +182,9 @@ impl Sampling {
             stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
         };
         let lookup = BinPlan::lookup_bytes(particles.len(), stretch != Stretch::ALL);
-        let estimate = Estimate::of(bins, shape, &drawing, particles.resident_bytes(), near);
+        let estimate = MemoryEstimate::of(bins, shape, &drawing, particles.resident_bytes(), near);
         let sampling = rayon::current_num_threads() as u64 * lookup;
-        Estimate { sampling, ..estimate }.and_backend(resources.host_bytes())
+        MemoryEstimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
     /// Bytes of a surface that may be in memory while parts are merged, when only lists of its
@@ -198,9 +198,9 @@ impl Sampling {
     ) -> u64 {
         let drawing = surfacing.drawing(self.method, self.spacing, &self.grid, components.to_vec());
         let estimate =
-            Estimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
-        let index = blocks * Spool::BLOCK_BYTES + bins * Occupied::BIN_BYTES;
-        Estimate { index, ..estimate }.surface_share(self.resources.budget)
+            MemoryEstimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
+        let index = blocks * Spool::BLOCK_BYTES + bins * OccupiedTiles::BIN_BYTES;
+        MemoryEstimate { index, ..estimate }.surface_share(self.resources.budget)
     }
 }
 

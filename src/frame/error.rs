@@ -13,7 +13,7 @@ use crate::field::calibration::{NoMeanCount, TooFine};
 use crate::field::recipe::{Filters, Recipe};
 use crate::frame::estimate::OverBudget;
 use crate::grid::units::{Isovalue, significant};
-use crate::particles::Unread;
+use crate::particles::RereadError;
 use crate::particles::kind::KindFault;
 use crate::surface::simplify::TooSmall;
 use crate::system::cancel::Cancelled;
@@ -30,7 +30,7 @@ pub enum FrameError {
     Bin(#[from] BinError),
     /// The particles could not be read as they were.
     #[error(transparent)]
-    Unread(#[from] Unread),
+    Unread(#[from] RereadError),
     /// An attribute whose values do not fit the kind of number that a mesh carries.
     #[error(transparent)]
     Kind(#[from] KindFault),

@@ -16,7 +16,7 @@ use crate::surface::dual_mc::block_vertices;
 use crate::surface::mesh::spool::{TILE_SHARE, blocks_bytes, vertex_bytes};
 use crate::surface::stitch::writing_bytes;
 
-use super::expected::{self, Expected};
+use super::expected::{self, ExpectedVertices};
 
 /// Bytes that the program takes before there is any data, and that each thread takes beside what it
 /// works in.
@@ -30,7 +30,7 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 
 /// Bytes, by what they are for, and the vertices that they are expected of.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Estimate {
+pub struct MemoryEstimate {
     /// The program, its threads and its backend.
     pub program: u64,
     /// Bytes that threads work in until the field is sampled.
@@ -81,16 +81,16 @@ pub struct Drawing {
 
 /// How a frame is brought under its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Plan {
+pub enum MemoryPlan {
     /// Everything fits; nothing touches the disk.
     InCore,
     /// Data that exceeds its share goes to scratch files.
-    OutOfCore(Shares),
+    OutOfCore(MemoryShares),
 }
 
 /// Bytes that may be resident at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shares {
+pub struct MemoryShares {
     /// Bytes of particles being sorted.
     pub particles: u64,
     /// Bytes of particles that are coded until they are sorted, and of the DIF of those that were.
@@ -128,7 +128,7 @@ impl Drawing {
         &self,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         meshed: impl Fn(IVec3) -> bool,
-    ) -> Expected {
+    ) -> ExpectedVertices {
         // Without a spacing the bin that holds most is taken to be full.
         let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
         let full = self.spacing_cells.map_or_else(most, |cells| (f64::from(BIN) / cells).powi(3));
@@ -137,7 +137,7 @@ impl Drawing {
     }
 
     /// Bytes that threads work in while a surface is meshed and written.
-    fn meshing_bytes(&self, surface: &Expected) -> u64 {
+    fn meshing_bytes(&self, surface: &ExpectedVertices) -> u64 {
         let threads = rayon::current_num_threads() as u64;
         let vertices_of =
             |blocks: u64| surface.vertices_of(blocks, block_vertices(self.keeps_details));
@@ -173,7 +173,7 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
     bytes + open.into_iter().map(|(_, sum)| page(sum)).sum::<u64>()
 }
 
-impl Estimate {
+impl MemoryEstimate {
     /// An estimate for particles counted by bin, in Morton order, from the shape of pages of the
     /// DIF, if there is one, and the bytes of the input. Only bins that are `meshed` get a surface.
     pub fn of(
@@ -218,7 +218,7 @@ impl Estimate {
     pub fn without_particles(drawing: &Drawing) -> Self {
         Self {
             program: PROGRAM + THREAD * rayon::current_num_threads() as u64,
-            meshing: drawing.meshing_bytes(&Expected::MOST),
+            meshing: drawing.meshing_bytes(&ExpectedVertices::MOST),
             carried: !drawing.components.is_empty(),
             ..Self::default()
         }
@@ -230,7 +230,7 @@ impl Estimate {
     }
 
     /// Sets what the surface takes, by what is expected of it.
-    fn and_surface(self, expected: &Expected, drawing: &Drawing) -> Self {
+    fn and_surface(self, expected: &ExpectedVertices, drawing: &Drawing) -> Self {
         let surface = (drawing.vertex_bytes() + TILE_SHARE) * expected.vertices;
         let meshing = drawing.meshing_bytes(expected);
         Self { surface, vertices: expected.vertices, meshing, ..self }
@@ -262,8 +262,8 @@ impl Estimate {
     }
 
     /// Disk that scratch files take under a plan, at the most.
-    pub fn scratch(&self, plan: Plan) -> u64 {
-        let Plan::OutOfCore(shares) = plan else { return 0 };
+    pub fn scratch(&self, plan: MemoryPlan) -> u64 {
+        let MemoryPlan::OutOfCore(shares) = plan else { return 0 };
         let beyond = |bytes: u64, share: u64| if bytes > share { bytes } else { 0 };
         self.particles * if self.carried { 2 } else { 1 }
             + beyond(self.field, shares.field)
@@ -271,19 +271,19 @@ impl Estimate {
     }
 
     /// Disk that scratch files take under a plan, at the least.
-    pub fn least_scratch(&self, plan: Plan) -> u64 {
+    pub fn least_scratch(&self, plan: MemoryPlan) -> u64 {
         match plan {
-            Plan::InCore => 0,
-            Plan::OutOfCore(shares) => {
+            MemoryPlan::InCore => 0,
+            MemoryPlan::OutOfCore(shares) => {
                 self.spilled.saturating_sub(shares.coded) + self.beside_the_surface()
             }
         }
     }
 
     /// How to keep to `budget`.
-    pub fn plan(&self, budget: MemoryBudget) -> Plan {
+    pub fn plan(&self, budget: MemoryBudget) -> MemoryPlan {
         if self.in_core() <= budget.0 {
-            return Plan::InCore;
+            return MemoryPlan::InCore;
         }
         let threads = self.sampling.max(self.meshing);
         let left = budget
@@ -295,7 +295,12 @@ impl Estimate {
         // Beside the surface, and before that beside coded particles, there are stacks, and what
         // the allocator keeps.
         let surface = ((left - field) / 2).min(left / 4);
-        Plan::OutOfCore(Shares { particles: left / 8, coded: left / 4 * 3, field, surface })
+        MemoryPlan::OutOfCore(MemoryShares {
+            particles: left / 8,
+            coded: left / 4 * 3,
+            field,
+            surface,
+        })
     }
 
     /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a
@@ -303,8 +308,8 @@ impl Estimate {
     /// make it larger.
     pub fn surface_share(&self, budget: MemoryBudget) -> u64 {
         match self.plan(budget) {
-            Plan::OutOfCore(shares) => shares.surface,
-            Plan::InCore => {
+            MemoryPlan::OutOfCore(shares) => shares.surface,
+            MemoryPlan::InCore => {
                 let others = self.program
                     + self.meshing
                     + self.index
@@ -316,10 +321,10 @@ impl Estimate {
     }
 
     /// The peak under a plan.
-    pub fn peak(&self, plan: Plan) -> u64 {
+    pub fn peak(&self, plan: MemoryPlan) -> u64 {
         match plan {
-            Plan::InCore => self.in_core(),
-            Plan::OutOfCore(Shares { particles, coded, field, surface }) => {
+            MemoryPlan::InCore => self.in_core(),
+            MemoryPlan::OutOfCore(MemoryShares { particles, coded, field, surface }) => {
                 let sampling =
                     self.sampling + self.input + particles + coded.min(self.particles).max(field);
                 self.program

@@ -26,13 +26,13 @@ const ALONE: i32 = 8;
 
 /// Vertices that are expected of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Expected {
+pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
     /// Vertices of the block that a vertex lies in, in the mean.
     pub(super) in_its_block: u64,
 }
 
-impl Expected {
+impl ExpectedVertices {
     /// The most there can be, for frames of which nothing is known.
     pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
 
@@ -61,7 +61,7 @@ pub(super) fn surface(
     full: f64,
     alone: f64,
     meshed: impl Fn(IVec3) -> bool,
-) -> Expected {
+) -> ExpectedVertices {
     let share = |count: usize| (count as f64 / full).min(1.0) as f32;
     let shares: Shares = bins.clone().map(|(key, count)| (key.coord(), share(count))).collect();
     let of_bin = |(key, count): (MortonKey, usize)| {
@@ -97,7 +97,7 @@ pub(super) fn surface(
     }
     squares += of_block * of_block;
     let in_its_block = if vertices > 0.0 { squares / vertices } else { 0.0 };
-    Expected { vertices: vertices as u64, in_its_block: in_its_block as u64 }
+    ExpectedVertices { vertices: vertices as u64, in_its_block: in_its_block as u64 }
 }
 
 #[cfg(test)]
@@ -107,7 +107,7 @@ mod tests {
 
     /// The surface of bins with these numbers of particles, in cells of one spacing, where a full
     /// bin has 4096.
-    fn surface_of(bins: &[(IVec3, usize)]) -> Expected {
+    fn surface_of(bins: &[(IVec3, usize)]) -> ExpectedVertices {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         surface(bins, 4096.0, vertices_alone(1.0), |_| true)
     }
@@ -172,11 +172,11 @@ mod tests {
 
     #[test]
     fn blocks_hold_neither_more_than_the_most_each_nor_much_more_than_the_whole_surface() {
-        let expected = Expected { vertices: 50_000, in_its_block: 1_000 };
+        let expected = ExpectedVertices { vertices: 50_000, in_its_block: 1_000 };
         assert_eq!(expected.vertices_of(1, 20_000), 20_000);
         assert_eq!(expected.vertices_of(8, 20_000), 20_000 + 16_000);
         assert_eq!(expected.vertices_of(1_000, 20_000), 100_000);
         assert_eq!(expected.vertices_of(8, 900), 7_200);
-        assert_eq!(Expected::MOST.vertices_of(8, 20_000), 160_000);
+        assert_eq!(ExpectedVertices::MOST.vertices_of(8, 20_000), 160_000);
     }
 }

@@ -4,12 +4,12 @@ use crate::baselines::{KernelField, KernelMethod, Spacing, kernel_field};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::indicator::IndicatorKind;
-use crate::frame::estimate::Plan;
+use crate::frame::estimate::MemoryPlan;
 use crate::grid::units::Sigma;
 use crate::grid::{Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
 
-use super::surface::{Drawable, region_by_region};
+use super::surface::{DrawableField, region_by_region};
 use super::{FrameError, Resources};
 
 /// The kernels of a frame.
@@ -28,13 +28,13 @@ impl SampledKernels {
         bins: &Bins,
         facts: FrameFacts,
         method: KernelMethod,
-        plan: Plan,
+        plan: MemoryPlan,
         resources: &Resources,
     ) -> Result<Self, FrameError> {
         let spacing = kernel_spacing(facts.spacing, &facts.grid)?;
         let share = match plan {
-            Plan::InCore => u64::MAX,
-            Plan::OutOfCore(shares) => shares.field,
+            MemoryPlan::InCore => u64::MAX,
+            MemoryPlan::OutOfCore(shares) => shares.field,
         };
         let field = kernel_field(bins, method, spacing, share, &resources.scratch)
             .map_err(resources.scratch_error())?;
@@ -42,9 +42,9 @@ impl SampledKernels {
     }
 
     /// All that the surface is drawn by.
-    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> Drawable<'_> {
+    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> DrawableField<'_> {
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
-        Drawable {
+        DrawableField {
             regions: self.field.regions(walls),
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),

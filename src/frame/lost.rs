@@ -16,9 +16,9 @@ use crate::grid::stretch::Stretch;
 use crate::grid::{BIN, BLOCK, CellBox, Grid, TILE, local_from_morton};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{TileMask, bits, cell_of_bit};
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 
-use super::coincident::{Coincident, Found};
+use super::coincident::{CoincidentCounts, CoincidentParticles};
 
 /// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of
 /// tiles, too.
@@ -30,12 +30,12 @@ const FIRST: TileMask = 0x1111_1111_1111_1111;
 
 /// The tiles that hold particles, by bin, and how many particles are in each bin.
 #[derive(Debug, Default)]
-pub struct Occupied {
+pub struct OccupiedTiles {
     bins: Vec<(IVec3, u32, TileMask)>,
     /// The cells whose particles count, where those of others are images.
     own: Option<CellBox>,
     full: Fullness,
-    coincident: Found,
+    coincident: CoincidentCounts,
 }
 
 /// A bin that holds particles, as it is kept in a file.
@@ -47,14 +47,14 @@ pub struct OccupiedBin {
     tiles: TileMask,
 }
 
-impl FromIterator<OccupiedBin> for Occupied {
+impl FromIterator<OccupiedBin> for OccupiedTiles {
     fn from_iter<T: IntoIterator<Item = OccupiedBin>>(bins: T) -> Self {
         let bin = |OccupiedBin { bin, particles, tiles }| (bin.into(), particles, tiles);
         Self { bins: bins.into_iter().map(bin).collect(), ..Self::default() }
     }
 }
 
-impl Occupied {
+impl OccupiedTiles {
     /// Bytes of memory that a bin takes while it is found how many particles are lost.
     pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
 
@@ -110,7 +110,7 @@ impl Occupied {
                 full.cells = held.iter().map(|held| u64::from(held.count_ones())).sum();
             }
             let coincident = match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
-                None => Found::among(coord, contents.packed()),
+                None => CoincidentCounts::among(coord, contents.packed()),
                 Some(own) => {
                     let is_own = |&&record: &&u64| {
                         own.contains(
@@ -119,7 +119,7 @@ impl Occupied {
                     };
                     let records: Vec<u64> =
                         contents.packed().iter().filter(is_own).copied().collect();
-                    Found::among(coord, &records)
+                    CoincidentCounts::among(coord, &records)
                 }
             };
             Ok((coord, full, tiles, coincident))
@@ -147,7 +147,7 @@ impl Occupied {
     }
 
     /// The particles that are in the same place as another one, on a grid.
-    pub fn coincident(&self, grid: &Grid) -> Option<Coincident> {
+    pub fn coincident(&self, grid: &Grid) -> Option<CoincidentParticles> {
         self.coincident
             .report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
     }
@@ -170,7 +170,7 @@ impl Occupied {
     /// How many particles at least are in no surface. Those are counted whose tile no surface
     /// passes through, nor any that touches it from below; of a bin that has others, too, one a
     /// tile.
-    pub fn lost(&self, surface: &Stitched) -> io::Result<u64> {
+    pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
         let bins = Row::sorted(self, surface)?;
         let passed = |place: IVec3| {
             let bin = Row::key(place.div_euclid(IVec3::splat(SIDE)));
@@ -222,7 +222,7 @@ impl Row {
     }
 
     /// All bins that hold particles, or that a surface passes through, row by row.
-    fn sorted(occupied: &Occupied, surface: &Stitched) -> io::Result<Vec<Self>> {
+    fn sorted(occupied: &OccupiedTiles, surface: &StitchedSurface) -> io::Result<Vec<Self>> {
         let holding =
             |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
         let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();

@@ -23,10 +23,10 @@ mod sink;
 mod sizes;
 mod surface;
 
-pub use coincident::Coincident;
-pub use counted::Counted;
+pub use coincident::CoincidentParticles;
+pub use counted::CountedFrame;
 pub use error::FrameError;
-pub use lost::{Occupied, OccupiedBin};
+pub use lost::{OccupiedBin, OccupiedTiles};
 pub use method::Method;
 pub use request::{Sampling, SizedParticles, Surfacing};
 pub use resources::Resources;
@@ -43,14 +43,14 @@ use crate::brick::{BinnedParticles, Bins, FrameFacts};
 use crate::field::calibration::{Calibration, indicate};
 use crate::field::indicator::{Indicator, SampledDif};
 use crate::field::spacing::spacing_by_clouds;
-use crate::frame::estimate::Estimate;
+use crate::frame::estimate::MemoryEstimate;
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MemoryBudget;
 use crate::particles::kind::settled;
 use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::source::MeshSource;
-use crate::surface::simplify::{Reduction, Room, Simplified, simplify};
-use crate::surface::stitch::Stitched;
+use crate::surface::simplify::{Reduction, SimplifiedSurface, TriangleSpace, simplify};
+use crate::surface::stitch::StitchedSurface;
 use crate::system::control::{Control, Stage};
 use crate::system::timings::Timings;
 
@@ -58,14 +58,14 @@ use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
 use sink::FieldSink;
 use sizes::SampledSizes;
-use surface::Drawable;
+use surface::DrawableField;
 
 /// The field of a frame, and what else its surface needs.
 #[derive(Debug)]
 pub struct Engine {
-    field: Field,
+    field: SampledField,
     /// Nothing of a frame that was sampled before.
-    occupied: Occupied,
+    occupied: OccupiedTiles,
     /// Kept only where attributes are carried.
     carried: Option<(Arc<Bins>, Vec<AttributeInfo>)>,
     /// Bytes of the surface that may be in memory.
@@ -75,7 +75,7 @@ pub struct Engine {
 
 /// A field, by its maker.
 #[derive(Debug)]
-enum Field {
+enum SampledField {
     Dif { sampled: SampledDif, stages: Box<dyn Stages> },
     Kernels(SampledKernels),
     Sizes(SampledSizes),
@@ -95,7 +95,7 @@ impl Engine {
         sampling: &Sampling,
         timings: &mut Timings,
     ) -> Result<Self, FrameError> {
-        let counted = Counted::of(particles, sampling)?;
+        let counted = CountedFrame::of(particles, sampling)?;
         timings.done("count");
         Self::sample_counted(counted, sampling.resources.budget, timings)
     }
@@ -106,12 +106,12 @@ impl Engine {
     /// [`FrameError`] for more than the disk can hold, a field that cannot be made of them, and
     /// scratch files that fail.
     pub fn sample_counted<P: Particles + ?Sized>(
-        counted: Counted<'_, P>,
+        counted: CountedFrame<'_, P>,
         budget: MemoryBudget,
         timings: &mut Timings,
     ) -> Result<Self, FrameError> {
         let (estimate, census) = (counted.estimate(), counted.census());
-        let Counted { mut particles, sampling, plan: bin_plan, .. } = counted;
+        let CountedFrame { mut particles, sampling, plan: bin_plan, .. } = counted;
         let Sampling {
             grid,
             domain,
@@ -150,8 +150,8 @@ impl Engine {
                 binned::sorted(bin_plan, &particles, &sorted_attributes, plan, &resources)?;
             resources.go_on()?;
             particles.check()?;
-            let mut occupied = Occupied::among(facts.own_cells());
-            let kept = |binned: BinnedParticles, occupied: &mut Occupied| {
+            let mut occupied = OccupiedTiles::among(facts.own_cells());
+            let kept = |binned: BinnedParticles, occupied: &mut OccupiedTiles| {
                 let bins = binned
                     .visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
                 bins.and_then(Bins::sorted).map_err(&in_scratch)
@@ -163,7 +163,7 @@ impl Engine {
                     let sampled =
                         SampledSizes::sample(&bins, facts, sized, plan, &estimate, &resources)?;
                     timings.done("indicate");
-                    (Field::Sizes(sampled), occupied, keep.then(|| Arc::new(bins)))
+                    (SampledField::Sizes(sampled), occupied, keep.then(|| Arc::new(bins)))
                 }
                 (Method::Indicator { kind, mean }, None) => {
                     timings.done("bin");
@@ -185,14 +185,14 @@ impl Engine {
                     let (indicator, (sink, occupied, bins)) = made;
                     let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
                     timings.done("indicate");
-                    (Field::Dif { sampled, stages }, occupied, bins)
+                    (SampledField::Dif { sampled, stages }, occupied, bins)
                 }
                 (Method::Kernels(kernels), _) => {
                     let bins = kept(binned, &mut occupied)?;
                     timings.done("bin");
                     let sampled = SampledKernels::sample(&bins, facts, kernels, plan, &resources)?;
                     timings.done("kernels");
-                    (Field::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
+                    (SampledField::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
                 }
             })
         };
@@ -214,13 +214,13 @@ impl Engine {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
         let method = Method::from(*indicator);
         let drawing = surfacing.drawing(method, facts.spacing, &facts.grid, Vec::new());
-        let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing);
+        let estimate = MemoryEstimate::of_surface(dif.infos(), dif.shape(), &drawing);
         let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.executor().start(resources.budget);
         Self {
-            field: Field::Dif { sampled, stages },
-            occupied: Occupied::default(),
+            field: SampledField::Dif { sampled, stages },
+            occupied: OccupiedTiles::default(),
             carried: None,
             surface_share,
             resources,
@@ -231,16 +231,16 @@ impl Engine {
     #[must_use]
     pub fn backend(&self) -> String {
         match self.field {
-            Field::Dif { .. } => self.resources.backend.name(),
-            Field::Kernels(_) | Field::Sizes(_) => "CPU".into(),
+            SampledField::Dif { .. } => self.resources.backend.name(),
+            SampledField::Kernels(_) | SampledField::Sizes(_) => "CPU".into(),
         }
     }
 
     /// The stages that a DIF is made and drawn by.
     fn stages(&self) -> Option<&dyn Stages> {
         match &self.field {
-            Field::Dif { stages, .. } => Some(&**stages),
-            Field::Kernels(_) | Field::Sizes(_) => None,
+            SampledField::Dif { stages, .. } => Some(&**stages),
+            SampledField::Kernels(_) | SampledField::Sizes(_) => None,
         }
     }
 
@@ -270,9 +270,9 @@ impl Engine {
     #[must_use]
     pub fn facts(&self) -> &FrameFacts {
         match &self.field {
-            Field::Dif { sampled, .. } => &sampled.facts,
-            Field::Kernels(sampled) => &sampled.facts,
-            Field::Sizes(sampled) => &sampled.facts,
+            SampledField::Dif { sampled, .. } => &sampled.facts,
+            SampledField::Kernels(sampled) => &sampled.facts,
+            SampledField::Sizes(sampled) => &sampled.facts,
         }
     }
 
@@ -280,8 +280,8 @@ impl Engine {
     #[must_use]
     pub fn dif(&self) -> Option<&SampledDif> {
         match &self.field {
-            Field::Dif { sampled, .. } => Some(sampled),
-            Field::Kernels(_) | Field::Sizes(_) => None,
+            SampledField::Dif { sampled, .. } => Some(sampled),
+            SampledField::Kernels(_) | SampledField::Sizes(_) => None,
         }
     }
 
@@ -289,25 +289,25 @@ impl Engine {
     #[must_use]
     pub fn indicator(&self) -> Option<Indicator> {
         match &self.field {
-            Field::Dif { sampled, .. } => Some(sampled.indicator),
-            Field::Sizes(_) => Some(Indicator::Cloud),
-            Field::Kernels(_) => None,
+            SampledField::Dif { sampled, .. } => Some(sampled.indicator),
+            SampledField::Sizes(_) => Some(Indicator::Cloud),
+            SampledField::Kernels(_) => None,
         }
     }
 
     /// Whether the particles have several sizes.
     #[must_use]
     pub fn has_sizes(&self) -> bool {
-        matches!(self.field, Field::Sizes(_))
+        matches!(self.field, SampledField::Sizes(_))
     }
 
     /// The method that made the field: an indicator has its mu0, given or measured.
     #[must_use]
     pub fn method(&self) -> Method {
         match &self.field {
-            Field::Dif { sampled, .. } => sampled.indicator.into(),
-            Field::Kernels(sampled) => sampled.method.into(),
-            Field::Sizes(_) => Indicator::Cloud.into(),
+            SampledField::Dif { sampled, .. } => sampled.indicator.into(),
+            SampledField::Kernels(sampled) => sampled.method.into(),
+            SampledField::Sizes(_) => Indicator::Cloud.into(),
         }
     }
 
@@ -338,7 +338,7 @@ impl Engine {
         let &Surfacing { normals, periodic_mesh, .. } = surfacing;
         self.refuse_farther(surfacing)?;
         let (drawn, measured) = match &self.field {
-            Field::Dif { sampled, stages } => {
+            SampledField::Dif { sampled, stages } => {
                 let kind = sampled.indicator.kind();
                 let (calibration, measured) = match known {
                     Some(known) if !known.suits(kind) => return Err(FrameError::OtherIndicator),
@@ -355,7 +355,7 @@ impl Engine {
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(kind, *spacing, grid);
                 (
-                    Drawable::of_dif(
+                    DrawableField::of_dif(
                         sampled,
                         &**stages,
                         recipe,
@@ -367,8 +367,8 @@ impl Engine {
                     measured,
                 )
             }
-            Field::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
-            Field::Sizes(sampled) => {
+            SampledField::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
+            SampledField::Sizes(sampled) => {
                 let measured = sampled.calibrated();
                 let calibration = known.copied().unwrap_or(measured.calibration);
                 (sampled.drawn(surfacing, &calibration), known.is_none().then_some(measured))
@@ -405,7 +405,7 @@ impl Engine {
         &self,
         surfacing: &Surfacing,
         timings: &mut Timings,
-    ) -> Result<Stitched, FrameError> {
+    ) -> Result<StitchedSurface, FrameError> {
         self.calibrate(surfacing, None, timings)?.surface(timings)
     }
 
@@ -414,7 +414,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
-    pub fn shortfall(&self, surface: &Stitched) -> Result<Option<Shortfall>, FrameError> {
+    pub fn shortfall(&self, surface: &StitchedSurface) -> Result<Option<Shortfall>, FrameError> {
         let facts = self.facts();
         let Some(spacing) = facts.spacing else { return Ok(None) };
         // Spacings of several sizes tell no volume.
@@ -438,7 +438,7 @@ impl Engine {
     /// The particles that are in the same place as another one, if there are any. None of a frame
     /// that was sampled before.
     #[must_use]
-    pub fn coincident(&self) -> Option<Coincident> {
+    pub fn coincident(&self) -> Option<CoincidentParticles> {
         self.occupied.coincident(&self.facts().grid)
     }
 
@@ -447,14 +447,16 @@ impl Engine {
     #[must_use]
     pub fn spacing_by_samples(&self) -> Option<f64> {
         match &self.field {
-            Field::Dif { sampled, .. } if self.occupied.is_empty() => spacing_by_clouds(sampled),
+            SampledField::Dif { sampled, .. } if self.occupied.is_empty() => {
+                spacing_by_clouds(sampled)
+            }
             _ => None,
         }
     }
 
     /// The tiles that hold particles: none of a frame that was sampled before.
     #[must_use]
-    pub fn occupied(&self) -> &Occupied {
+    pub fn occupied(&self) -> &OccupiedTiles {
         &self.occupied
     }
 
@@ -493,7 +495,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
-    pub fn lost(&self, surface: &Stitched) -> Result<u64, FrameError> {
+    pub fn lost(&self, surface: &StitchedSurface) -> Result<u64, FrameError> {
         self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
@@ -505,11 +507,11 @@ impl Engine {
     /// [`FrameError::Cancelled`].
     pub fn simplify(
         &self,
-        surface: Stitched,
+        surface: StitchedSurface,
         reduction: &Reduction,
         control: &Control,
         timings: &mut Timings,
-    ) -> Result<Simplified, FrameError> {
+    ) -> Result<SimplifiedSurface, FrameError> {
         let resources = Resources { control: control.clone(), ..self.resources.clone() };
         simplified(surface, reduction, self.facts(), self.surface_share, &resources, timings)
     }
@@ -521,15 +523,15 @@ impl Engine {
 /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and
 /// [`FrameError::Cancelled`].
 pub fn simplified(
-    surface: Stitched,
+    surface: StitchedSurface,
     reduction: &Reduction,
     facts: &FrameFacts,
     share: u64,
     resources: &Resources,
     timings: &mut Timings,
-) -> Result<Simplified, FrameError> {
+) -> Result<SimplifiedSurface, FrameError> {
     let particle_cells = facts.spacing_cells_or_one().powi(3);
-    let room = Room { bytes: share, folder: &resources.scratch };
+    let room = TriangleSpace { bytes: share, folder: &resources.scratch };
     let simplified = resources.control.during(Stage::Simplifying, || {
         simplify(surface, reduction, particle_cells, room, &resources.control)
             .map_err(resources.scratch_error())

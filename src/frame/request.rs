@@ -7,18 +7,20 @@ use glam::IVec3;
 use crate::baselines::KernelMethod;
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::field::blur::{Filter, Smoothing};
-use crate::field::calibration::{Calibrated, Calibration, TooFine, calibrate, refuse_too_fine_for};
-use crate::field::distance::{BULK_GAIN, Distances, Inside};
+use crate::field::calibration::{
+    Calibration, MeasuredCalibration, TooFine, calibrate, refuse_too_fine_for,
+};
+use crate::field::distance::{BULK_GAIN, DistanceFilters, InsideBricks};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
-use crate::field::solid::Fill;
+use crate::field::solid::SolidFill;
 use crate::frame::estimate::Drawing;
-use crate::grid::stretch::Sight;
+use crate::grid::stretch::DecidingCells;
 use crate::grid::units::{Isovalue, MeanCount, SheetStretch, Sigma, Smooth};
 use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::particles::Particles;
 use crate::particles::kind::SettledKind;
-use crate::particles::sizes::{Columns, SizeFault, Sizes};
+use crate::particles::sizes::{SizeAttributes, SizeFault, Sizes};
 use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::surface::solid::Solid;
 use crate::system::control::Control;
@@ -32,7 +34,7 @@ pub struct SizedParticles {
     /// The sizes.
     pub sizes: Sizes,
     /// The attributes.
-    pub columns: Columns,
+    pub columns: SizeAttributes,
 }
 
 /// How a frame is sampled.
@@ -101,7 +103,7 @@ impl Sampling {
 
     /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for
     /// here.
-    pub fn sight(&self, kind: IndicatorKind, surfacing: &Surfacing) -> Sight {
+    pub fn sight(&self, kind: IndicatorKind, surfacing: &Surfacing) -> DecidingCells {
         let block = CellBox::cube(IVec3::ZERO, BLOCK);
         let filters = surfacing.filters(kind, self.spacing, &self.grid);
         // A particle leaves something in the cells around its own.
@@ -114,7 +116,7 @@ impl Sampling {
         } else {
             dual_cells(block).grown(halo, halo)
         };
-        Sight::new(of_field.union(&of_attributes))
+        DecidingCells::new(of_field.union(&of_attributes))
     }
 }
 
@@ -186,7 +188,7 @@ impl Surfacing {
         match kind {
             IndicatorKind::Cloud => {
                 let cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
-                Filters::Distances(Box::new(Distances::new(self.smooth, self.sheets, cells)))
+                Filters::Distances(Box::new(DistanceFilters::new(self.smooth, self.sheets, cells)))
             }
             IndicatorKind::Symmetry | IndicatorKind::Counting => {
                 let sigma = self.width(spacing, grid.cell_size());
@@ -202,7 +204,7 @@ impl Surfacing {
             return 0;
         }
         let wide = WideCells::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()));
-        (Fill::new(wide.edge).reach() + 1) << wide.level
+        (SolidFill::new(wide.edge).reach() + 1) << wide.level
     }
 
     /// Bytes that clouds take while they are continued into a solid.
@@ -214,7 +216,7 @@ impl Surfacing {
         }
         let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2 * BLOCK + 2) };
         let wide = distances.wide_cells(blocks.grown(further, further));
-        Fill::bytes(wide.grown(distances.wide_halo(), distances.wide_halo()))
+        SolidFill::bytes(wide.grown(distances.wide_halo(), distances.wide_halo()))
     }
 
     /// Memory of the surface, for a spacing in cells and the components of its attributes.
@@ -292,7 +294,7 @@ impl Surfacing {
     ///
     /// # Errors
     /// [`TooFine`] where the field does not tell finely enough where the surface is.
-    pub fn calibrate(&self, frame: &SampledDif) -> Result<Calibrated, TooFine> {
+    pub fn calibrate(&self, frame: &SampledDif) -> Result<MeasuredCalibration, TooFine> {
         self.calibrate_for(frame, &Control::default())
     }
 
@@ -302,7 +304,7 @@ impl Surfacing {
         &self,
         frame: &SampledDif,
         control: &Control,
-    ) -> Result<Calibrated, TooFine> {
+    ) -> Result<MeasuredCalibration, TooFine> {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
         calibrate(frame, &filters, self.iso, control)
     }
@@ -319,7 +321,7 @@ impl Surfacing {
             (Filters::Distances(distances), Calibration::Clouds { plateau }) => {
                 let wide = frame.wide_cells();
                 let samples = f64::from(plateau) / f64::from(1 << BULK_GAIN);
-                let inside = Inside::of(frame.wide(wide.level), wide.edge, samples);
+                let inside = InsideBricks::of(frame.wide(wide.level), wide.edge, samples);
                 Recipe::of_distances(distances.with_plateau(plateau).skipping(inside))
             }
             _ => unreachable!("filters and calibration are of one indicator"),

@@ -13,13 +13,15 @@
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinPipelines, DeviceBins, DeviceGrid, DevicePositions, bin};
 use crate::brick::{Census, DifField, FrameFacts, InvalidParticles};
-use crate::field::calibration::{Binned, Calibrated, Calibration, Fullness, indicate};
+use crate::field::calibration::{
+    BinnedFrame, Calibration, Fullness, MeasuredCalibration, indicate,
+};
 use crate::field::indicator::{IndicatorKind, PageRule, SampledDif};
 use crate::grid::units::{Isovalue, MeanCount};
 use crate::grid::{Domain, Grid};
 use crate::surface::dual_mc::Normals;
 use crate::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchPipelines, stitch, table};
-use crate::vulkan::{Batch, Device, Moment, Place, Queue, View, VulkanError};
+use crate::vulkan::{Batch, BufferKind, Device, Queue, SemaphorePoint, View, VulkanError};
 
 use super::{FrameError, Surfacing};
 
@@ -54,10 +56,10 @@ pub struct DeviceRequest {
 pub struct Exchange<'a> {
     /// Moments from which on the positions are there. Passed whatever the call returns: one that is
     /// made again has nothing to wait for.
-    pub wait: &'a [Moment],
+    pub wait: &'a [SemaphorePoint],
     /// Moments that are signalled when the surface is there: the call does not wait for that. Not
     /// signalled after an error.
-    pub signal: &'a [Moment],
+    pub signal: &'a [SemaphorePoint],
     /// Buffers for positions and indices, of the device that the pipeline is of.
     pub into: Option<[&'a View; 2]>,
 }
@@ -80,7 +82,7 @@ pub struct ResidentSurface {
     /// The calibration that it was drawn by, for the other frames of a simulation.
     pub calibration: Calibration,
     /// The measurements for that, unless it was given.
-    pub measured: Option<Calibrated>,
+    pub measured: Option<MeasuredCalibration>,
     /// Counts of particles, by what became of them.
     pub census: Census,
     /// The last work on it.
@@ -247,8 +249,8 @@ impl Pipeline {
         let [position_bytes, index_bytes] = [vertices, triangles].map(|rows| ROW * u64::from(rows));
         let [positions, indices] = match exchange.into {
             None => [
-                self.with_room(|| device.buffer(Place::Device, position_bytes))?.whole(),
-                self.with_room(|| device.buffer(Place::Device, index_bytes))?.whole(),
+                self.with_room(|| device.buffer(BufferKind::Device, position_bytes))?.whole(),
+                self.with_room(|| device.buffer(BufferKind::Device, index_bytes))?.whole(),
             ],
             Some([positions, indices]) => {
                 if positions.bytes() < position_bytes || indices.bytes() < index_bytes {
@@ -265,7 +267,7 @@ impl Pipeline {
             ends: parts.ends,
             table: self.table.clone(),
             begins: self
-                .with_room(|| device.buffer(Place::Device, 8 * u64::from(layout.tiles())))?
+                .with_room(|| device.buffer(BufferKind::Device, 8 * u64::from(layout.tiles())))?
                 .whole(),
             positions: positions.clone(),
             indices: indices.clone(),
@@ -293,7 +295,7 @@ struct ResidentBins<'a> {
     bins: DeviceBins,
 }
 
-impl Binned for ResidentBins<'_> {
+impl BinnedFrame for ResidentBins<'_> {
     type Made = DifField;
     type Error = FrameError;
 

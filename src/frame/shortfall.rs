@@ -6,9 +6,9 @@ use std::io;
 
 use crate::grid::CellBox;
 use crate::grid::units::shown;
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 
-use super::coincident::Coincident;
+use super::coincident::CoincidentParticles;
 
 /// The share of its particles' volume that is expected of a surface. Smoothing takes something off
 /// each drop and sheet.
@@ -32,10 +32,10 @@ impl Shortfall {
     /// # Errors
     /// Where the surface is in a scratch file that cannot be read.
     pub fn of(
-        surface: &Stitched,
+        surface: &StitchedSurface,
         around: Option<CellBox>,
         particles: usize,
-        coincident: Option<&Coincident>,
+        coincident: Option<&CoincidentParticles>,
         spacing: f64,
     ) -> io::Result<Option<Self>> {
         let particles = particles - coincident.map_or(0, |found| found.particles as usize);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::backend::Stages;
 use crate::brick::{Bins, DifField, FrameFacts, PageShape, Pages};
 use crate::field::indicator::{Indicator, PageRule, SampledDif};
-use crate::frame::estimate::{Estimate, Plan};
+use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
 use crate::system::control::Meter;
 
@@ -36,13 +36,13 @@ pub(super) enum FieldSink {
 impl FieldSink {
     /// In memory, unless a plan says otherwise.
     pub(super) fn new(
-        plan: Plan,
-        estimate: &Estimate,
+        plan: MemoryPlan,
+        estimate: &MemoryEstimate,
         shape: PageShape,
         folder: &Path,
     ) -> io::Result<Self> {
         match plan {
-            Plan::OutOfCore(shares) if estimate.field > shares.field => {
+            MemoryPlan::OutOfCore(shares) if estimate.field > shares.field => {
                 let file = tempfile::tempfile_in(folder)?;
                 let writer = FrameWriter::create(file.try_clone()?, shape)?;
                 let folder = folder.to_owned();

@@ -3,16 +3,16 @@
 use crate::backend::SizedField;
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Smoothing;
-use crate::field::calibration::{Calibrated, Calibration, Plateau};
+use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
 use crate::field::distance::UNITS;
 use crate::field::indicator::{Indicator, IndicatorKind};
 use crate::field::sizes::{Layer, LayerPages, Octaves, SIDE, SizedClouds};
-use crate::frame::estimate::{Estimate, Plan};
+use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::grid::CellBox;
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 
 use super::sink::FieldSink;
-use super::surface::{Drawable, region_by_region};
+use super::surface::{DrawableField, region_by_region};
 use super::{FrameError, Resources, SizedParticles, Surfacing};
 
 /// The clouds of a frame's particles, by octaves of their sizes.
@@ -33,8 +33,8 @@ impl SampledSizes {
         bins: &Bins,
         facts: FrameFacts,
         sized: &SizedParticles,
-        plan: Plan,
-        estimate: &Estimate,
+        plan: MemoryPlan,
+        estimate: &MemoryEstimate,
         resources: &Resources,
     ) -> Result<Self, FrameError> {
         let finest = facts.spacing.ok_or(FrameError::NoSpacing)?;
@@ -73,7 +73,7 @@ impl SampledSizes {
     }
 
     /// The calibration of this frame, by its density.
-    pub(super) fn calibrated(&self) -> Calibrated {
+    pub(super) fn calibrated(&self) -> MeasuredCalibration {
         let nominal = Plateau::nominal(self.facts.spacing_cells_or_one());
         let value = (nominal * self.density.unwrap_or(1.0)).round() as u16;
         let plateau = match self.density {
@@ -81,11 +81,19 @@ impl SampledSizes {
             None => Plateau::Shallow { expected: value },
         };
         let step_cells = self.facts.spacing_cells_or_one() / UNITS;
-        Calibrated { calibration: Calibration::Clouds { plateau: value }, plateau, step_cells }
+        MeasuredCalibration {
+            calibration: Calibration::Clouds { plateau: value },
+            plateau,
+            step_cells,
+        }
     }
 
     /// All that the surface is drawn by.
-    pub(super) fn drawn(&self, surfacing: &Surfacing, calibration: &Calibration) -> Drawable<'_> {
+    pub(super) fn drawn(
+        &self,
+        surfacing: &Surfacing,
+        calibration: &Calibration,
+    ) -> DrawableField<'_> {
         let &Surfacing { smooth, sheets, normals, periodic_mesh, .. } = surfacing;
         let plateau = match *calibration {
             Calibration::Clouds { plateau } => plateau,
@@ -97,7 +105,7 @@ impl SampledSizes {
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
         let regions = self.clouds.regions(field.reach()).into_iter().map(cut);
-        Drawable {
+        DrawableField {
             regions: regions.filter(|cells| !cells.is_empty()).collect(),
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothing(surfacing),

@@ -10,7 +10,7 @@ use crate::backend::{REGIONS_TOGETHER, Stages, Surfaces};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
-use crate::field::calibration::{CALIBRATING, Calibrated};
+use crate::field::calibration::{CALIBRATING, MeasuredCalibration};
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::BLOCKS_A_THREAD;
@@ -22,7 +22,7 @@ use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, blocks_bytes};
 use crate::surface::solid::Solid;
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 use crate::system::control::{Control, Meter, Stage};
 use crate::system::timings::Timings;
 
@@ -59,7 +59,7 @@ pub(super) fn region_by_region<'a>(
 }
 
 /// A field of which a surface is known, whatever makes it.
-pub(super) struct Drawable<'a> {
+pub(super) struct DrawableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<CellBox>,
     pub(super) contour: Box<Contour<'a>>,
@@ -70,7 +70,7 @@ pub(super) struct Drawable<'a> {
     pub(super) nothing: FrameError,
 }
 
-impl<'a> Drawable<'a> {
+impl<'a> DrawableField<'a> {
     /// The DIF of a frame, by a recipe.
     pub(super) fn of_dif(
         sampled: &'a SampledDif,
@@ -114,16 +114,16 @@ pub struct CalibratedFrame<'a> {
     pub(super) control: &'a Control,
     /// Bytes of the surface that may be in memory.
     pub(super) surface_share: u64,
-    pub(super) measured: Option<Calibrated>,
+    pub(super) measured: Option<MeasuredCalibration>,
     pub(super) normals: Normals,
     /// The walls at which the mesh ends.
     pub(super) walls: Option<Domain>,
-    pub(super) drawn: Drawable<'a>,
+    pub(super) drawn: DrawableField<'a>,
 }
 
 impl<'a> CalibratedFrame<'a> {
     /// The measurements on the frame: none where they were known, or where kernels make the field.
-    pub fn measured(&self) -> Option<Calibrated> {
+    pub fn measured(&self) -> Option<MeasuredCalibration> {
         self.measured
     }
 
@@ -133,14 +133,14 @@ impl<'a> CalibratedFrame<'a> {
     /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`],
     /// [`FrameError::NoDistanceSurface`], [`FrameError::Scratch`] where scratch files fail, and
     /// [`FrameError::Cancelled`].
-    pub fn surface(self, timings: &mut Timings) -> Result<Stitched, FrameError> {
+    pub fn surface(self, timings: &mut Timings) -> Result<StitchedSurface, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
         let spool = self.blocks(timings)?;
         if spool.is_empty() {
             return Err(self.drawn.nothing);
         }
-        Ok(Stitched::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
+        Ok(StitchedSurface::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
     }
 
     /// The meshes of the blocks that the surface passes through, not stitched yet; there may be

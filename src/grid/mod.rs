@@ -48,7 +48,7 @@ pub struct Grid {
 
 /// A position that the grid cannot hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unplaced {
+pub enum PlacementError {
     /// A coordinate is NaN or infinite.
     NotFinite,
     /// A coordinate is more than [`CELL_LIMIT`] cells from the origin.
@@ -108,14 +108,14 @@ impl Grid {
     /// and behind it [`FRACTION_BITS`] of the offset in it.
     ///
     /// # Errors
-    /// [`Unplaced`] where the grid does not reach.
-    pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], Unplaced> {
+    /// [`PlacementError`] where the grid does not reach.
+    pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], PlacementError> {
         // Multiplying by a power of two is exact, and so is every step below.
         let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
         // Comparisons that NaN fails too.
         if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
             let finite = world.iter().all(|x| x.is_finite());
-            return Err(if finite { Unplaced::TooFar } else { Unplaced::NotFinite });
+            return Err(if finite { PlacementError::TooFar } else { PlacementError::NotFinite });
         }
         Ok(steps.map(|s| s as i64))
     }
@@ -316,9 +316,9 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
         let steps = grid.place([-0.125, 0.5, 0.749_999_9]).unwrap();
         assert_eq!(steps, [-8192 + 6144, 8192, 8192 + 4095]);
-        assert_eq!(grid.place([f64::NAN, 0.0, 0.0]), Err(Unplaced::NotFinite));
-        assert_eq!(grid.place([0.0, f64::INFINITY, 0.0]), Err(Unplaced::NotFinite));
-        assert_eq!(grid.place([0.0, 0.0, 1e30]), Err(Unplaced::TooFar));
+        assert_eq!(grid.place([f64::NAN, 0.0, 0.0]), Err(PlacementError::NotFinite));
+        assert_eq!(grid.place([0.0, f64::INFINITY, 0.0]), Err(PlacementError::NotFinite));
+        assert_eq!(grid.place([0.0, 0.0, 1e30]), Err(PlacementError::TooFar));
     }
 
     #[test]

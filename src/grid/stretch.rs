@@ -53,9 +53,9 @@ impl Stretch {
 /// The cells that decide what is made in a block, counted from its lowest corner: they are the same
 /// for all blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Sight(CellBox);
+pub struct DecidingCells(CellBox);
 
-impl Sight {
+impl DecidingCells {
     /// By the cells that decide what is made in block (0, 0, 0).
     pub fn new(of_first_block: CellBox) -> Self {
         Self(of_first_block)
@@ -89,7 +89,7 @@ pub struct WantedBins {
     /// Where something is made.
     pub stretch: Stretch,
     /// By what.
-    pub sight: Sight,
+    pub sight: DecidingCells,
 }
 
 impl WantedBins {
@@ -119,7 +119,7 @@ mod tests {
     fn a_bin_is_wanted_exactly_where_it_overlaps_the_cells_that_a_block_of_the_stretch_sees() {
         for (below, above) in [(0, 0), (1, 1), (16, 17), (17, 16), (22, 54), (40, 3)] {
             let cube = CellBox::cube(IVec3::ZERO, BLOCK);
-            let sight = Sight::new(cube.grown(below, above));
+            let sight = DecidingCells::new(cube.grown(below, above));
             let [first, end] = [IVec3::new(-1, 0, 1), IVec3::new(1, 1, 0)].map(MortonKey::of);
             let stretch = Stretch { first: first.min(end), end: first.max(end) };
             let wanted = WantedBins { stretch, sight };
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn a_box_of_bins_is_touched_exactly_where_one_of_its_bins_is_wanted() {
-        let sight = Sight::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
+        let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let all = CellBox { lo: IVec3::splat(-6), hi: IVec3::splat(6) };
         let boxes = all.cubes(3).flat_map(|corner| {
             let edges = [IVec3::ONE, IVec3::new(2, 1, 5), IVec3::new(4, 6, 3)];

@@ -18,7 +18,7 @@ use super::whole::counted_in;
 
 /// A folder that is being filled. Without [`keep`](Self::keep), it is removed on drop.
 #[derive(Debug)]
-pub struct Folder {
+pub struct FolderInProgress {
     temporary: PathBuf,
     /// The temporary name of a replaced folder until it is removed.
     replaced: PathBuf,
@@ -29,7 +29,7 @@ pub struct Folder {
     sum: Hasher,
 }
 
-impl Folder {
+impl FolderInProgress {
     /// Creates a folder beside the file at `place`, with its name but another extension, for files
     /// with the extension `extension`.
     ///
@@ -164,7 +164,7 @@ pub fn turn(place: &Path) -> Option<File> {
     }
 }
 
-impl Drop for Folder {
+impl Drop for FolderInProgress {
     fn drop(&mut self) {
         for folder in [&self.temporary, &self.replaced] {
             let _ = fs::remove_dir_all(folder);
@@ -201,8 +201,9 @@ mod tests {
     use super::*;
 
     /// A folder with one file beside `m.list`, as job `job` makes it.
-    fn filled(within: &Path, job: &str) -> Folder {
-        let mut folder = Folder::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();
+    fn filled(within: &Path, job: &str) -> FolderInProgress {
+        let mut folder =
+            FolderInProgress::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();
         folder.write(0, |out| out.write_all(job.as_bytes())).unwrap();
         folder
     }

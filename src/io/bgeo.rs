@@ -6,7 +6,7 @@
 use crate::particles::AttributeInfo;
 
 use super::bytes::Bytes;
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
 use super::{ParticleFile, ReadFault, malformed};
 
@@ -67,7 +67,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         .collect();
     let position = [0, 1, 2].map(|axis| position.component(axis));
     let particles: ColumnStore =
-        ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
+        ColumnStore::new(bytes, ParticleRows::All(points as usize), position, attributes);
     Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
 }
 

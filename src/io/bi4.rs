@@ -13,11 +13,11 @@ use crate::particles::AttributeInfo;
 
 use crate::particles::sieve::Sieve;
 
-use super::bytes::{Bytes, Unpacking, View, open_bytes_within};
-use super::columns::{ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{ByteView, Bytes, Unpacking, open_bytes_within};
+use super::columns::{ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
 use super::vertices::columns;
-use super::wanted::Wanted;
+use super::wanted::WantedParticles;
 use super::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
@@ -32,11 +32,11 @@ const IDS: usize = 1 << 15;
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let count = Tree::read(bytes.view()).map_err(fail)?.case.pieces;
+    let count = Bi4Tree::read(bytes.view()).map_err(fail)?.case.pieces;
     if count <= 1 {
         return read_particles(bytes).map_err(fail);
     }
@@ -58,7 +58,7 @@ pub fn open_particles(
         }
         let path = name.path(number);
         let bytes = open_bytes_within(&path, share)?;
-        let piece = Piece::read(bytes.view()).and_then(|piece| {
+        let piece = Bi4Piece::read(bytes.view()).and_then(|piece| {
             let said = (piece.case.piece, piece.case.pieces);
             let expected = (Some(number), count);
             if said == expected { Ok(piece) } else { Err(misplaced(said, expected)) }
@@ -133,7 +133,7 @@ impl<'a> PieceName<'a> {
 /// [`ReadFault::Unsupported`] for the simulator's other files and for a piece of a part;
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let piece = Piece::read(bytes.view())?;
+    let piece = Bi4Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
         let what = format!(
@@ -146,21 +146,21 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 }
 
 /// The particles of one file.
-struct Piece {
+struct Bi4Piece {
     case: Case,
     /// The arrays with an entry for every particle.
-    arrays: Vec<Array>,
+    arrays: Vec<Bi4Array>,
     /// The index of the array of positions, which has three components.
     position: usize,
-    fluid: Fluid,
+    fluid: FluidRows,
     endian: Endian,
 }
 
-impl Piece {
+impl Bi4Piece {
     /// The fluid particles as columns of the file.
     fn store(self, bytes: Bytes) -> ColumnStore {
         let Self { arrays, position, fluid, endian, .. } = self;
-        let columns = |array: &Array| {
+        let columns = |array: &Bi4Array| {
             let (scalar, components) = array.shape;
             let stride = components * scalar.size();
             columns(array.offset + fluid.first * stride, stride, components, scalar, endian)
@@ -175,8 +175,8 @@ impl Piece {
         ColumnStore::new(bytes, fluid.rows, position, attributes)
     }
 
-    fn read(bytes: View) -> Result<Self, ReadFault> {
-        let Tree { case, mut arrays, endian } = Tree::read(bytes)?;
+    fn read(bytes: ByteView) -> Result<Self, ReadFault> {
+        let Bi4Tree { case, mut arrays, endian } = Bi4Tree::read(bytes)?;
         let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
             let array = arrays.iter().find(|array| names.contains(&array.name.as_str()));
             let array = array.ok_or_else(|| {
@@ -198,7 +198,7 @@ impl Piece {
             let what = format!("{} positions for {} particles", position.count, ids.count);
             return Err(malformed(position.offset, what));
         }
-        let fluid = Fluid::pick(bytes, ids, case.boundary()?, endian)?;
+        let fluid = FluidRows::pick(bytes, ids, case.boundary()?, endian)?;
         let (count, offset, name) = (ids.count, position.offset, position.name.clone());
         arrays
             .retain(|array| array.count == count && (array.name != name || array.offset == offset));
@@ -208,13 +208,18 @@ impl Piece {
 }
 
 /// The fluid rows of the arrays: `rows` rows from `first` on.
-struct Fluid {
+struct FluidRows {
     first: usize,
-    rows: Rows,
+    rows: ParticleRows,
 }
 
-impl Fluid {
-    fn pick(bytes: View, ids: &Array, boundary: u64, endian: Endian) -> Result<Self, ReadFault> {
+impl FluidRows {
+    fn pick(
+        bytes: ByteView,
+        ids: &Bi4Array,
+        boundary: u64,
+        endian: Endian,
+    ) -> Result<Self, ReadFault> {
         let each = |visit: &mut dyn FnMut(usize)| {
             let width = ids.shape.0.size();
             for first in (0..ids.count).step_by(IDS) {
@@ -235,11 +240,11 @@ impl Fluid {
             count += 1;
         })?;
         if count == 0 || last - first + 1 == count {
-            return Ok(Self { first, rows: Rows::All(count) });
+            return Ok(Self { first, rows: ParticleRows::All(count) });
         }
         let mut rows = Sieve::none(ids.count);
         each(&mut |row| Sieve::set(&mut rows, row))?;
-        Ok(Self { first: 0, rows: Rows::Selected(Sieve::new(rows)) })
+        Ok(Self { first: 0, rows: ParticleRows::Selected(Sieve::new(rows)) })
     }
 }
 
@@ -301,7 +306,7 @@ impl Case {
 }
 
 /// An array of the part, which was checked to lie within the file.
-struct Array {
+struct Bi4Array {
     name: String,
     /// Type and number of components.
     shape: (Scalar, usize),
@@ -348,14 +353,14 @@ impl Kind {
 }
 
 /// The items of a file as a flat list: all values, and the arrays of its part.
-struct Tree {
+struct Bi4Tree {
     case: Case,
-    arrays: Vec<Array>,
+    arrays: Vec<Bi4Array>,
     endian: Endian,
 }
 
-impl Tree {
-    fn read(bytes: View) -> Result<Self, ReadFault> {
+impl Bi4Tree {
+    fn read(bytes: ByteView) -> Result<Self, ReadFault> {
         let mut cursor = Cursor::new(bytes, 0, Endian::Little);
         let head = cursor.take("the file head", HEAD as u64)?;
         let code = head[..58].strip_prefix(b"#FileJBD ".as_slice()).map(<[u8]>::trim_ascii_end);
@@ -403,7 +408,7 @@ impl Tree {
             self.values(cursor)?;
         }
         for _ in 0..arrays {
-            let array = Array::read(cursor, wide)?;
+            let array = Bi4Array::read(cursor, wide)?;
             self.arrays.extend(array.filter(|_| is_part));
         }
         Ok(items.into())
@@ -424,7 +429,7 @@ impl Tree {
     }
 }
 
-impl Array {
+impl Bi4Array {
     /// `None` for an array without numbers.
     fn read(cursor: &mut Cursor, wide: bool) -> Result<Option<Self>, ReadFault> {
         cursor.u32("an array's size")?;

@@ -38,12 +38,12 @@ pub enum Bytes {
     /// In an uncompressed file, which is read by position, and never mapped.
     File(ReopenedFile),
     /// Unpacked or read into memory or a scratch file.
-    Kept(Kept),
+    Kept(PrivateBytes),
 }
 
 /// Bytes that no other program changes.
 #[derive(Debug)]
-pub enum Kept {
+pub enum PrivateBytes {
     /// A mapped scratch file.
     Scratch(Arc<Mmap>),
     /// In memory.
@@ -57,7 +57,7 @@ impl Bytes {
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
     /// and [`ReadFault::Scratch`].
-    pub fn read_whole(self, unpacking: Unpacking) -> Result<Kept, ReadFault> {
+    pub fn read_whole(self, unpacking: Unpacking) -> Result<PrivateBytes, ReadFault> {
         let file = match self {
             Self::File(file) => file,
             Self::Kept(kept) => return Ok(kept),
@@ -72,9 +72,9 @@ impl Bytes {
                 .par_chunks_mut(WINDOW as usize)
                 .enumerate()
                 .try_for_each(read)
-                .map(|()| Kept::Owned(whole))
+                .map(|()| PrivateBytes::Owned(whole))
         } else {
-            let mut copied = Unpacked::new(unpacking);
+            let mut copied = UnpackBuffer::new(unpacking);
             let mut piece = vec![0; WINDOW as usize];
             let read = (0..len).step_by(piece.len()).try_for_each(|at| {
                 let piece = &mut piece[..(len - at).min(WINDOW) as usize];
@@ -90,9 +90,9 @@ impl Bytes {
     }
 
     /// Views the bytes without reading all of them.
-    pub fn view(&self) -> View<'_> {
+    pub fn view(&self) -> ByteView<'_> {
         match self {
-            Self::File(file) => View::File(file),
+            Self::File(file) => ByteView::File(file),
             Self::Kept(kept) => kept.view(),
         }
     }
@@ -100,11 +100,11 @@ impl Bytes {
 
 impl From<Vec<u8>> for Bytes {
     fn from(bytes: Vec<u8>) -> Self {
-        Self::Kept(Kept::Owned(bytes))
+        Self::Kept(PrivateBytes::Owned(bytes))
     }
 }
 
-impl Kept {
+impl PrivateBytes {
     /// Maps a whole file that no other process can access, or that is trusted to keep its size.
     ///
     /// # Errors
@@ -145,12 +145,12 @@ impl Kept {
     }
 
     /// The bytes as a view.
-    pub fn view(&self) -> View<'_> {
-        View::Kept(self.slice())
+    pub fn view(&self) -> ByteView<'_> {
+        ByteView::Kept(self.slice())
     }
 }
 
-impl Deref for Kept {
+impl Deref for PrivateBytes {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
@@ -245,14 +245,14 @@ impl Deref for Slice<'_> {
 
 /// Random access to bytes in memory or in a file.
 #[derive(Debug, Clone, Copy)]
-pub enum View<'a> {
+pub enum ByteView<'a> {
     /// In a file, read by position.
     File(&'a ReopenedFile),
     /// In memory, or mapped.
     Kept(Slice<'a>),
 }
 
-impl<'a> View<'a> {
+impl<'a> ByteView<'a> {
     /// The number of bytes.
     #[must_use]
     pub fn len(self) -> usize {
@@ -321,7 +321,7 @@ impl<'a> View<'a> {
     }
 }
 
-impl<'a> From<&'a [u8]> for View<'a> {
+impl<'a> From<&'a [u8]> for ByteView<'a> {
     fn from(bytes: &'a [u8]) -> Self {
         Self::Kept(bytes.into())
     }
@@ -332,16 +332,16 @@ const WINDOW: u64 = 1 << 20;
 
 /// Reads bytes sequentially, and releases the memory of bytes that were read.
 #[derive(Debug)]
-pub struct Passing<'a> {
-    bytes: View<'a>,
+pub struct SequentialReader<'a> {
+    bytes: ByteView<'a>,
     at: u64,
     /// Start of the bytes whose memory is not released yet.
     held_from: u64,
 }
 
-impl<'a> Passing<'a> {
+impl<'a> SequentialReader<'a> {
     /// Starts at byte `at`.
-    pub fn new(bytes: View<'a>, at: usize) -> Self {
+    pub fn new(bytes: ByteView<'a>, at: usize) -> Self {
         Self { bytes, at: at as u64, held_from: at as u64 }
     }
 
@@ -354,17 +354,17 @@ impl<'a> Passing<'a> {
     }
 }
 
-impl Read for Passing<'_> {
+impl Read for SequentialReader<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let left = (self.bytes.len() as u64).saturating_sub(self.at);
         let read = left.min(buffer.len() as u64) as usize;
         let buffer = &mut buffer[..read];
         match self.bytes {
-            View::File(file) => file.read_exact_at(self.at, buffer)?,
-            View::Kept(slice) if read > 0 => {
+            ByteView::File(file) => file.read_exact_at(self.at, buffer)?,
+            ByteView::Kept(slice) if read > 0 => {
                 buffer.copy_from_slice(&slice[self.at as usize..][..read])
             }
-            View::Kept(_) => {}
+            ByteView::Kept(_) => {}
         }
         self.at += read as u64;
         if self.at - self.held_from >= WINDOW {
@@ -374,7 +374,7 @@ impl Read for Passing<'_> {
     }
 }
 
-impl Seek for Passing<'_> {
+impl Seek for SequentialReader<'_> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.give_back();
         let end = self.bytes.len() as u64;
@@ -389,7 +389,7 @@ impl Seek for Passing<'_> {
     }
 }
 
-impl Drop for Passing<'_> {
+impl Drop for SequentialReader<'_> {
     fn drop(&mut self) {
         self.give_back();
     }
@@ -453,7 +453,7 @@ impl<R: Read> Read for MeteredBytes<'_, R> {
 
 /// A buffer for unpacked or decoded bytes.
 #[derive(Debug)]
-pub struct Unpacked<'a> {
+pub struct UnpackBuffer<'a> {
     unpacking: Unpacking<'a>,
     memory: Vec<u8>,
     /// The scratch file with all bytes, if they exceed the memory.
@@ -461,7 +461,7 @@ pub struct Unpacked<'a> {
     len: u64,
 }
 
-impl<'a> Unpacked<'a> {
+impl<'a> UnpackBuffer<'a> {
     /// An empty buffer.
     pub fn new(unpacking: Unpacking<'a>) -> Self {
         Self { unpacking, memory: Vec::new(), file: None, len: 0 }
@@ -508,10 +508,10 @@ impl<'a> Unpacked<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Scratch`] if the scratch file cannot be mapped.
-    pub fn finish(self) -> Result<Kept, ReadFault> {
+    pub fn finish(self) -> Result<PrivateBytes, ReadFault> {
         match self.file {
-            Some(file) => Kept::map(&file).map_err(ReadFault::Scratch),
-            None => Ok(Kept::Owned(self.memory)),
+            Some(file) => PrivateBytes::map(&file).map_err(ReadFault::Scratch),
+            None => Ok(PrivateBytes::Owned(self.memory)),
         }
     }
 }
@@ -527,7 +527,7 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
 }
 
 /// Opens `path` like [`open_bytes`], and reads all of it.
-pub fn open_whole(path: &Path) -> Result<Kept, ReadError> {
+pub fn open_whole(path: &Path) -> Result<PrivateBytes, ReadError> {
     let unpacking = Unpacking::in_memory();
     open_bytes_within(path, unpacking)?
         .read_whole(unpacking)
@@ -564,16 +564,16 @@ pub fn open_for_frame(
     let _turn = compressed.map(|_| TURN.lock().unwrap_or_else(PoisonError::into_inner));
     if let Some(stamp) = compressed {
         if let Some(map) = UNPACKED.get(path, stamp) {
-            return Ok((Bytes::Kept(Kept::Scratch(map)), compressed));
+            return Ok((Bytes::Kept(PrivateBytes::Scratch(map)), compressed));
         }
         // At most one scratch file is kept.
         UNPACKED.forget();
         let unpacked = open_bytes_within(path, Unpacking { in_memory: 0, ..unpacking });
         let unchanged = path.metadata().is_ok_and(|now| FileStamp::of(&now) == stamp);
         match unpacked {
-            Ok(Bytes::Kept(Kept::Scratch(map))) if unchanged => {
+            Ok(Bytes::Kept(PrivateBytes::Scratch(map))) if unchanged => {
                 UNPACKED.keep(path, stamp, Arc::clone(&map));
-                return Ok((Bytes::Kept(Kept::Scratch(map)), compressed));
+                return Ok((Bytes::Kept(PrivateBytes::Scratch(map)), compressed));
             }
             // The file may fit in memory.
             Err(ReadError { fault: ReadFault::Scratch(_), .. }) => {}
@@ -632,10 +632,10 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
 }
 
 /// Reads `count` bytes of a file into memory.
-fn file_bytes(file: &File, count: u64) -> Result<Kept, ReadFault> {
+fn file_bytes(file: &File, count: u64) -> Result<PrivateBytes, ReadFault> {
     let mut bytes = vec![0; count as usize];
     read_exact_at(file, 0, &mut bytes)?;
-    Ok(Kept::Owned(bytes))
+    Ok(PrivateBytes::Owned(bytes))
 }
 
 /// The maximum number of bytes that a file of `packed` bytes may unpack to.
@@ -666,7 +666,7 @@ fn unpack(
     packed: impl Read,
     count: u64,
     unpacking: Unpacking,
-) -> Result<Kept, ReadFault> {
+) -> Result<PrivateBytes, ReadFault> {
     let plain = compression.unpack(MeteredBytes::new(packed, count, unpacking))?;
     let damaged = |e: io::Error| match e.kind() {
         io::ErrorKind::OutOfMemory => ReadFault::Unsupported(format!(
@@ -694,8 +694,8 @@ fn collect(
     unpacking: Unpacking,
     fault: impl Fn(io::Error) -> ReadFault,
     check: impl Fn(u64) -> Result<(), ReadFault>,
-) -> Result<Kept, ReadFault> {
-    let mut unpacked = Unpacked::new(unpacking);
+) -> Result<PrivateBytes, ReadFault> {
+    let mut unpacked = UnpackBuffer::new(unpacking);
     let mut chunk = Vec::new();
     loop {
         chunk.clear();

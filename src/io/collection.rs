@@ -13,7 +13,7 @@ use super::bytes::{LastFile, Unpacking, open_whole};
 use super::input::open_joined;
 use super::listed::resolved;
 use super::vtp::each_tag;
-use super::wanted::Wanted;
+use super::wanted::WantedParticles;
 use super::{ParticleFile, ReadError, ReadFault, malformed};
 
 /// A frame in a list.
@@ -78,7 +78,7 @@ pub fn open_particles(
     path: &Path,
     list: &Path,
     number: Option<u64>,
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let ListedFrame { time, files } = frame_of(path, list, number)?;

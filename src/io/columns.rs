@@ -13,9 +13,9 @@ use half::f16;
 
 use crate::particles::kind::is_direction_name;
 use crate::particles::sieve::Sieve;
-use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
+use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadError};
 
-use super::windows::{Shelf, Source, Windows};
+use super::windows::{InputBytes, WindowPool, Windows};
 
 /// Bytes per released range of memory.
 const WINDOW: usize = 1 << 20;
@@ -92,9 +92,9 @@ impl Column {
 
 /// The numbers of a particle file as they are stored, in memory, borrowed, or read from the file.
 #[derive(Debug)]
-pub struct ColumnStore<B = Source> {
+pub struct ColumnStore<B = InputBytes> {
     bytes: B,
-    rows: Rows,
+    rows: ParticleRows,
     /// x, y and z, which need not be adjacent (a .ply may order its properties freely).
     position: [Column; 3],
     infos: Vec<AttributeInfo>,
@@ -107,14 +107,14 @@ pub struct ColumnStore<B = Source> {
 
 /// The rows of the columns that contain particles.
 #[derive(Debug)]
-pub enum Rows {
+pub enum ParticleRows {
     /// The first rows, up to this number.
     All(usize),
     /// Selected rows: a .bi4 mixes fluid with boundary, and conditions select particles.
     Selected(Sieve),
 }
 
-impl Rows {
+impl ParticleRows {
     /// The number of rows.
     pub fn count(&self) -> usize {
         match self {
@@ -132,7 +132,7 @@ impl<B: Windows> ColumnStore<B> {
     /// If a column exceeds the bytes, or its numbers overlap: readers must check a header's counts.
     pub fn new(
         bytes: impl Into<B>,
-        rows: Rows,
+        rows: ParticleRows,
         position: [Column; 3],
         mut attributes: Vec<(AttributeInfo, Vec<Column>)>,
     ) -> Self {
@@ -146,8 +146,8 @@ impl<B: Windows> ColumnStore<B> {
         attributes.retain(|(info, _)| names.insert(info.name.clone()));
         let (infos, columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();
         let last = match &rows {
-            Rows::All(count) => count.checked_sub(1),
-            Rows::Selected(sieve) => sieve.last(),
+            ParticleRows::All(count) => count.checked_sub(1),
+            ParticleRows::Selected(sieve) => sieve.last(),
         };
         if let Some(last) = last {
             for column in position.iter().chain(columns.iter().flatten()) {
@@ -168,7 +168,7 @@ impl<B: Windows> ColumnStore<B> {
     }
 
     /// Fills the tuples of `out`, which have one number per column, from particle `first` on.
-    fn read<T: Nearest>(&self, columns: &[Column], first: usize, out: &mut [T]) {
+    fn read<T: NearestCast>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
         // With a single row, a stride may be shorter than a tuple.
         let neighbours =
@@ -204,7 +204,7 @@ impl<B: Windows> ColumnStore<B> {
         };
         let count = out.len().div_ceil(step);
         match &self.rows {
-            Rows::All(rows) => {
+            ParticleRows::All(rows) => {
                 let end = first.saturating_add(count);
                 assert!(end <= *rows, "particles {first} to {end} of {rows}");
                 if count > 0 {
@@ -224,7 +224,7 @@ impl<B: Windows> ColumnStore<B> {
                     });
                 }
             }
-            Rows::Selected(sieve) => {
+            ParticleRows::Selected(sieve) => {
                 let (mut out, mut near) = (out, Vec::with_capacity(NEAR.min(count)));
                 let mut rows = sieve.rows(first).take(count).peekable();
                 while let Some(&row) = rows.peek() {
@@ -261,17 +261,17 @@ impl ColumnStore {
 
     /// Keeps only the particles that a sieve selects.
     pub fn select(&mut self, sieve: Sieve) {
-        self.rows = Rows::Selected(match &self.rows {
-            Rows::All(_) => sieve,
-            Rows::Selected(rows) => rows.within(&sieve),
+        self.rows = ParticleRows::Selected(match &self.rows {
+            ParticleRows::All(_) => sieve,
+            ParticleRows::Selected(rows) => rows.within(&sieve),
         });
     }
 
     /// Bytes of memory of the selection.
     pub fn sieve_bytes(&self) -> u64 {
         match &self.rows {
-            Rows::All(_) => 0,
-            Rows::Selected(sieve) => sieve.bytes(),
+            ParticleRows::All(_) => 0,
+            ParticleRows::Selected(sieve) => sieve.bytes(),
         }
     }
 
@@ -286,7 +286,7 @@ impl ColumnStore {
     }
 
     /// Reads through the windows of a shared shelf.
-    pub fn share(&mut self, shelf: &Arc<Shelf>) {
+    pub fn share(&mut self, shelf: &Arc<WindowPool>) {
         self.bytes.share(shelf);
     }
 }
@@ -300,7 +300,7 @@ impl<B: Windows> Particles for ColumnStore<B> {
         self.read(&self.position, first, out.as_flattened_mut());
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         self.bytes.check()
     }
 
@@ -310,8 +310,8 @@ impl<B: Windows> Particles for ColumnStore<B> {
 
     fn release(&self, range: Range<usize>) {
         let range = match &self.rows {
-            Rows::All(_) => range,
-            Rows::Selected(sieve) => sieve.around(range),
+            ParticleRows::All(_) => range,
+            ParticleRows::Selected(sieve) => sieve.around(range),
         };
         let columns = self.position.iter().chain(self.columns.iter().flatten());
         let mut windows: Vec<Range<usize>> = columns
@@ -373,22 +373,22 @@ macro_rules! stored {
         }
 
         /// A type to which any stored number converts, to the nearest value.
-        trait Nearest: Copy {
+        trait NearestCast: Copy {
             $(fn $type(value: $type) -> Self;)*
         }
 
         #[allow(clippy::cast_lossless)] // One line for all types, i64 among them.
-        impl Nearest for f32 {
+        impl NearestCast for f32 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }
 
         #[allow(clippy::cast_lossless)]
-        impl Nearest for f64 {
+        impl NearestCast for f64 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }
 
         #[allow(clippy::cast_lossless)]
-        impl Nearest for i64 {
+        impl NearestCast for i64 {
             $(fn $type(value: $type) -> Self {
                 (value as i128).clamp(Self::MIN.into(), Self::MAX.into()) as Self
             })*
@@ -396,7 +396,7 @@ macro_rules! stored {
 
         impl<B: Windows> ColumnStore<B> {
             /// Calls [`tuples`](Self::tuples) for the type and byte order of `column`.
-            fn read_tuples<T: Nearest, const K: usize>(
+            fn read_tuples<T: NearestCast, const K: usize>(
                 &self,
                 column: &Column,
                 first: usize,

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::bytes::View;
+use super::bytes::ByteView;
 use super::columns::Endian;
 use super::{ReadFault, malformed};
 
@@ -12,7 +12,7 @@ const WINDOW: usize = 16 << 10;
 /// A position in the bytes of a file, which every read advances.
 #[derive(Debug, Clone)]
 pub struct Cursor<'a> {
-    bytes: View<'a>,
+    bytes: ByteView<'a>,
     at: usize,
     endian: Endian,
     /// The last bytes that were read, from `window_at` on.
@@ -22,10 +22,10 @@ pub struct Cursor<'a> {
 
 impl<'a> Cursor<'a> {
     /// Starts at byte `at` of `bytes`.
-    pub fn new(bytes: View<'a>, at: usize, endian: Endian) -> Self {
+    pub fn new(bytes: ByteView<'a>, at: usize, endian: Endian) -> Self {
         let window = match bytes {
-            View::File(_) => Cow::Owned(Vec::new()),
-            View::Kept(slice) => Cow::Borrowed(slice.bytes()),
+            ByteView::File(_) => Cow::Owned(Vec::new()),
+            ByteView::Kept(slice) => Cow::Borrowed(slice.bytes()),
         };
         Self { bytes, at, endian, window, window_at: 0 }
     }

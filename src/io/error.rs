@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use crate::particles::Unread;
+use crate::particles::RereadError;
 use crate::particles::selection::SelectionFault;
-use crate::system::reopened::Lost;
+use crate::system::reopened::ReopenedError;
 
 /// An error of reading a file.
 #[derive(Debug, Error)]
@@ -137,20 +137,20 @@ impl fmt::Display for ColourScale {
     }
 }
 
-impl From<Lost> for ReadFault {
-    fn from(lost: Lost) -> Self {
+impl From<ReopenedError> for ReadFault {
+    fn from(lost: ReopenedError) -> Self {
         match lost {
-            Lost::Changed => Self::Changed,
-            Lost::Io(fault) => Self::Io(fault),
+            ReopenedError::Changed => Self::Changed,
+            ReopenedError::Io(fault) => Self::Io(fault),
         }
     }
 }
 
-impl From<Unread> for ReadFault {
-    fn from(unread: Unread) -> Self {
+impl From<RereadError> for ReadFault {
+    fn from(unread: RereadError) -> Self {
         match unread {
-            Unread::Changed => Self::Changed,
-            Unread::Io(kind) => Self::Io(kind.into()),
+            RereadError::Changed => Self::Changed,
+            RereadError::Io(kind) => Self::Io(kind.into()),
         }
     }
 }

@@ -16,7 +16,7 @@ const NO_POSITIONS: [&str; 14] = [
 
 /// A named array of numbers.
 #[derive(Debug, Clone)]
-pub struct Field {
+pub struct NamedArray {
     /// Name of the array.
     pub name: String,
     /// Sizes of its axes.
@@ -35,7 +35,7 @@ pub enum Axes {
 }
 
 /// Numbers of frames, particles and components of an array.
-struct Extent {
+struct ArrayExtent {
     frames: Option<u64>,
     rows: u64,
     components: u64,
@@ -43,7 +43,7 @@ struct Extent {
 
 /// A column of an array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Place {
+pub struct ColumnIndex {
     /// The array's number.
     pub field: usize,
     /// The component's number along the array's last axis.
@@ -52,11 +52,11 @@ pub struct Place {
 
 /// A quantity, with the places of its components.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Found {
+pub struct LocatedQuantity {
     /// The name without unit and component.
     pub name: String,
     /// The place of each component.
-    pub places: Vec<Place>,
+    pub places: Vec<ColumnIndex>,
 }
 
 /// The interpretation of arrays with the same number of particles.
@@ -69,9 +69,9 @@ pub struct Arrangement {
     /// The axes of every array; undefined for arrays that are not used.
     pub axes: Vec<Axes>,
     /// The position, with three components.
-    pub position: Found,
+    pub position: LocatedQuantity,
     /// All other quantities with the same number of particles.
-    pub attributes: Vec<Found>,
+    pub attributes: Vec<LocatedQuantity>,
 }
 
 impl Arrangement {
@@ -102,20 +102,20 @@ impl Arrangement {
 
 impl Axes {
     /// The array's extent, if its shape fits these axes.
-    fn extent(self, shape: &[u64]) -> Option<Extent> {
+    fn extent(self, shape: &[u64]) -> Option<ArrayExtent> {
         let components = |axes: &[u64]| {
             let product = axes.iter().try_fold(1u64, |product, &size| product.checked_mul(size))?;
             (1..=MOST_COMPONENTS).contains(&product).then_some(product)
         };
         Some(match (self, shape) {
             (Self::Particles, &[rows, ref axes @ ..]) => {
-                Extent { frames: None, rows, components: components(axes)? }
+                ArrayExtent { frames: None, rows, components: components(axes)? }
             }
             (Self::Components, &[first, rows]) => {
-                Extent { frames: None, rows, components: components(&[first])? }
+                ArrayExtent { frames: None, rows, components: components(&[first])? }
             }
             (Self::Frames, &[frames, rows, ref axes @ ..]) => {
-                Extent { frames: Some(frames), rows, components: components(axes)? }
+                ArrayExtent { frames: Some(frames), rows, components: components(axes)? }
             }
             _ => return None,
         })
@@ -130,20 +130,21 @@ impl Axes {
 /// Names and places of the columns of arrays. Components of a vector have names that belong
 /// together.
 #[derive(Default)]
-struct Columns {
+struct NamedColumns {
     names: Vec<String>,
-    places: Vec<Place>,
-    others: Vec<Found>,
+    places: Vec<ColumnIndex>,
+    others: Vec<LocatedQuantity>,
 }
 
-impl Columns {
+impl NamedColumns {
     fn push(&mut self, field: usize, name: &str, components: u64) {
-        let places = (0..components as usize).map(|component| Place { field, component });
+        let places = (0..components as usize).map(|component| ColumnIndex { field, component });
         match components {
             1 => self.names.push(name.to_owned()),
             3 => self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}"))),
             _ => {
-                self.others.push(Found { name: name.to_owned(), places: places.collect() });
+                self.others
+                    .push(LocatedQuantity { name: name.to_owned(), places: places.collect() });
                 return;
             }
         }
@@ -151,9 +152,9 @@ impl Columns {
     }
 
     /// Splits off the position.
-    fn position(self) -> Option<(Found, Vec<Found>)> {
+    fn position(self) -> Option<(LocatedQuantity, Vec<LocatedQuantity>)> {
         let Self { names, places, others } = self;
-        let found = |q: Quantity| Found {
+        let found = |q: Quantity| LocatedQuantity {
             name: q.name,
             places: q.columns.iter().map(|&column| places[column]).collect(),
         };
@@ -170,7 +171,7 @@ impl Columns {
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] for a position in arrays of different lengths.
-pub fn arrange(fields: &[Field]) -> Result<Option<Arrangement>, ReadFault> {
+pub fn arrange(fields: &[NamedArray]) -> Result<Option<Arrangement>, ReadFault> {
     for axes in [Axes::Particles, Axes::Components, Axes::Frames] {
         if let Some(arrangement) = arrange_along(fields, axes)? {
             return Ok(Some(arrangement));
@@ -179,9 +180,9 @@ pub fn arrange(fields: &[Field]) -> Result<Option<Arrangement>, ReadFault> {
     Ok(None)
 }
 
-fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, ReadFault> {
-    let mut candidates = Columns::default();
-    for (number, Field { name, shape }) in fields.iter().enumerate() {
+fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement>, ReadFault> {
+    let mut candidates = NamedColumns::default();
+    for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
         // Arrays (T, N) called x, y and z can be frames or the nodes of a grid.
         let may_be = match axes {
@@ -195,11 +196,11 @@ fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, Re
     }
     let Some((position, _)) = candidates.position() else { return Ok(None) };
     let extent = |field: usize| axes.extent(&fields[field].shape).expect("looked at above");
-    let Extent { frames, rows, .. } = extent(position.places[0].field);
-    let is_of = |other: &Extent| other.rows == rows && other.frames == frames;
+    let ArrayExtent { frames, rows, .. } = extent(position.places[0].field);
+    let is_of = |other: &ArrayExtent| other.rows == rows && other.frames == frames;
     if !position.places.iter().all(|place| is_of(&extent(place.field))) {
         let names = position.places.iter().map(|place| {
-            let Field { name, shape } = &fields[place.field];
+            let NamedArray { name, shape } = &fields[place.field];
             format!("{name} {}", shown(shape))
         });
         let names: Vec<_> = names.collect();
@@ -207,9 +208,9 @@ fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, Re
         return Err(malformed(0, what));
     }
     // Arrays with the axes of the position first, then those that hold for each frame.
-    let mut columns = Columns::default();
+    let mut columns = NamedColumns::default();
     let mut chosen = vec![Axes::Particles; fields.len()];
-    for (number, Field { name, shape }) in fields.iter().enumerate() {
+    for (number, NamedArray { name, shape }) in fields.iter().enumerate() {
         let fitting = [axes, Axes::Particles, Axes::Components].into_iter().find_map(|axes| {
             let extent = axes.extent(shape)?;
             let fits = extent.rows == rows && (extent.frames.is_none() || extent.frames == frames);
@@ -231,7 +232,7 @@ fn arrange_along(fields: &[Field], axes: Axes) -> Result<Option<Arrangement>, Re
 }
 
 /// The only array of shape (N, 3), (3, N) or (T, N, 3) without the name of another vector.
-pub fn only_vector(fields: &[Field]) -> Option<usize> {
+pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     let is_other = |name: &str| {
         let name = name.to_ascii_lowercase();
         let stem = name.rsplit(['_', '/', '.']).find(|part| !part.is_empty()).unwrap_or(&name);
@@ -239,7 +240,7 @@ pub fn only_vector(fields: &[Field]) -> Option<usize> {
             || NO_POSITIONS.iter().any(|other| stem.starts_with(other))
     };
     [Axes::Particles, Axes::Components, Axes::Frames].into_iter().find_map(|axes| {
-        let vectors = fields.iter().enumerate().filter(|(_, Field { name, shape })| {
+        let vectors = fields.iter().enumerate().filter(|(_, NamedArray { name, shape })| {
             let rank = if axes == Axes::Frames { 3 } else { 2 };
             shape.len() == rank && axes.components(shape) == 3 && !is_other(name)
         });
@@ -262,9 +263,9 @@ pub fn shown(shape: &[u64]) -> String {
 mod tests {
     use super::*;
 
-    fn fields(all: &[(&str, &[u64])]) -> Vec<Field> {
+    fn fields(all: &[(&str, &[u64])]) -> Vec<NamedArray> {
         all.iter()
-            .map(|(name, shape)| Field { name: (*name).to_owned(), shape: shape.to_vec() })
+            .map(|(name, shape)| NamedArray { name: (*name).to_owned(), shape: shape.to_vec() })
             .collect()
     }
 

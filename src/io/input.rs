@@ -4,14 +4,14 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within, open_for_frame};
+use super::bytes::{ByteView, Bytes, Unpacking, open_bytes, open_bytes_within, open_for_frame};
 use super::collection::is_list;
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::joined::{refuse_other_scales, refuse_twice};
 use super::pieces::join_files;
 use super::text_format::TextHint;
-use super::wanted::{Wanted, WantedPieces};
+use super::wanted::{WantedParticles, WantedPieces};
 use super::{
     ParticleFile, Pieces, ReadError, ReadFault, bi4, collection, houdini, json, npy, npz, ply,
     text_format, vtk, vtp,
@@ -49,7 +49,7 @@ impl InputFormat {
 /// # Errors
 /// [`ReadFault::UnknownExtension`] before the file is opened, and the errors of the reader.
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
-    open_wanted(path, Wanted::default(), unpacking)
+    open_wanted(path, WantedParticles::default(), unpacking)
 }
 
 /// Opens a particle file like [`open_particles`] for the wanted particles. Other types and pieces
@@ -60,7 +60,7 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
 /// exist, and [`ReadFault::Selection`] for a condition that cannot be applied.
 pub fn open_wanted(
     path: &Path,
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let (file, step) = file_and_step(path);
@@ -83,7 +83,7 @@ pub fn open_wanted(
 /// files with different units of length.
 pub fn open_joined(
     paths: &[&Path],
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     if let [path] = paths {
@@ -92,7 +92,7 @@ pub fn open_joined(
     refuse_twice(paths.iter().copied())?;
     let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
     // Here, the files are the pieces.
-    let whole = Wanted { pieces: WantedPieces::All, ..wanted };
+    let whole = WantedParticles { pieces: WantedPieces::All, ..wanted };
     let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
         true => open_wanted(path, whole, share),
         false => Ok(ParticleFile::new(Pieces::default(), "no file")),
@@ -124,7 +124,7 @@ pub fn open_joined(
 fn read(
     path: &Path,
     (file, step): (&Path, Option<u64>),
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
@@ -135,7 +135,7 @@ fn read(
         None => (open_bytes_within(file, unpacking)?, None),
     };
     match reader {
-        Reader::Text => {
+        FormatReader::Text => {
             let hint = match wanted.format {
                 Some(format) => TextHint::Named(format),
                 None => TextHint::Extension(InputFormat::of(file)),
@@ -144,10 +144,10 @@ fn read(
             text_format::read_particles(bytes, hint, frame, wanted.attributes, unpacking)
                 .map_err(fail)
         }
-        Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
-        Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
-        Reader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
-        Reader::Pieces(open) => open(path, bytes, wanted, unpacking),
+        FormatReader::Steps(read) => read(path, bytes, step, wanted, unpacking),
+        FormatReader::OneFile(read) => read(bytes, unpacking).map_err(fail),
+        FormatReader::Arrays(read) => read(bytes, step, unpacking).map_err(fail),
+        FormatReader::Pieces(open) => open(path, bytes, wanted, unpacking),
     }
 }
 
@@ -209,7 +209,7 @@ pub fn is_known(path: &Path) -> bool {
 /// [`ReadError`] if such a file cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let extension = extension(path);
-    type HasFaces = fn(View) -> Result<bool, ReadFault>;
+    type HasFaces = fn(ByteView) -> Result<bool, ReadFault>;
     let has_faces: HasFaces = match extension.as_deref() {
         Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
@@ -233,7 +233,7 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     bytes.and_then(|bytes| has_faces(bytes.view())).map_err(|fault| ReadError::new(path, fault))
 }
 
-enum Reader {
+enum FormatReader {
     /// A text, which may have several frames.
     Text,
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
@@ -242,12 +242,12 @@ enum Reader {
     /// A file with several frames or one.
     Steps(StepReader),
     /// A file that may have other pieces.
-    Pieces(fn(&Path, Bytes, Wanted, Unpacking) -> Result<ParticleFile, ReadError>),
+    Pieces(fn(&Path, Bytes, WantedParticles, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
 /// Reads the frame with a number, or the only one.
 type StepReader =
-    fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<ParticleFile, ReadError>;
+    fn(&Path, Bytes, Option<u64>, WantedParticles, Unpacking) -> Result<ParticleFile, ReadError>;
 
 #[cfg(feature = "hdf5")]
 const HDF5: StepReader = super::h5::open_particles;
@@ -260,22 +260,22 @@ pub(super) fn no_hdf5() -> ReadFault {
     ReadFault::Unsupported("HDF5 needs meniscus built with the feature hdf5".to_owned())
 }
 
-fn reader(format: InputFormat) -> Reader {
+fn reader(format: InputFormat) -> FormatReader {
     use InputFormat::{
         Bgeo, Bi4, Csv, Hdf5, Json, Lammps, Npy, Npz, Ply, Pvtp, Tecplot, Vtk, Vtp, Xyz,
     };
     match format {
-        Bgeo => Reader::Pieces(houdini::open_particles),
-        Bi4 => Reader::Pieces(bi4::open_particles),
-        Csv | Lammps | Tecplot | Xyz => Reader::Text,
-        Hdf5 => Reader::Steps(HDF5),
-        Json => Reader::OneFile(json::read_particles),
-        Npy => Reader::Arrays(|bytes, step, _| npy::read_particles(bytes, step)),
-        Npz => Reader::Arrays(npz::read_particles),
-        Ply => Reader::OneFile(ply::read_particles),
-        Pvtp => Reader::Pieces(vtp::parallel::open_particles),
-        Vtk => Reader::OneFile(vtk::read_particles),
-        Vtp => Reader::OneFile(vtp::read_particles),
+        Bgeo => FormatReader::Pieces(houdini::open_particles),
+        Bi4 => FormatReader::Pieces(bi4::open_particles),
+        Csv | Lammps | Tecplot | Xyz => FormatReader::Text,
+        Hdf5 => FormatReader::Steps(HDF5),
+        Json => FormatReader::OneFile(json::read_particles),
+        Npy => FormatReader::Arrays(|bytes, step, _| npy::read_particles(bytes, step)),
+        Npz => FormatReader::Arrays(npz::read_particles),
+        Ply => FormatReader::OneFile(ply::read_particles),
+        Pvtp => FormatReader::Pieces(vtp::parallel::open_particles),
+        Vtk => FormatReader::OneFile(vtk::read_particles),
+        Vtp => FormatReader::OneFile(vtp::read_particles),
     }
 }
 

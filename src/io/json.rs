@@ -4,8 +4,8 @@ use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, SeqAccess, Visitor};
 
-use super::bytes::{Bytes, Unpacked, Unpacking};
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{Bytes, UnpackBuffer, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::{ParticleFile, ReadFault};
 
 /// Bytes of a position.
@@ -21,7 +21,7 @@ const CHUNK: usize = 1 << 16;
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let text = bytes.read_whole(unpacking)?;
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
-    let mut rows = Unpacked::new(unpacking);
+    let mut rows = UnpackBuffer::new(unpacking);
     let mut json = serde_json::Deserializer::from_slice(text);
     let mut scratch = Ok(());
     let positions = Positions { rows: &mut rows, scratch: &mut scratch };
@@ -38,13 +38,13 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     let count = rows.len() / TRIPLE;
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F64, endian: Endian::Little };
     let position = [0, 1, 2].map(|axis| x.component(axis));
-    let store: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, Vec::new());
+    let store: ColumnStore = ColumnStore::new(rows, ParticleRows::All(count), position, Vec::new());
     Ok(ParticleFile::new(store, "JSON"))
 }
 
 /// Processes positions one by one, without a list of all.
 struct Positions<'a, 'u> {
-    rows: &'a mut Unpacked<'u>,
+    rows: &'a mut UnpackBuffer<'u>,
     scratch: &'a mut Result<(), ReadFault>,
 }
 

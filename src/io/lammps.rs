@@ -5,7 +5,7 @@
 //! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` names a step.
 
 use super::bytes::{Bytes, Unpacking};
-use super::table::{Cell, Named, Separator, Syntax, Table, excerpt, names_of};
+use super::table::{Cell, Separator, Syntax, TableColumns, TextTable, excerpt, names_of};
 use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, ReadFault};
@@ -23,7 +23,7 @@ const POSITIONS: [([&str; 3], bool); 4] = [
 ];
 
 /// A step of a dump.
-struct Step {
+struct DumpStep {
     number: u64,
     time: Option<f64>,
     cell: Option<Cell>,
@@ -48,7 +48,7 @@ pub(super) fn is_dump(head: &[u8]) -> bool {
 /// [`ReadFault::Line`] for an invalid line, and [`ReadFault::Unsupported`] for a dump of other
 /// things than atoms.
 pub(super) fn pass(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
-    Ok(Step::next(lines)?.map(|step| step.number))
+    Ok(DumpStep::next(lines)?.map(|step| step.number))
 }
 
 /// Reads the step at a place.
@@ -63,12 +63,13 @@ pub(super) fn read(
 ) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
     let mut lines = TextLines::at(view, place)?;
-    let step = Step::next(&mut lines)?.ok_or_else(|| lines.fault("expected `ITEM: TIMESTEP`"))?;
+    let step =
+        DumpStep::next(&mut lines)?.ok_or_else(|| lines.fault("expected `ITEM: TIMESTEP`"))?;
     view.check()?;
     step.read(bytes, wanted, unpacking)
 }
 
-impl Step {
+impl DumpStep {
     /// Reads the header of a step and skips its rows; `None` at the end of the file.
     fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
         let (mut number, mut atoms, mut time, mut cell) = (None, None, None, None);
@@ -163,11 +164,11 @@ impl Step {
             }
             (are_fractions, cell) => cell.filter(|_| are_fractions),
         };
-        let table = Table {
+        let table = TextTable {
             rows: self.start..self.end,
             lines_above: self.lines_above,
             syntax: Syntax::BLANKS,
-            columns: Named::of(names).ok_or_else(no_position)?,
+            columns: TableColumns::of(names).ok_or_else(no_position)?,
             count: Some(self.atoms),
             cell,
         };

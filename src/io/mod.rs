@@ -94,12 +94,12 @@ pub struct ParticleFile {
     /// Names of arrays of text, which the reader skips.
     pub texts: Vec<String>,
     /// Parts of the input that are not read.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<UnreadPart>,
 }
 
 /// A part of an input that is not read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum LeftOut {
+pub enum UnreadPart {
     /// An attribute that some pieces with particles lack.
     Attribute(AttributeInfo),
     /// A block that holds no particles.
@@ -118,7 +118,7 @@ pub enum LeftOut {
     },
 }
 
-impl fmt::Display for LeftOut {
+impl fmt::Display for UnreadPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Attribute(AttributeInfo { name, components, .. }) => {

@@ -6,10 +6,10 @@
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, View};
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{ByteView, Bytes};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
-use super::fields::{Arrangement, Axes, Field, Found, Place, arrange, shown};
+use super::fields::{Arrangement, Axes, ColumnIndex, LocatedQuantity, NamedArray, arrange, shown};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Name of a field with positions.
@@ -27,7 +27,7 @@ const MOST_MEMBERS: usize = 1 << 10;
 /// does not exist, [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a header that is
 /// invalid or does not fit the file.
 pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, ReadFault> {
-    let header = Header::read(bytes.view())?;
+    let header = NpyHeader::read(bytes.view())?;
     let fields = header.fields(POSITION);
     let arranged = arrange(&fields)?.ok_or_else(|| header.no_position())?;
     let frame = arranged.frame(step)?;
@@ -36,8 +36,8 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
         header.expect_position(place.field)?;
     }
     header.expect_elements(bytes.view())?;
-    let columns = |found: &Found| -> Vec<Column> {
-        let column = |place: &Place| {
+    let columns = |found: &LocatedQuantity| -> Vec<Column> {
+        let column = |place: &ColumnIndex| {
             header.column(header.start, place.field, axes[place.field], frame, place.component)
         };
         found.places.iter().map(column).collect()
@@ -49,7 +49,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
     let attributes = attributes.collect();
     let position = columns(&position).try_into().expect("found with three");
     let particles: ColumnStore =
-        ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
+        ColumnStore::new(bytes, ParticleRows::All(rows as usize), position, attributes);
     Ok(ParticleFile::new(particles, "NumPy .npy"))
 }
 
@@ -57,17 +57,17 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
 ///
 /// # Errors
 /// Those of [`read_particles`] about the header.
-pub fn steps(bytes: View) -> Result<Vec<u64>, ReadFault> {
-    let header = Header::read(bytes)?;
+pub fn steps(bytes: ByteView) -> Result<Vec<u64>, ReadFault> {
+    let header = NpyHeader::read(bytes)?;
     let Some(arranged) = arrange(&header.fields(POSITION))? else { return Ok(Vec::new()) };
     header.expect_elements(bytes)?;
     Ok(arranged.steps())
 }
 
 /// The contents of an array's header.
-pub(super) struct Header {
+pub(super) struct NpyHeader {
     /// The numbers in an element: one, or the known members of a structure.
-    members: Vec<Member>,
+    members: Vec<StructMember>,
     /// Size of an element; 0 for objects, texts and similar types.
     element_bytes: u64,
     /// The element type in NumPy's notation.
@@ -79,7 +79,7 @@ pub(super) struct Header {
 }
 
 /// The numbers of a member in every element.
-struct Member {
+struct StructMember {
     /// The name; empty for an array of numbers.
     name: String,
     endian: Endian,
@@ -90,9 +90,9 @@ struct Member {
     offset: u64,
 }
 
-impl Header {
+impl NpyHeader {
     /// Reads the header at the start of `bytes`.
-    pub fn read(bytes: View) -> Result<Self, ReadFault> {
+    pub fn read(bytes: ByteView) -> Result<Self, ReadFault> {
         let mut cursor = Cursor::new(bytes, 0, Endian::Little);
         if cursor.take("the magic", 6)? != b"\x93NUMPY" {
             return Err(malformed(0, "not a .npy file: it does not begin with \"\\x93NUMPY\""));
@@ -123,7 +123,7 @@ impl Header {
             false => {
                 let name = quoted(descr).map_or(STRUCTURE, |(name, _)| name);
                 let element = element(name);
-                let member = element.map(|(endian, scalar)| Member {
+                let member = element.map(|(endian, scalar)| StructMember {
                     name: String::new(),
                     endian,
                     scalar,
@@ -159,8 +159,8 @@ impl Header {
     }
 
     /// The arrays of numbers in this one, whose name is `name`.
-    pub fn fields(&self, name: &str) -> Vec<Field> {
-        let fields = self.members.iter().map(|member| Field {
+    pub fn fields(&self, name: &str) -> Vec<NamedArray> {
+        let fields = self.members.iter().map(|member| NamedArray {
             name: if member.name.is_empty() { name.to_owned() } else { member.name.clone() },
             shape: self.shape.iter().chain(&member.shape).copied().collect(),
         });
@@ -230,7 +230,7 @@ impl Header {
     }
 
     /// Rejects a header that announces more data than `bytes`.
-    fn expect_elements(&self, bytes: View) -> Result<(), ReadFault> {
+    fn expect_elements(&self, bytes: ByteView) -> Result<(), ReadFault> {
         let mut cursor = Cursor::new(bytes, self.start, Endian::Little);
         cursor.skip("the array", self.elements(), self.element_bytes).map(|_| ())
     }
@@ -263,7 +263,7 @@ impl Header {
     }
 
     /// Distance in bytes between neighbours along each axis.
-    fn strides(&self, member: &Member) -> Vec<usize> {
+    fn strides(&self, member: &StructMember) -> Vec<usize> {
         fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
             let mut strides = vec![0; sizes.len()];
             let mut next = bytes as usize;
@@ -299,7 +299,7 @@ fn quoted(text: &str) -> Option<(&str, &str)> {
 
 /// The members of `[('x', '<f4'), ('pos', '<f8', (3,))]` that are numbers, and the total size;
 /// `None` for nested structures, and for objects.
-fn structure(descr: &str) -> Option<(Vec<Member>, u64)> {
+fn structure(descr: &str) -> Option<(Vec<StructMember>, u64)> {
     let skip = |text: &'_ str, mark: char| -> Option<usize> {
         let rest = text.trim_start().strip_prefix(mark)?.trim_start();
         Some(text.len() - rest.len())
@@ -323,7 +323,7 @@ fn structure(descr: &str) -> Option<(Vec<Member>, u64)> {
         let all = sizes.iter().try_fold(size, |product, &size| product.checked_mul(size))?;
         if let Some((endian, scalar)) = element(kind).filter(|_| !name.is_empty()) {
             let name = name.to_owned();
-            members.push(Member { name, endian, scalar, shape: sizes, offset: bytes });
+            members.push(StructMember { name, endian, scalar, shape: sizes, offset: bytes });
         }
         bytes = bytes.checked_add(all)?;
         rest = after.trim_start();

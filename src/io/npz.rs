@@ -11,10 +11,14 @@ use zip::{CompressionMethod, ZipArchive};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Kept, Passing, Unpacked, Unpacking, unpacked_limit};
-use super::columns::{Column, ColumnStore, Rows};
-use super::fields::{Arrangement, Field, Found, Place, arrange, only_vector, shown};
-use super::npy::{Header, POSITION};
+use super::bytes::{
+    Bytes, PrivateBytes, SequentialReader, UnpackBuffer, Unpacking, unpacked_limit,
+};
+use super::columns::{Column, ColumnStore, ParticleRows};
+use super::fields::{
+    Arrangement, ColumnIndex, LocatedQuantity, NamedArray, arrange, only_vector, shown,
+};
+use super::npy::{NpyHeader, POSITION};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Bytes per unpacking step.
@@ -53,13 +57,13 @@ pub fn read_particles(
         needed[contents.sources[place.field].0] = true;
     }
     let (unpacked, starts) = unless_changed(&bytes, unpack(&bytes, &arrays, &needed, unpacking))?;
-    let column = |place: &Place| {
+    let column = |place: &ColumnIndex| {
         let (array, member) = contents.sources[place.field];
         let header = &arrays[array].header;
         let at = starts[array] + header.start;
         header.column(at, member, axes[place.field], frame, place.component)
     };
-    let columns = |found: &Found| found.places.iter().map(column).collect::<Vec<_>>();
+    let columns = |found: &LocatedQuantity| found.places.iter().map(column).collect::<Vec<_>>();
     let position: [Column; 3] = columns(&position).try_into().expect("found with three");
     let attributes = attributes.iter().map(|found| {
         let columns = columns(found);
@@ -68,7 +72,7 @@ pub fn read_particles(
     let attributes = attributes.collect();
     let bytes = unpacked.map_or(bytes, Bytes::Kept);
     let particles: ColumnStore =
-        ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
+        ColumnStore::new(bytes, ParticleRows::All(rows as usize), position, attributes);
     Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
 
@@ -83,11 +87,11 @@ pub fn steps(bytes: &Bytes) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// An array of the archive.
-struct Array {
+struct NpzArray {
     name: String,
     /// The array's number in the archive.
     entry: usize,
-    header: Header,
+    header: NpyHeader,
     /// The position of the data in the file, if uncompressed.
     stored_at: Option<u64>,
     /// Unpacked size, including the header.
@@ -96,16 +100,16 @@ struct Array {
 
 /// The fields of all arrays.
 struct Contents {
-    fields: Vec<Field>,
+    fields: Vec<NamedArray>,
     /// Array and member of each field.
     sources: Vec<(usize, usize)>,
 }
 
 impl Contents {
-    fn of(arrays: &[Array]) -> Self {
+    fn of(arrays: &[NpzArray]) -> Self {
         let (mut fields, mut sources) = (Vec::new(), Vec::new());
         let structures = arrays.iter().filter(|array| array.header.is_structured()).count();
-        for (number, Array { name, header, .. }) in arrays.iter().enumerate() {
+        for (number, NpzArray { name, header, .. }) in arrays.iter().enumerate() {
             for (member, mut field) in header.fields(name).into_iter().enumerate() {
                 if field.shape.is_empty() {
                     continue;
@@ -133,7 +137,7 @@ impl Contents {
 }
 
 /// The error that no position was found, with the contents of the archive and a suggestion.
-fn no_position(arrays: &[Array], contents: &Contents) -> ReadFault {
+fn no_position(arrays: &[NpzArray], contents: &Contents) -> ReadFault {
     let list = |all: Vec<String>| {
         let more = all.len().saturating_sub(LISTED);
         let listed = all.into_iter().take(LISTED).collect::<Vec<_>>().join(", ");
@@ -161,10 +165,10 @@ fn no_position(arrays: &[Array], contents: &Contents) -> ReadFault {
     ReadFault::Unsupported(what)
 }
 
-type Archive<'a> = ZipArchive<Passing<'a>>;
+type Archive<'a> = ZipArchive<SequentialReader<'a>>;
 
 fn archive(bytes: &Bytes) -> Result<Archive<'_>, ReadFault> {
-    ZipArchive::new(Passing::new(bytes.view(), 0)).map_err(fault)
+    ZipArchive::new(SequentialReader::new(bytes.view(), 0)).map_err(fault)
 }
 
 /// Returns the result, or an error if the file has changed meanwhile.
@@ -185,7 +189,7 @@ fn fault(error: ZipError) -> ReadFault {
 }
 
 /// All arrays. Those of numbers have the length in their headers.
-fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
+fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
     let mut archive = archive(bytes)?;
     let mut arrays = Vec::new();
     for entry in 0..archive.len() {
@@ -197,7 +201,7 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
         let mut head = Vec::new();
         let damaged = |e: std::io::Error| ReadFault::Compression(format!("array {name}: {e}"));
         file.by_ref().take(LONGEST_HEADER).read_to_end(&mut head).map_err(damaged)?;
-        let header = Header::read(head[..].into()).map_err(|fault| match fault {
+        let header = NpyHeader::read(head[..].into()).map_err(|fault| match fault {
             // The position is relative to the array, while elsewhere it is in the file.
             ReadFault::Unsupported(_) => fault,
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
@@ -207,7 +211,7 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
             let what = format!("array {name} of shape {} has {size} bytes", shown(&header.shape));
             return Err(malformed(stored_at.unwrap_or(0) as usize, what));
         }
-        arrays.push(Array { name, entry, header, stored_at, bytes: size });
+        arrays.push(NpzArray { name, entry, header, stored_at, bytes: size });
     }
     Ok(arrays)
 }
@@ -216,10 +220,10 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
 /// or in the unpacked bytes.
 fn unpack(
     bytes: &Bytes,
-    arrays: &[Array],
+    arrays: &[NpzArray],
     needed: &[bool],
     unpacking: Unpacking,
-) -> Result<(Option<Kept>, Vec<usize>), ReadFault> {
+) -> Result<(Option<PrivateBytes>, Vec<usize>), ReadFault> {
     let needed = || arrays.iter().enumerate().filter(|(index, _)| needed[*index]);
     let in_place = needed().all(|(_, array)| array.stored_at.is_some());
     let total = needed().fold(0u64, |sum, (_, array)| sum.saturating_add(array.bytes));
@@ -229,7 +233,7 @@ fn unpack(
         )));
     }
     let mut archive = archive(bytes)?;
-    let mut unpacked = Unpacked::new(unpacking);
+    let mut unpacked = UnpackBuffer::new(unpacking);
     let mut starts = vec![0; arrays.len()];
     for (index, array) in needed() {
         let damaged =

@@ -14,14 +14,14 @@ pub enum Decimal {
 }
 
 /// A number that can be parsed from a word of text.
-pub trait Number: Sized {
+pub trait ParseNumber: Sized {
     /// The number, or `None` if the word is not a number.
     fn of(word: &[u8]) -> Option<Self>;
 }
 
 macro_rules! parsed {
     ($($type:ident),*) => {
-        $(impl Number for $type {
+        $(impl ParseNumber for $type {
             fn of(word: &[u8]) -> Option<Self> {
                 std::str::from_utf8(word).ok()?.parse().ok()
             }
@@ -31,7 +31,7 @@ macro_rules! parsed {
 
 parsed!(i64, u64, usize, f32);
 
-impl Number for f64 {
+impl ParseNumber for f64 {
     fn of(word: &[u8]) -> Option<Self> {
         // The notation of C and Python first. The others are rare and do not overlap with it.
         short(word)

@@ -14,7 +14,7 @@ use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
 use super::encode::{write_triangles, write_vertices};
-use super::number::Number;
+use super::number::ParseNumber;
 use super::scan::Scanner;
 use super::up::noted;
 use super::{CoordinateWidth, ReadFault};
@@ -92,7 +92,7 @@ fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
 /// undefined vertex; [`ReadFault::Unsupported`] for more vertices than a mesh can have.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
-    let mut reading = Reading { numbered_alike: true, ..Reading::default() };
+    let mut reading = ObjMesh { numbered_alike: true, ..ObjMesh::default() };
     loop {
         scan.skip_blanks();
         let at = scan.at();
@@ -113,7 +113,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
 }
 
 /// Three numbers on the rest of this line.
-pub(super) fn vector<T: Number>(scan: &mut Scanner) -> Result<[T; 3], ReadFault> {
+pub(super) fn vector<T: ParseNumber>(scan: &mut Scanner) -> Result<[T; 3], ReadFault> {
     let mut next = || {
         scan.skip_blanks();
         scan.number()
@@ -122,7 +122,7 @@ pub(super) fn vector<T: Number>(scan: &mut Scanner) -> Result<[T; 3], ReadFault>
 }
 
 #[derive(Default)]
-struct Reading {
+struct ObjMesh {
     positions: Vec<[f64; 3]>,
     normals: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
@@ -131,7 +131,7 @@ struct Reading {
     corners: Vec<u32>,
 }
 
-impl Reading {
+impl ObjMesh {
     fn face(&mut self, scan: &mut Scanner, line: usize) -> Result<(), ReadFault> {
         self.corners.clear();
         loop {

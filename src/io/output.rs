@@ -8,7 +8,7 @@ use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
-use super::beside::Folder;
+use super::beside::FolderInProgress;
 use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
@@ -28,7 +28,7 @@ pub enum MeshFormat {
     VtkHdf,
     Stl,
     Usdc(UpAxis),
-    Glb(glb::Layout),
+    Glb(glb::GlbLayout),
     /// Houdini's, compressed by Blosc.
     BgeoSc,
 }
@@ -61,7 +61,7 @@ impl MeshFormat {
         Self::VtkHdf,
         Self::Stl,
         Self::Usdc(UpAxis::Y),
-        Self::Glb(glb::Layout::PLAIN),
+        Self::Glb(glb::GlbLayout::PLAIN),
         Self::BgeoSc,
     ];
 
@@ -81,7 +81,7 @@ impl MeshFormat {
             "hdf" | "vtkhdf" => Some(Self::VtkHdf),
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
-            "glb" => Some(Self::Glb(glb::Layout::PLAIN)),
+            "glb" => Some(Self::Glb(glb::GlbLayout::PLAIN)),
             "sc" => {
                 let before = Path::new(path.file_stem()?).extension()?;
                 before.eq_ignore_ascii_case("bgeo").then_some(Self::BgeoSc)
@@ -92,7 +92,7 @@ impl MeshFormat {
 
     /// Sets the layout of a .glb, and the up axis of a .usdc; other formats are unchanged.
     #[must_use]
-    pub fn with_layout(self, layout: glb::Layout) -> Self {
+    pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         match self {
             Self::Glb(_) => Self::Glb(layout),
             Self::Usdc(_) => Self::Usdc(layout.up),
@@ -167,7 +167,8 @@ impl MeshFormat {
     /// few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
-        let compressed = |layout: glb::Layout| layout.compression == glb::Compression::Meshopt;
+        let compressed =
+            |layout: glb::GlbLayout| layout.compression == glb::GlbCompression::Meshopt;
         self == Self::Stl || matches!(self, Self::Glb(layout) if compressed(layout))
     }
 
@@ -366,7 +367,7 @@ impl MeshOutput {
         if format == Some(MeshFormat::Pvtp) {
             let fail = |fault| WriteError::new(path, fault_of(fault));
             let place = file.place().ok_or_else(|| fail(several_files()))?;
-            Folder::check(place, PIECE, replace == Replace::Allow).map_err(fail)?;
+            FolderInProgress::check(place, PIECE, replace == Replace::Allow).map_err(fail)?;
         }
         let format = format.or(file.is_direct().then_some(MeshFormat::Ply)).ok_or_else(unknown)?;
         Ok(Self { file, format })
@@ -378,7 +379,7 @@ impl MeshOutput {
     }
 
     /// Changes the format by [`MeshFormat::with_layout`].
-    pub fn with_layout(self, layout: glb::Layout) -> Self {
+    pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }
     }
 
@@ -431,10 +432,10 @@ fn divide(
     most: u64,
 ) -> Result<FilledFile, WriteError> {
     let path = file.path().to_owned();
-    let pieces = || -> io::Result<(Folder, Divided, Vec<String>)> {
+    let pieces = || -> io::Result<(FolderInProgress, Divided, Vec<String>)> {
         MeshFormat::Pvtp.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
         let (place, temporary) = file.place().zip(file.temporary()).ok_or_else(several_files)?;
-        let mut folder = Folder::begin(place, temporary, PIECE)?;
+        let mut folder = FolderInProgress::begin(place, temporary, PIECE)?;
         let divided = Divided::new(mesh, width, most)?;
         for piece in 0..divided.pieces() {
             folder.write(piece, |out| divided.write(out, piece))?;
@@ -453,12 +454,12 @@ mod tests {
     use crate::surface::mesh::source::{Outline, Vertices};
 
     /// A mesh with large counts and no data.
-    struct Huge {
+    struct HugeMesh {
         vertices: u64,
         triangles: u64,
     }
 
-    impl MeshSource for Huge {
+    impl MeshSource for HugeMesh {
         fn outline(&self) -> Outline {
             Outline {
                 vertices: self.vertices,
@@ -521,7 +522,7 @@ mod tests {
 
     #[test]
     fn a_mesh_that_a_format_cannot_number_is_refused_before_anything_is_written_or_read() {
-        let mesh = Huge { vertices: 1 << 33, triangles: 1 << 34 };
+        let mesh = HugeMesh { vertices: 1 << 33, triangles: 1 << 34 };
         for (format, limit) in [
             (MeshFormat::Ply, "at most 4294967296 vertices;"),
             (MeshFormat::Vtk, "at most 2147483647 vertices and 536870911 triangles;"),
@@ -547,7 +548,7 @@ mod tests {
     fn a_refused_mesh_leaves_no_file_and_names_the_formats_that_can() {
         let folder = tempfile::tempdir().unwrap();
         let output = MeshOutput::prepare(&folder.path().join("a.vtk"), Replace::Refuse).unwrap();
-        let mesh = Huge { vertices: 1 << 31, triangles: 1 << 31 };
+        let mesh = HugeMesh { vertices: 1 << 31, triangles: 1 << 31 };
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
         assert!(

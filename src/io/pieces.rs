@@ -9,11 +9,11 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::particles::sieve::Sieve;
-use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, Unread};
+use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadError};
 
 use super::columns::ColumnStore;
-use super::windows::Shelf;
-use super::{LeftOut, ParticleFile, ReadFault, malformed};
+use super::windows::WindowPool;
+use super::{ParticleFile, ReadFault, UnreadPart, malformed};
 
 /// Flags per batch.
 const FLAGS: usize = 1 << 14;
@@ -227,10 +227,10 @@ impl Pieces {
 /// # Errors
 /// The number of the file that cannot be joined with those before, and the reason.
 pub(super) fn join_files(mut files: Vec<ParticleFile>) -> Result<ParticleFile, (usize, ReadFault)> {
-    let partial = keep_shared_attributes(&mut files).into_iter().map(LeftOut::Attribute);
+    let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let blocks = files.iter().flat_map(|file| file.left_out.iter().cloned());
     let left_out = blocks
-        .filter(|part| !matches!(part, LeftOut::Attribute(_)))
+        .filter(|part| !matches!(part, UnreadPart::Attribute(_)))
         .chain(partial)
         .collect::<Vec<_>>();
     let time = files.iter().find_map(|file| file.time);
@@ -268,7 +268,7 @@ fn keep_shared_attributes(files: &mut [ParticleFile]) -> Vec<AttributeInfo> {
     let filled = || files.iter().filter(|file| !file.particles.is_empty());
     let mut partial: Vec<AttributeInfo> = Vec::new();
     for left_out in filled().flat_map(|file| file.left_out.clone()) {
-        if let LeftOut::Attribute(info) = left_out {
+        if let UnreadPart::Attribute(info) = left_out {
             partial.push(info);
         }
     }
@@ -323,7 +323,7 @@ impl Particles for Pieces {
         });
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         self.stores.iter().try_for_each(Particles::check)
     }
 
@@ -335,7 +335,7 @@ impl Particles for Pieces {
             .filter(|store| store.file_bytes() == 0)
             .map(Particles::resident_bytes);
         kept.sum::<u64>()
-            + Shelf::resident_bytes(files)
+            + WindowPool::resident_bytes(files)
             + (self.spans.len() * size_of::<Span>()) as u64
             + self.stores.iter().map(ColumnStore::sieve_bytes).sum::<u64>()
     }

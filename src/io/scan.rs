@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
-use super::bytes::{Slice, View};
-use super::number::Number;
+use super::bytes::{ByteView, Slice};
+use super::number::ParseNumber;
 use super::{ReadFault, malformed};
 
 /// Maximum length of a header's line, so that binary data is detected early.
@@ -106,7 +106,7 @@ impl<'a> Scanner<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Line`] if there is none.
-    pub fn number<T: Number>(&mut self) -> Result<T, ReadFault> {
+    pub fn number<T: ParseNumber>(&mut self) -> Result<T, ReadFault> {
         let start = self.at;
         let word = self.word();
         T::of(word).ok_or_else(|| {
@@ -140,13 +140,13 @@ fn ends(text: &[u8]) -> u64 {
 /// A position in a file with lines before or between blocks of binary data, moving forward.
 #[derive(Debug, Clone)]
 pub struct Lines<'a> {
-    bytes: View<'a>,
+    bytes: ByteView<'a>,
     at: usize,
 }
 
 impl<'a> Lines<'a> {
     /// Starts at byte `at` of `bytes`, or at their end.
-    pub fn new(bytes: View<'a>, at: usize) -> Self {
+    pub fn new(bytes: ByteView<'a>, at: usize) -> Self {
         Self { bytes, at: at.min(bytes.len()) }
     }
 

@@ -21,7 +21,7 @@ const LARGEST: u64 = 16 << 20;
 
 /// The data of a scene about particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Scene {
+struct SceneFacts {
     spacing: f64,
     tank: Option<Walls>,
 }
@@ -41,7 +41,7 @@ pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
     scene.tank.map(|tank| (tank, path))
 }
 
-fn scene_beside(path: &Path) -> Option<(Scene, PathBuf)> {
+fn scene_beside(path: &Path) -> Option<(SceneFacts, PathBuf)> {
     let folder =
         path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     [folder, &above(folder)].iter().find_map(|folder| scene_in(folder))
@@ -56,7 +56,7 @@ fn above(folder: &Path) -> PathBuf {
     }
 }
 
-fn scene_in(folder: &Path) -> Option<(Scene, PathBuf)> {
+fn scene_in(folder: &Path) -> Option<(SceneFacts, PathBuf)> {
     let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     let mut scenes: Vec<(PathBuf, Parser)> =
         files.filter_map(|path| parser_for(&path).map(|parser| (path, parser))).collect();
@@ -68,7 +68,7 @@ fn scene_in(folder: &Path) -> Option<(Scene, PathBuf)> {
     })
 }
 
-type Parser = fn(&[u8]) -> Option<Scene>;
+type Parser = fn(&[u8]) -> Option<SceneFacts>;
 
 fn parser_for(path: &Path) -> Option<Parser> {
     let extension = path.extension()?;
@@ -101,10 +101,10 @@ fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
 
 /// Twice `Configuration.particleRadius`, and the only body that is a wall, if it is a box without
 /// rotation.
-fn splishsplash(json: &[u8]) -> Option<Scene> {
+fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]
-    struct Whole {
+    struct SceneDocument {
         configuration: Configuration,
         #[serde(default)]
         rigid_bodies: serde_json::Value,
@@ -145,19 +145,19 @@ fn splishsplash(json: &[u8]) -> Option<Scene> {
             walls_of(lo, self.scale).filter(|_| is_box && is_fixed)
         }
     }
-    let Whole { configuration, rigid_bodies } = serde_json::from_slice(json).ok()?;
+    let SceneDocument { configuration, rigid_bodies } = serde_json::from_slice(json).ok()?;
     let bodies: Vec<Body> = serde_json::from_value(rigid_bodies).unwrap_or_default();
     let walls: Vec<&Body> = bodies.iter().filter(|body| body.is_wall).collect();
     let tank = match walls[..] {
         [tank] => tank.walls(),
         _ => None,
     };
-    Some(Scene { spacing: 2.0 * configuration.particle_radius, tank })
+    Some(SceneFacts { spacing: 2.0 * configuration.particle_radius, tank })
 }
 
 /// `<dp value="..">` among the constants of a `<case>`, else `<definition dp="..">`, and the largest
 /// `<drawbox>` of a boundary.
-fn dualsphysics(xml: &[u8]) -> Option<Scene> {
+fn dualsphysics(xml: &[u8]) -> Option<SceneFacts> {
     let number = |element: &BytesStart, attribute: &str| -> Option<f64> {
         let attribute = element.try_get_attribute(attribute).ok()??;
         attribute.value.trim().parse().ok()
@@ -169,7 +169,7 @@ fn dualsphysics(xml: &[u8]) -> Option<Scene> {
     let mut reader = Reader::from_str(&xml);
     let mut is_case = false;
     let (mut constant, mut defined) = (None, None);
-    let mut boxes = Boxes::default();
+    let mut boxes = CaseBoxes::default();
     loop {
         match reader.read_event().ok()? {
             Event::Start(element) | Event::Empty(element) => match element.name().as_ref() {
@@ -187,12 +187,12 @@ fn dualsphysics(xml: &[u8]) -> Option<Scene> {
             _ => {}
         }
     }
-    Some(Scene { spacing: constant.or(defined)?, tank: boxes.tank() })
+    Some(SceneFacts { spacing: constant.or(defined)?, tank: boxes.tank() })
 }
 
 /// The boxes of a case.
 #[derive(Debug, Default)]
-struct Boxes {
+struct CaseBoxes {
     /// Whether current commands draw boundary particles.
     is_boundary: bool,
     /// Whether boxes are moved by a transformation.
@@ -205,7 +205,7 @@ struct Boxes {
     walled: Vec<(f64, Walls)>,
 }
 
-impl Boxes {
+impl CaseBoxes {
     fn begin(&mut self, name: &str) {
         match name {
             "setmkbound" => self.is_boundary = true,
@@ -276,14 +276,14 @@ mod tests {
         let tank =
             Walls([[Some(-2.0), Some(2.0)], [Some(0.0), Some(3.0)], [Some(-0.75), Some(0.75)]]);
         let scene = splishsplash(&body("")).unwrap();
-        assert_eq!(scene, Scene { spacing: 0.05, tank: Some(tank) });
+        assert_eq!(scene, SceneFacts { spacing: 0.05, tank: Some(tank) });
         for other in [", \"isDynamic\": true", ", \"rotationAngle\": 0.1", ", \"other\": 1"] {
             let expected = if other.contains("other") { Some(tank) } else { None };
             assert_eq!(splishsplash(&body(other)).unwrap().tank, expected, "{other}");
         }
         let without =
             br#"{"Configuration": {"particleRadius": 0.025}, "RigidBodies": [{"scale": 1}]}"#;
-        assert_eq!(splishsplash(without), Some(Scene { spacing: 0.05, tank: None }));
+        assert_eq!(splishsplash(without), Some(SceneFacts { spacing: 0.05, tank: None }));
     }
 
     #[test]
@@ -306,7 +306,7 @@ mod tests {
         };
         let tank = Walls([[Some(0.0), Some(1.6)], [Some(0.0), None], [Some(0.0), None]]);
         let scene = dualsphysics(case("").as_bytes());
-        assert_eq!(scene, Some(Scene { spacing: 0.02, tank: Some(tank) }));
+        assert_eq!(scene, Some(SceneFacts { spacing: 0.02, tank: Some(tank) }));
         assert_eq!(dualsphysics(case("<move x=\"1\" />").as_bytes()).unwrap().tank, None);
         assert_eq!(filled("all^top"), Some([[true; 2], [true; 2], [true, false]]));
         assert_eq!(filled("solid"), None);

@@ -72,7 +72,7 @@ pub struct Series {
 
 /// The time of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Moment {
+struct FrameTime {
     /// In seconds, or the frame number.
     time: f64,
     /// USD's time code.
@@ -148,7 +148,7 @@ impl Series {
     /// Errors of the system.
     pub fn write(&self, frames: &[SeriesFrame]) -> Result<(), WriteError> {
         let moments = self.moments(frames);
-        let shown: Vec<(&SeriesFrame, Moment)> = frames.iter().zip(moments).collect();
+        let shown: Vec<(&SeriesFrame, FrameTime)> = frames.iter().zip(moments).collect();
         for path in self.files() {
             let text = self.text(&path, &shown);
             replace_small(&path, text.as_bytes()).map_err(|fault| WriteError::new(&path, fault))?;
@@ -156,7 +156,7 @@ impl Series {
         Ok(())
     }
 
-    fn moments(&self, frames: &[SeriesFrame]) -> Vec<Moment> {
+    fn moments(&self, frames: &[SeriesFrame]) -> Vec<FrameTime> {
         let finite = |time: &f64| time.is_finite();
         let times: Option<Vec<f64>> =
             frames.iter().map(|frame| frame.time.filter(finite)).collect();
@@ -164,11 +164,11 @@ impl Series {
             let rate = self.codes_a_second();
             let code =
                 |code: f64| if (code - code.round()).abs() < WHOLE { code.round() } else { code };
-            return times.iter().map(|&time| Moment { time, code: code(time * rate) }).collect();
+            return times.iter().map(|&time| FrameTime { time, code: code(time * rate) }).collect();
         }
         let numbers = frames.iter().map(|frame| frame.frame as f64);
         numbers
-            .map(|number| Moment { time: number / self.fps.unwrap_or(1.0), code: number })
+            .map(|number| FrameTime { time: number / self.fps.unwrap_or(1.0), code: number })
             .collect()
     }
 
@@ -176,7 +176,7 @@ impl Series {
         self.fps.unwrap_or(CODES_A_SECOND)
     }
 
-    fn text(&self, path: &Path, shown: &[(&SeriesFrame, Moment)]) -> String {
+    fn text(&self, path: &Path, shown: &[(&SeriesFrame, FrameTime)]) -> String {
         let extension =
             path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
         match extension {
@@ -188,8 +188,8 @@ impl Series {
         }
     }
 
-    fn listing(&self, shown: &[(&SeriesFrame, Moment)]) -> String {
-        let frame = |&(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| SeriesFrame {
+    fn listing(&self, shown: &[(&SeriesFrame, FrameTime)]) -> String {
+        let frame = |&(frame, FrameTime { time, .. }): &(&SeriesFrame, FrameTime)| SeriesFrame {
             time: Some(time),
             ..frame.clone()
         };
@@ -197,13 +197,13 @@ impl Series {
         format!("{:#}\n", json!({ "fps": self.fps, "up": self.up.to_string(), "frames": frames }))
     }
 
-    fn stage(&self, shown: &[(&SeriesFrame, Moment)]) -> String {
+    fn stage(&self, shown: &[(&SeriesFrame, FrameTime)]) -> String {
         let clips: Vec<_> =
             shown.iter().map(|(frame, moment)| (moment.code, frame.file.clone())).collect();
         stage(&clips, &self.manifest(shown), self.codes_a_second(), self.up)
     }
 
-    fn manifest(&self, shown: &[(&SeriesFrame, Moment)]) -> Manifest {
+    fn manifest(&self, shown: &[(&SeriesFrame, FrameTime)]) -> Manifest {
         let mut attributes: Vec<AttributeInfo> = Vec::new();
         for attribute in shown.iter().flat_map(|(frame, _)| &frame.attributes) {
             if attributes.iter().all(|known| known.name != attribute.name) {
@@ -222,8 +222,8 @@ impl Series {
     }
 }
 
-fn pvd(shown: &[(&SeriesFrame, Moment)]) -> String {
-    let data_set = |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| {
+fn pvd(shown: &[(&SeriesFrame, FrameTime)]) -> String {
+    let data_set = |(frame, FrameTime { time, .. }): &(&SeriesFrame, FrameTime)| {
         format!("<DataSet timestep=\"{time}\" part=\"0\" file=\"{}\"/>\n", escaped(&frame.file))
     };
     let all: String = shown.iter().map(data_set).collect();
@@ -233,8 +233,8 @@ fn pvd(shown: &[(&SeriesFrame, Moment)]) -> String {
     )
 }
 
-fn file_series(shown: &[(&SeriesFrame, Moment)]) -> String {
-    let file = |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| json!({ "name": frame.file, "time": time });
+fn file_series(shown: &[(&SeriesFrame, FrameTime)]) -> String {
+    let file = |(frame, FrameTime { time, .. }): &(&SeriesFrame, FrameTime)| json!({ "name": frame.file, "time": time });
     let files: Vec<_> = shown.iter().map(file).collect();
     format!("{:#}\n", json!({ "file-series-version": "1.0", "files": files }))
 }

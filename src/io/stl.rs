@@ -151,19 +151,21 @@ fn corners(record: &[u8; RECORD]) -> [[f64; 3]; 3] {
 fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut corners = Vec::new();
-    let mut inside = Inside::Nothing;
+    let mut inside = TextContext::Nothing;
     loop {
         scan.skip_whitespace();
         let at = scan.at();
         let word = scan.word();
         inside = match (inside, &word.to_ascii_lowercase()[..]) {
-            (Inside::Nothing, b"") => return Ok(corners),
-            (Inside::Nothing, b"solid") => Inside::Solid,
-            (Inside::Solid, b"endsolid") => Inside::Nothing,
-            (Inside::Solid, b"facet" | b"endfacet") => Inside::Solid,
-            (Inside::Solid, b"outer") => Inside::Loop { first: corners.len() },
-            (Inside::Loop { first }, b"endloop") if corners.len() == first + 3 => Inside::Solid,
-            (Inside::Loop { first }, b"vertex") if corners.len() < first + 3 => {
+            (TextContext::Nothing, b"") => return Ok(corners),
+            (TextContext::Nothing, b"solid") => TextContext::Solid,
+            (TextContext::Solid, b"endsolid") => TextContext::Nothing,
+            (TextContext::Solid, b"facet" | b"endfacet") => TextContext::Solid,
+            (TextContext::Solid, b"outer") => TextContext::Loop { first: corners.len() },
+            (TextContext::Loop { first }, b"endloop") if corners.len() == first + 3 => {
+                TextContext::Solid
+            }
+            (TextContext::Loop { first }, b"vertex") if corners.len() < first + 3 => {
                 corners.push(vector(&mut scan)?);
                 inside
             }
@@ -178,7 +180,7 @@ fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
 
 /// The context in a text file.
 #[derive(Clone, Copy)]
-enum Inside {
+enum TextContext {
     Nothing,
     Solid,
     /// In a triangle whose first corner has this number.
@@ -187,7 +189,7 @@ enum Inside {
     },
 }
 
-impl Inside {
+impl TextContext {
     fn complaint(self) -> &'static str {
         match self {
             Self::Nothing => "where a solid should start",

@@ -5,13 +5,13 @@ use std::ops::{ControlFlow, Range};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Kept, Unpacked, Unpacking};
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{Bytes, PrivateBytes, UnpackBuffer, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::names::repeated_position;
-use super::number::Number;
-use super::table::{Named, excerpt};
+use super::number::ParseNumber;
+use super::table::{TableColumns, excerpt};
 use super::text::{LinePlace, TextLines, decode_windows};
-use super::windows::{Source, Windows};
+use super::windows::{InputBytes, Windows};
 use super::{ParticleFile, ReadFault};
 
 /// Bytes of a number.
@@ -36,7 +36,7 @@ const KEYWORDS: [&str; 8] = [
 
 /// The order of a zone's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Packing {
+enum ZonePacking {
     Point,
     Block,
 }
@@ -46,7 +46,7 @@ enum Packing {
 struct Zone {
     /// Points along I, J and K.
     points: [Option<usize>; 3],
-    packing: Option<Packing>,
+    packing: Option<ZonePacking>,
     time: Option<f64>,
 }
 
@@ -113,7 +113,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     };
     let shown = names.join(", ");
     let repeated = repeated_position(&names).map(str::to_owned);
-    let Some(columns) = Named::of(names) else {
+    let Some(columns) = TableColumns::of(names) else {
         let what = match repeated {
             Some(name) => format!("several VARIABLES are named {name:?}"),
             None => format!("no VARIABLES x, y and z among {shown:?}"),
@@ -122,7 +122,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     };
     let width = columns.names.len();
     let end = bytes.view().len();
-    let source = Source::from(bytes);
+    let source = InputBytes::from(bytes);
     let numbers = decode(&source, start..end, lines_above, unpacking)?;
     let numbers = match numbers {
         Ok(numbers) => numbers,
@@ -163,7 +163,7 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     // Without a number of points, values can only be point by point.
     let packing = match (zone.packing, zone.points[0]) {
         (Some(packing), _) => packing,
-        (None, None) => Packing::Point,
+        (None, None) => ZonePacking::Point,
         (None, Some(_)) => {
             let what = "the zone does not say the order of its values; add DATAPACKING=POINT or \
                  DATAPACKING=BLOCK to it";
@@ -172,8 +172,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     };
     let column = |variable: &usize| {
         let (offset, stride) = match packing {
-            Packing::Point => (variable * WIDTH, width * WIDTH),
-            Packing::Block => (variable * points * WIDTH, WIDTH),
+            ZonePacking::Point => (variable * WIDTH, width * WIDTH),
+            ZonePacking::Block => (variable * points * WIDTH, WIDTH),
         };
         Column { offset, stride, scalar: Scalar::F64, endian: Endian::Little }
     };
@@ -184,7 +184,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
         (info, attribute.columns.iter().map(column).collect())
     });
     let attributes = attributes.collect();
-    let store: ColumnStore = ColumnStore::new(numbers, Rows::All(points), position, attributes);
+    let store: ColumnStore =
+        ColumnStore::new(numbers, ParticleRows::All(points), position, attributes);
     Ok(ParticleFile { time: zone.time, ..ParticleFile::new(store, "Tecplot") })
 }
 
@@ -243,8 +244,8 @@ impl Zone {
                 let points = value.parse().map_err(|_| format!("{key}={value} is not a number"))?;
                 self.points[axis] = Some(points);
             }
-            ("F" | "DATAPACKING", "POINT") => self.packing = Some(Packing::Point),
-            ("F" | "DATAPACKING", "BLOCK") => self.packing = Some(Packing::Block),
+            ("F" | "DATAPACKING", "POINT") => self.packing = Some(ZonePacking::Point),
+            ("F" | "DATAPACKING", "BLOCK") => self.packing = Some(ZonePacking::Block),
             ("ZONETYPE", "ORDERED") => {}
             ("F" | "DATAPACKING" | "ZONETYPE" | "N" | "NODES" | "E" | "ELEMENTS", _) => {
                 return Err(format!(
@@ -264,7 +265,7 @@ impl Zone {
 }
 
 /// The titles of all zones, or a replacement for a missing title.
-fn zones_of(source: &Source) -> Result<Vec<String>, ReadFault> {
+fn zones_of(source: &InputBytes) -> Result<Vec<String>, ReadFault> {
     let title = |line: &[u8]| {
         let line = String::from_utf8_lossy(line.get(..LONGEST_RECORD).unwrap_or(line));
         let (_, rest) = keyword(line.trim()).filter(|(keyword, _)| *keyword == "ZONE")?;
@@ -291,11 +292,11 @@ fn zones_of(source: &Source) -> Result<Vec<String>, ReadFault> {
 
 /// Decodes the numbers of a range; or returns the line where another zone starts.
 fn decode(
-    source: &Source,
+    source: &InputBytes,
     range: Range<usize>,
     lines_above: u64,
     unpacking: Unpacking,
-) -> Result<Result<Kept, u64>, ReadFault> {
+) -> Result<Result<PrivateBytes, u64>, ReadFault> {
     let is_end = |byte: u8| byte.is_ascii_whitespace() || byte == b',';
     let decode = |piece: &[u8]| {
         let mut numbers = Vec::new();
@@ -315,7 +316,7 @@ fn decode(
         }
     };
     let mut passed = lines_above;
-    let mut numbers = Unpacked::new(unpacking);
+    let mut numbers = UnpackBuffer::new(unpacking);
     let mut other_zone = None;
     /// Records that may precede another zone.
     const BETWEEN: [&[u8]; 6] =

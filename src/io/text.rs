@@ -7,10 +7,10 @@ use std::ops::{ControlFlow, Range};
 use memchr::{memchr, memchr_iter};
 use rayon::prelude::*;
 
-use super::bytes::{Bytes, Slice, Unpacked, Unpacking, View};
+use super::bytes::{ByteView, Bytes, Slice, UnpackBuffer, Unpacking};
 use super::columns::Endian;
 use super::scan::Scanner;
-use super::windows::{Source, Windows};
+use super::windows::{InputBytes, Windows};
 use super::{ReadFault, malformed};
 
 /// Bytes per read when lines are skipped.
@@ -51,7 +51,7 @@ pub(super) fn decode_pieces<T: Send>(
 /// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] if the text has changed or
 /// cannot be read.
 pub(super) fn decode_windows<T: Send>(
-    source: &Source,
+    source: &InputBytes,
     range: Range<usize>,
     is_end: fn(u8) -> bool,
     decode: impl Fn(&[u8]) -> T + Sync,
@@ -105,11 +105,11 @@ fn in_pieces<T: Send>(
 /// Appends the numbers of a `text` within `source` as little-endian f64.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for invalid numbers, and those of [`Unpacked::push`].
+/// [`ReadFault::Line`] for invalid numbers, and those of [`UnpackBuffer::push`].
 pub(super) fn decode_numbers(
     source: Slice,
     text: Range<usize>,
-    out: &mut Unpacked,
+    out: &mut UnpackBuffer,
 ) -> Result<(), ReadFault> {
     let decode = |words: Range<usize>| {
         let mut scan = Scanner::new(&source[..words.end], words.start);
@@ -148,7 +148,7 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
         Endian::Little => u16::from_le_bytes,
         Endian::Big => u16::from_be_bytes,
     };
-    let mut text = Unpacked::new(unpacking);
+    let mut text = UnpackBuffer::new(unpacking);
     let mut units: Vec<u16> = Vec::new();
     for at in (2..view.len()).step_by(WINDOW) {
         let end = view.len().min(at + WINDOW);
@@ -177,7 +177,7 @@ pub(super) struct LinePlace {
 
 /// Reads the lines of a text sequentially, in windows.
 pub(super) struct TextLines<'a> {
-    view: View<'a>,
+    view: ByteView<'a>,
     /// The end of the last line that is not blank.
     end: usize,
     at: usize,
@@ -188,7 +188,7 @@ pub(super) struct TextLines<'a> {
 
 impl<'a> TextLines<'a> {
     /// Starts at the first line, after a byte order mark.
-    pub fn new(view: View<'a>) -> Result<Self, ReadFault> {
+    pub fn new(view: ByteView<'a>) -> Result<Self, ReadFault> {
         let marked = *view.read(0..view.len().min(UTF8.len()))? == *UTF8;
         let at = if marked { UTF8.len() } else { 0 };
         let tail = view.len().saturating_sub(LONGEST_LINE).max(at);
@@ -197,7 +197,7 @@ impl<'a> TextLines<'a> {
     }
 
     /// Starts at a later line.
-    pub fn at(view: View<'a>, place: LinePlace) -> Result<Self, ReadFault> {
+    pub fn at(view: ByteView<'a>, place: LinePlace) -> Result<Self, ReadFault> {
         let LinePlace { at, lines_above } = place;
         Ok(Self { at, passed: lines_above, window_at: at, ..Self::new(view)? })
     }

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use crate::system::reopened::FileStamp;
 
-use super::bytes::{Bytes, LastFile, Unpacking, View};
+use super::bytes::{ByteView, Bytes, LastFile, Unpacking};
 use super::error::{no_step, several_steps};
 use super::input_format::InputFormat;
 use super::text::{LinePlace, TextLines, utf8};
@@ -51,7 +51,7 @@ impl TextHint {
 }
 
 impl TextFormat {
-    fn of(bytes: View, hint: TextHint) -> Result<Self, ReadFault> {
+    fn of(bytes: ByteView, hint: TextHint) -> Result<Self, ReadFault> {
         let head = bytes.read(0..bytes.len().min(SNIFFED))?;
         if is_text(&head) && head.contains(&b'\r') && !head.contains(&b'\n') {
             let what = "lines end in CR only, as on old Macs; convert them to LF";
@@ -99,7 +99,7 @@ struct Frames {
 
 impl Frames {
     /// Scans the whole text.
-    fn of(view: View, hint: TextHint) -> Result<Self, ReadFault> {
+    fn of(view: ByteView, hint: TextHint) -> Result<Self, ReadFault> {
         let format = TextFormat::of(view, hint)?;
         let mut frames = Self { format, all: Vec::new(), broken: None };
         let mut lines = TextLines::new(view)?;
@@ -120,7 +120,7 @@ impl Frames {
     }
 
     /// The error of the invalid part, if any.
-    fn check(&self, view: View) -> Result<(), ReadFault> {
+    fn check(&self, view: ByteView) -> Result<(), ReadFault> {
         let Some(place) = self.broken else { return Ok(()) };
         let passed = self.format.pass(&mut TextLines::at(view, place)?, self.all.len() as u64);
         // If it is valid now, the file has changed.
@@ -137,7 +137,7 @@ impl Frames {
 
     /// The place of the frame with a number, or of the only one. Frames before an invalid line can
     /// be read by their numbers.
-    fn find(&self, view: View, step: Option<u64>) -> Result<LinePlace, ReadFault> {
+    fn find(&self, view: ByteView, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
             Some(step) => self.all.iter().find(|(number, _)| *number == step),
             None => None,

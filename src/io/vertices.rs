@@ -4,14 +4,14 @@
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 
-use super::bytes::{Bytes, Kept};
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{Bytes, PrivateBytes};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// The vertices of a file, checked against its size.
-pub(super) struct Vertices {
+pub(super) struct FileVertices {
     /// Decoded columns of little-endian f64, if the file is text.
-    pub decoded: Option<Kept>,
+    pub decoded: Option<PrivateBytes>,
     pub count: usize,
     pub position: [Column; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Column>)>,
@@ -19,12 +19,12 @@ pub(super) struct Vertices {
     pub normals: Option<usize>,
 }
 
-impl Vertices {
+impl FileVertices {
     /// Uses each vertex as a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
         let bytes = self.decoded.map_or(bytes, Bytes::Kept);
         let particles: ColumnStore =
-            ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+            ColumnStore::new(bytes, ParticleRows::All(self.count), self.position, self.attributes);
         ParticleFile::new(particles, format)
     }
 
@@ -33,7 +33,7 @@ impl Vertices {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
-            ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+            ColumnStore::new(bytes, ParticleRows::All(self.count), self.position, self.attributes);
         // Duplicate attributes were removed, so numbers have changed.
         let normals = normals.and_then(|name| normals_called(&name, &store));
         whole(&store, normals, triangles)

@@ -31,7 +31,7 @@ pub fn write_mesh(
 ) -> io::Result<()> {
     let root = root(mesh, width);
     let headers = root.header_bytes();
-    let mut out = Counting { out, at: 0 };
+    let mut out = CountingOutput { out, at: 0 };
     let mut data = SUPERBLOCK + headers;
     let mut encoded = Vec::new();
     root.encode(SUPERBLOCK, &mut data, &mut encoded);
@@ -44,11 +44,11 @@ pub fn write_mesh(
 type Link = (String, Node);
 
 enum Node {
-    Group { links: Vec<Link>, attributes: Vec<Attribute> },
-    Set { scalar: Scalar, shape: Vec<u64>, data: Data },
+    Group { links: Vec<Link>, attributes: Vec<HdfAttribute> },
+    Set { scalar: Scalar, shape: Vec<u64>, data: DatasetContent },
 }
 
-enum Data {
+enum DatasetContent {
     /// Counts.
     Counts(Vec<u64>),
     Array(Array<'static>),
@@ -56,7 +56,7 @@ enum Data {
     Ends(Array<'static>),
 }
 
-enum Attribute {
+enum HdfAttribute {
     Text(&'static str, &'static str),
     Counts(&'static str, [u64; 2]),
 }
@@ -73,8 +73,11 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
         ])
     };
     let none = || faces(0, counts(&[]), counts(&[0]));
-    let ends =
-        Node::Set { scalar: ends.scalar(), shape: vec![triangles + 1], data: Data::Ends(ends) };
+    let ends = Node::Set {
+        scalar: ends.scalar(),
+        shape: vec![triangles + 1],
+        data: DatasetContent::Ends(ends),
+    };
     let data = point_data(mesh, spelled).into_iter().map(|array| (array.name.clone(), set(array)));
     let vtk = Node::Group {
         links: vec![
@@ -86,7 +89,10 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
             ("Strips".to_owned(), none()),
             ("Vertices".to_owned(), none()),
         ],
-        attributes: vec![Attribute::Text("Type", "PolyData"), Attribute::Counts("Version", [2, 0])],
+        attributes: vec![
+            HdfAttribute::Text("Type", "PolyData"),
+            HdfAttribute::Counts("Version", [2, 0]),
+        ],
     };
     group(vec![("VTKHDF", vtk)])
 }
@@ -105,7 +111,7 @@ fn counts(values: &[u64]) -> Node {
     Node::Set {
         scalar: Scalar::I64,
         shape: vec![values.len() as u64],
-        data: Data::Counts(values.to_vec()),
+        data: DatasetContent::Counts(values.to_vec()),
     }
 }
 
@@ -116,7 +122,7 @@ fn set(array: Array<'static>) -> Node {
         // Arrays without components have rows nevertheless.
         _ => vec![array.length / components.max(1), components],
     };
-    Node::Set { scalar: array.scalar(), shape, data: Data::Array(array) }
+    Node::Set { scalar: array.scalar(), shape, data: DatasetContent::Array(array) }
 }
 
 impl Node {
@@ -205,18 +211,18 @@ impl Node {
     }
 
     /// Writes the data of all objects below in the order of [`encode`](Self::encode).
-    fn write_data(&self, out: &mut Counting, mesh: &dyn MeshSource) -> io::Result<()> {
+    fn write_data(&self, out: &mut CountingOutput, mesh: &dyn MeshSource) -> io::Result<()> {
         match self {
             Self::Group { links, .. } => {
                 links.iter().try_for_each(|(_, node)| node.write_data(out, mesh))
             }
             Self::Set { scalar, data, .. } => {
                 match data {
-                    Data::Counts(values) => {
+                    DatasetContent::Counts(values) => {
                         values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
                     }
-                    Data::Array(array) => array.write(out, mesh)?,
-                    Data::Ends(array) => {
+                    DatasetContent::Array(array) => array.write(out, mesh)?,
+                    DatasetContent::Ends(array) => {
                         out.write_all(&[0; 8][..scalar.size()])?;
                         array.write(out, mesh)?;
                     }
@@ -227,7 +233,7 @@ impl Node {
     }
 }
 
-impl Attribute {
+impl HdfAttribute {
     fn encoded(&self) -> Vec<u8> {
         let (name, kind, space, value) = match self {
             Self::Text(name, text) => {
@@ -325,19 +331,19 @@ fn superblock(end: u64) -> Vec<u8> {
 }
 
 /// An output that counts its bytes.
-struct Counting<'a> {
+struct CountingOutput<'a> {
     out: &'a mut dyn Write,
     at: u64,
 }
 
-impl Counting<'_> {
+impl CountingOutput<'_> {
     fn pad(&mut self) -> io::Result<()> {
         let missing = padded(self.at) - self.at;
         self.write_all(&[0; 8][..missing as usize])
     }
 }
 
-impl Write for Counting<'_> {
+impl Write for CountingOutput<'_> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let written = self.out.write(buffer)?;
         self.at += written as u64;

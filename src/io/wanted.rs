@@ -3,7 +3,7 @@
 use crate::particles::condition::Where;
 use crate::particles::mixture::is_kind;
 use crate::particles::selection::{SelectionFault, select};
-use crate::particles::sizes::{Columns, SizeChoice};
+use crate::particles::sizes::{SizeAttributes, SizeChoice};
 use crate::particles::{AttributeInfo, Particles, attribute_called, velocity_attribute};
 
 use super::bytes::Unpacking;
@@ -18,7 +18,7 @@ pub(super) const TAG: &str = "tag";
 
 /// Selects which particles of an input are read, and which of their attributes.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Wanted<'a> {
+pub struct WantedParticles<'a> {
     /// Name of the type in the input, if it has several. By default gas, a fluid, or the only type.
     pub particle_type: Option<&'a str>,
     /// Format of the input, if it differs from that of its extension.
@@ -101,7 +101,7 @@ impl WantedAttributes<'_> {
     pub fn asked_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
         let Self::Only { names, conditions, sizes } = self else { return None };
         let sizes = sizes.columns(infos).ok()?;
-        let sizes = sizes.iter().flat_map(Columns::numbers);
+        let sizes = sizes.iter().flat_map(SizeAttributes::numbers);
         let conditions = conditions.iter().flat_map(Where::conditions);
         let selecting = conditions.filter_map(|condition| condition.attribute(infos));
         let carried: Vec<usize> = match names {

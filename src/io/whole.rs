@@ -12,7 +12,7 @@ use crate::system::cancel::{BELONGINGS, remove_belongings};
 use crate::system::held;
 use crate::system::past_cache::PastCache;
 
-use super::beside::{Folder, turn};
+use super::beside::{FolderInProgress, turn};
 use super::{WriteError, WriteFault};
 
 /// Prefix of temporary files' names, by which leftovers can be recognised.
@@ -35,11 +35,11 @@ pub enum Replace {
 pub struct WholeFile {
     /// The given path, for messages.
     path: PathBuf,
-    target: Target,
+    target: WriteTarget,
 }
 
 #[derive(Debug)]
-enum Target {
+enum WriteTarget {
     /// A temporary file beside `place`, which will be renamed to it.
     Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
     /// An existing pipe or device, which is written directly.
@@ -56,7 +56,7 @@ impl WholeFile {
         let fail = |fault: WriteFault| WriteError::new(path, fault);
         let found = metadata(path).map_err(|e| fail(e.into()))?;
         if is_direct(path, found.as_ref()) {
-            return Ok(Self { path: path.to_owned(), target: Target::Direct });
+            return Ok(Self { path: path.to_owned(), target: WriteTarget::Direct });
         }
         if found.as_ref().is_some_and(fs::Metadata::is_dir) {
             return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
@@ -68,12 +68,12 @@ impl WholeFile {
         let there = found.and_then(|_| path.canonicalize().ok());
         let place = there.unwrap_or_else(|| path.to_owned());
         let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
-        Ok(Self { path: path.to_owned(), target: Target::Temporary { file, place, replace } })
+        Ok(Self { path: path.to_owned(), target: WriteTarget::Temporary { file, place, replace } })
     }
 
     /// Whether it is a pipe or a device, which needs no extension.
     pub fn is_direct(&self) -> bool {
-        matches!(self.target, Target::Direct)
+        matches!(self.target, WriteTarget::Direct)
     }
 
     /// The given path.
@@ -84,8 +84,8 @@ impl WholeFile {
     /// The final path of the file, through links; `None` for a pipe or a device.
     pub(super) fn place(&self) -> Option<&Path> {
         match &self.target {
-            Target::Temporary { place, .. } => Some(place),
-            Target::Direct => None,
+            WriteTarget::Temporary { place, .. } => Some(place),
+            WriteTarget::Direct => None,
         }
     }
 
@@ -98,8 +98,8 @@ impl WholeFile {
     /// The temporary file, which an interrupt must remove.
     pub fn temporary(&self) -> Option<&Path> {
         match &self.target {
-            Target::Temporary { file, .. } => Some(file.path()),
-            Target::Direct => None,
+            WriteTarget::Temporary { file, .. } => Some(file.path()),
+            WriteTarget::Direct => None,
         }
     }
 
@@ -130,7 +130,7 @@ impl WholeFile {
         crc: Option<Hasher>,
     ) -> Result<FilledFile, WriteError> {
         let filled = match &mut self.target {
-            Target::Direct => {
+            WriteTarget::Direct => {
                 let open = OpenOptions::new().write(true).open(&self.path);
                 match open.and_then(|mut file| counted(&mut file, crc, content)) {
                     // If the reader of a pipe stops early, this is not an error.
@@ -138,7 +138,7 @@ impl WholeFile {
                     outcome => outcome,
                 }
             }
-            Target::Temporary { file, .. } => counted_in(file.as_file(), crc, content),
+            WriteTarget::Temporary { file, .. } => counted_in(file.as_file(), crc, content),
         };
         match filled {
             Ok((bytes, crc)) => Ok(FilledFile {
@@ -159,12 +159,12 @@ pub struct FilledFile {
     bytes: u64,
     crc: u32,
     /// A folder that is renamed before the file.
-    folder: Option<Folder>,
+    folder: Option<FolderInProgress>,
 }
 
 impl FilledFile {
     /// Adds the folder of all files that this one names. It is renamed before this file.
-    pub(super) fn after(self, folder: Folder) -> Self {
+    pub(super) fn after(self, folder: FolderInProgress) -> Self {
         Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
     }
 
@@ -187,12 +187,13 @@ impl FilledFile {
     pub fn keep(self) -> Result<u64, WriteError> {
         let Self { file: WholeFile { path, target }, bytes, folder, .. } = self;
         let kept = match target {
-            Target::Direct => Ok(()),
-            Target::Temporary { file, place, replace } => {
+            WriteTarget::Direct => Ok(()),
+            WriteTarget::Temporary { file, place, replace } => {
                 let synced = file.as_file().sync_all();
                 // The folder and the file that names its content must be from the same job.
                 let _turn = folder.as_ref().and_then(|_| turn(&place));
-                let before = |folder: Folder| folder.keep(&place, replace == Replace::Allow);
+                let before =
+                    |folder: FolderInProgress| folder.keep(&place, replace == Replace::Allow);
                 synced.and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| match replace {
                     Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
                     Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
@@ -357,11 +358,11 @@ pub(super) fn counted(
     crc: Option<Hasher>,
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<(u64, Option<Hasher>)> {
-    let out = Counted { out, bytes: 0, crc };
+    let out = CountingWriter { out, bytes: 0, crc };
     let mut out = BufWriter::with_capacity(AT_ONCE, out);
     content(&mut out)?;
     out.flush()?;
-    let Counted { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
+    let CountingWriter { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
     Ok((bytes, crc))
 }
 
@@ -377,13 +378,13 @@ pub(super) fn counted_in(
     Ok(counted)
 }
 
-struct Counted<W> {
+struct CountingWriter<W> {
     out: W,
     bytes: u64,
     crc: Option<Hasher>,
 }
 
-impl<W: Write> Write for Counted<W> {
+impl<W: Write> Write for CountingWriter<W> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let written = self.out.write(&buffer[..buffer.len().min(AT_ONCE)])?;
         self.bytes += written as u64;

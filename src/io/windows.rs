@@ -9,11 +9,11 @@ use std::fmt::Debug;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use crate::particles::Unread;
-use crate::system::reopened::{Lost, ReopenedFile};
+use crate::particles::RereadError;
+use crate::system::reopened::{ReopenedError, ReopenedFile};
 use crate::system::reopened::{read_exact_at, will_read};
 
-use super::bytes::{Bytes, Kept};
+use super::bytes::{Bytes, PrivateBytes};
 
 /// Bytes per read if a thread continues where it was.
 const LARGE: usize = 1 << 18;
@@ -46,7 +46,7 @@ pub trait Windows: Sync + Debug {
     }
 
     /// Checks that the bytes have not changed since they were opened.
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         Ok(())
     }
 }
@@ -63,14 +63,14 @@ impl Windows for &[u8] {
 
 /// Bytes of an input, in memory or in its file.
 #[derive(Debug)]
-pub enum Source {
+pub enum InputBytes {
     /// In memory or in a scratch file.
-    Kept(Kept),
+    Kept(PrivateBytes),
     /// In the input's file.
     File(FileWindows),
 }
 
-impl Source {
+impl InputBytes {
     /// Bytes of scratch files.
     #[must_use]
     pub fn scratch_bytes(&self) -> u64 {
@@ -90,14 +90,14 @@ impl Source {
     }
 
     /// Reads through the windows of a shared shelf.
-    pub fn share(&mut self, shelf: &Arc<Shelf>) {
+    pub fn share(&mut self, shelf: &Arc<WindowPool>) {
         if let Self::File(file) = self {
             file.shelf = Arc::clone(shelf);
         }
     }
 }
 
-impl From<Bytes> for Source {
+impl From<Bytes> for InputBytes {
     fn from(bytes: Bytes) -> Self {
         match bytes {
             Bytes::File(file) => Self::File(FileWindows::new(file)),
@@ -106,13 +106,13 @@ impl From<Bytes> for Source {
     }
 }
 
-impl From<Kept> for Source {
-    fn from(kept: Kept) -> Self {
+impl From<PrivateBytes> for InputBytes {
+    fn from(kept: PrivateBytes) -> Self {
         Self::Kept(kept)
     }
 }
 
-impl Windows for Source {
+impl Windows for InputBytes {
     fn count(&self) -> usize {
         match self {
             Self::Kept(bytes) => bytes.len(),
@@ -141,7 +141,7 @@ impl Windows for Source {
         }
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         match self {
             Self::Kept(_) => Ok(()),
             Self::File(file) => file.check(),
@@ -153,19 +153,19 @@ impl Windows for Source {
 #[derive(Debug)]
 pub struct FileWindows {
     file: ReopenedFile,
-    shelf: Arc<Shelf>,
-    fault: OnceLock<Unread>,
+    shelf: Arc<WindowPool>,
+    fault: OnceLock<RereadError>,
 }
 
 /// Unused windows of several files; the most recently used one is last.
 #[derive(Debug, Default)]
-pub struct Shelf {
-    idle: Mutex<Vec<Window>>,
+pub struct WindowPool {
+    idle: Mutex<Vec<FileWindow>>,
 }
 
 /// A range of bytes of a file.
 #[derive(Debug, Default)]
-struct Window {
+struct FileWindow {
     /// The file's number.
     file: u64,
     at: usize,
@@ -174,13 +174,13 @@ struct Window {
     advised: usize,
 }
 
-impl Window {
+impl FileWindow {
     fn end(&self) -> usize {
         self.at + self.bytes.len()
     }
 }
 
-impl Shelf {
+impl WindowPool {
     /// Windows per thread, which reads a few columns in turn.
     const A_THREAD: usize = 4;
 
@@ -194,24 +194,24 @@ impl Shelf {
     }
 
     /// A window of a file that contains byte `at`, or ends there, or the least recently used one.
-    fn take(&self, file: u64, at: usize) -> Window {
+    fn take(&self, file: u64, at: usize) -> FileWindow {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let holds =
-            |window: &Window| window.file == file && (window.at..window.end()).contains(&at);
-        let ends = |window: &Window| window.file == file && window.end() == at;
+            |window: &FileWindow| window.file == file && (window.at..window.end()).contains(&at);
+        let ends = |window: &FileWindow| window.file == file && window.end() == at;
         let found = idle.iter().position(holds).or_else(|| idle.iter().position(ends));
         let window = match found {
             Some(found) => return idle.remove(found),
-            None if idle.len() < Self::most() => Window::default(),
+            None if idle.len() < Self::most() => FileWindow::default(),
             None => idle.remove(0),
         };
         // The window has other bytes.
         let mut bytes = window.bytes;
         bytes.clear();
-        Window { file, at: 0, bytes, advised: 0 }
+        FileWindow { file, at: 0, bytes, advised: 0 }
     }
 
-    fn put(&self, window: Window) {
+    fn put(&self, window: FileWindow) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(window);
     }
 }
@@ -221,7 +221,7 @@ impl FileWindows {
         Self { file, shelf: Arc::default(), fault: OnceLock::new() }
     }
 
-    fn fill(&self, window: &mut Window, range: &Range<usize>) {
+    fn fill(&self, window: &mut FileWindow, range: &Range<usize>) {
         let goes_on = window.at < range.start && range.start <= window.end();
         let piece = if goes_on { LARGE } else { SMALL };
         let len = range.len().max(piece).min(self.count() - range.start);
@@ -233,7 +233,7 @@ impl FileWindows {
         }
     }
 
-    fn read(&self, window: &mut Window, goes_on: bool) -> Result<(), Lost> {
+    fn read(&self, window: &mut FileWindow, goes_on: bool) -> Result<(), ReopenedError> {
         let file = self.file.file()?;
         let end = window.end();
         if goes_on && window.advised < end + AHEAD {
@@ -245,10 +245,10 @@ impl FileWindows {
     }
 }
 
-fn unread(lost: Lost) -> Unread {
+fn unread(lost: ReopenedError) -> RereadError {
     match lost {
-        Lost::Changed => Unread::Changed,
-        Lost::Io(fault) => Unread::Io(fault.kind()),
+        ReopenedError::Changed => RereadError::Changed,
+        ReopenedError::Io(fault) => RereadError::Io(fault.kind()),
     }
 }
 
@@ -269,12 +269,12 @@ impl Windows for FileWindows {
     }
 
     fn resident_bytes(&self) -> u64 {
-        Shelf::resident_bytes(self.file.stamp().bytes)
+        WindowPool::resident_bytes(self.file.stamp().bytes)
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         match (self.file.check(), self.fault.get()) {
-            (Err(Lost::Changed), _) => Err(Unread::Changed),
+            (Err(ReopenedError::Changed), _) => Err(RereadError::Changed),
             (_, Some(&fault)) => Err(fault),
             (Err(lost), None) => Err(unread(lost)),
             (Ok(()), None) => Ok(()),

@@ -5,14 +5,14 @@
 //! comment names. Else the position is the first three numbers, after the name or the atomic number
 //! of an element. `sim.xyz#3` is the fourth frame.
 
-use super::bytes::{Bytes, Unpacking, View};
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{ByteView, Bytes, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::names::{Quantity, repeated_position};
 use super::table::unnamed_columns;
-use super::table::{HEAD, Named, Separator, Syntax, Table, excerpt, is_row, names_of};
+use super::table::{HEAD, Separator, Syntax, TableColumns, TextTable, excerpt, is_row, names_of};
 use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
-use super::windows::{Source, Windows};
+use super::windows::{InputBytes, Windows};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Bytes of raw numbers that distinguish f64 from f32.
@@ -25,7 +25,7 @@ const SAMPLED: usize = 4080;
 /// for f64.
 pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     const TRIPLE: usize = 12;
-    let source = Source::from(bytes);
+    let source = InputBytes::from(bytes);
     let bytes = source.count();
     let rest = bytes % TRIPLE;
     if rest > 0 {
@@ -39,7 +39,7 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         let what = "its numbers look like f64, but a raw .xyz contains f32; convert them";
         return Err(ReadFault::Unsupported(what.to_owned()));
     }
-    let rows = Rows::All(bytes / TRIPLE);
+    let rows = ParticleRows::All(bytes / TRIPLE);
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F32, endian: Endian::Little };
     let particles: ColumnStore =
         ColumnStore::new(source, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
@@ -58,7 +58,7 @@ fn are_f64(raw: &[u8]) -> bool {
 }
 
 /// A frame of a file.
-struct Frame {
+struct XyzFrame {
     /// The announced number of particles.
     count: u64,
     comment: String,
@@ -74,13 +74,13 @@ struct Frame {
 ///
 /// # Errors
 /// Errors of reading.
-pub(super) fn has_count(view: View) -> Result<bool, ReadFault> {
+pub(super) fn has_count(view: ByteView) -> Result<bool, ReadFault> {
     let mut lines = TextLines::new(view)?;
     let count = lines.line().ok().flatten().and_then(|line| count_of(&line));
     let Some(count) = count else { return Ok(false) };
     let Ok(Some(second)) = lines.line() else { return Ok(true) };
     let is_row = is_row(second.as_bytes());
-    let names_columns = || Named::of(names_in(&second)).is_some();
+    let names_columns = || TableColumns::of(names_in(&second)).is_some();
     if !is_row && !names_columns() {
         return Ok(true);
     }
@@ -107,7 +107,7 @@ fn names_in(comment: &str) -> Vec<String> {
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line between frames.
 pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
-    Ok(Frame::next(lines)?.is_some())
+    Ok(XyzFrame::next(lines)?.is_some())
 }
 
 /// Reads the frame at a place.
@@ -123,13 +123,13 @@ pub(super) fn read(
 ) -> Result<ParticleFile, ReadFault> {
     let view = bytes.view();
     let mut lines = TextLines::at(view, place)?;
-    let frame = Frame::next(&mut lines)?;
+    let frame = XyzFrame::next(&mut lines)?;
     let frame = frame.ok_or_else(|| lines.fault("expected the number of a frame's particles"))?;
     view.check()?;
     frame.read(bytes, wanted, unpacking)
 }
 
-impl Frame {
+impl XyzFrame {
     /// Reads the header of a frame and skips its rows; `None` at the end of the file.
     fn next(lines: &mut TextLines) -> Result<Option<Self>, ReadFault> {
         let line = loop {
@@ -180,9 +180,9 @@ impl Frame {
                         let what = format!("several columns are named {name:?}");
                         return Err(ReadFault::Line { line: lines_above, what });
                     }
-                    (syntax, named.then(|| Named::of(names)).flatten().unwrap_or(columns))
+                    (syntax, named.then(|| TableColumns::of(names)).flatten().unwrap_or(columns))
                 }
-                None if rows == 0 => (Syntax::BLANKS, Named::unnamed(0, 3)),
+                None if rows == 0 => (Syntax::BLANKS, TableColumns::unnamed(0, 3)),
                 None => {
                     let row = head.split(|&byte| byte == b'\n').next().unwrap_or_default();
                     let what = format!("no three numbers for x, y and z: {}", excerpt(row));
@@ -190,7 +190,7 @@ impl Frame {
                 }
             },
         };
-        let table = Table {
+        let table = TextTable {
             rows: start..end,
             lines_above,
             syntax,
@@ -221,7 +221,7 @@ fn value<'a>(comment: &'a str, key: &str) -> Option<&'a str> {
 }
 
 /// The columns of `species:S:1:pos:R:3`.
-fn columns_of(properties: &str) -> Result<Named, String> {
+fn columns_of(properties: &str) -> Result<TableColumns, String> {
     /// Maximum number of columns of a property.
     const MOST: usize = 64;
     let shown = || format!("Properties={}", excerpt(properties.as_bytes()));
@@ -240,7 +240,7 @@ fn columns_of(properties: &str) -> Result<Named, String> {
             _ => names.extend((0..count).map(|component| format!("{name}:{component}"))),
         }
     }
-    Named::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
+    TableColumns::of(names).ok_or_else(|| format!("{} without pos:R:3", shown()))
 }
 
 /// The edges of a box along the axes, from the nine numbers of its vectors.

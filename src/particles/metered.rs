@@ -4,17 +4,17 @@ use std::ops::Range;
 
 use crate::system::control::{Control, Meter, Stage};
 
-use super::{AttributeInfo, Label, Particles, Unread};
+use super::{AttributeInfo, Label, Particles, RereadError};
 
 /// Particles that have no positions after a cancel, so that every read ends soon.
 #[derive(Debug)]
-pub struct Metered<'a, P: ?Sized> {
+pub struct MeteredParticles<'a, P: ?Sized> {
     particles: &'a P,
     control: &'a Control,
     meter: Meter<'a>,
 }
 
-impl<'a, P: Particles + ?Sized> Metered<'a, P> {
+impl<'a, P: Particles + ?Sized> MeteredParticles<'a, P> {
     /// Counts the particles that are read once in a stage.
     pub fn new(particles: &'a P, control: &'a Control, stage: Stage) -> Self {
         Self { particles, control, meter: control.meter(stage, particles.len()) }
@@ -26,7 +26,7 @@ impl<'a, P: Particles + ?Sized> Metered<'a, P> {
     }
 }
 
-impl<P: Particles + ?Sized> Particles for Metered<'_, P> {
+impl<P: Particles + ?Sized> Particles for MeteredParticles<'_, P> {
     fn len(&self) -> usize {
         self.particles.len()
     }
@@ -39,7 +39,7 @@ impl<P: Particles + ?Sized> Particles for Metered<'_, P> {
         self.meter.add(out.len());
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         self.particles.check()
     }
 

@@ -6,7 +6,7 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::occurring::{Source, Value, values_of};
+use super::occurring::{AttributeOrLabel, Value, values_of};
 use super::{Particles, chunks};
 
 /// Names of attributes that distinguish materials, in lower case and without `_`.
@@ -67,9 +67,9 @@ pub struct Mixture {
 
 /// The bounding box of some particles.
 #[derive(Clone, Copy)]
-struct Extent([DVec3; 2]);
+struct BoundingBox([DVec3; 2]);
 
-impl Extent {
+impl BoundingBox {
     const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
 
     fn joined(self, other: Self) -> Self {
@@ -92,15 +92,16 @@ pub fn mixture(particles: &(impl Particles + ?Sized)) -> Option<Mixture> {
     let scalars = particles.attributes().iter().enumerate();
     let scalars = scalars.filter(|(_, info)| info.components == 1 && is_kind(&info.name));
     let labels = particles.labels().iter().enumerate().filter(|(_, label)| is_kind(&label.name));
-    let sources = scalars.map(|(index, info)| (Source::Attribute(index), &info.name));
-    let mut sources = sources.chain(labels.map(|(index, l)| (Source::Label(index), &l.name)));
+    let sources = scalars.map(|(index, info)| (AttributeOrLabel::Attribute(index), &info.name));
+    let mut sources =
+        sources.chain(labels.map(|(index, l)| (AttributeOrLabel::Label(index), &l.name)));
     sources.find_map(|(source, name)| by(particles, source, name))
 }
 
 /// Calls `take` with the positions and the values of some thousand particles at a time.
 fn each<T: Send>(
     particles: &(impl Particles + ?Sized),
-    source: Source,
+    source: AttributeOrLabel,
     take: impl Fn(&[[f64; 3]], &[u64]) -> T + Sync,
     joined: impl Fn(T, T) -> T + Send + Sync,
     none: impl Fn() -> T + Sync,
@@ -113,7 +114,11 @@ fn each<T: Send>(
     found.reduce(&none, joined)
 }
 
-fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Option<Mixture> {
+fn by(
+    particles: &(impl Particles + ?Sized),
+    source: AttributeOrLabel,
+    name: &str,
+) -> Option<Mixture> {
     let values =
         values_of(particles, source).filter(|values| (2..=MOST).contains(&values.len()))?;
     let finite = |position: &[f64; 3]| DVec3::from(*position).is_finite();
@@ -122,16 +127,17 @@ fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Opti
         particles,
         source,
         |positions, keys| {
-            let mut extents = [Extent::NONE; MOST];
+            let mut extents = [BoundingBox::NONE; MOST];
             for (position, key) in positions.iter().zip(keys).filter(|(p, _)| finite(p)) {
                 if let Some(place) = place(*key) {
-                    extents[place] = extents[place].joined(Extent([DVec3::from(*position); 2]));
+                    extents[place] =
+                        extents[place].joined(BoundingBox([DVec3::from(*position); 2]));
                 }
             }
             extents
         },
         |one, other| std::array::from_fn(|i| one[i].joined(other[i])),
-        || [Extent::NONE; MOST],
+        || [BoundingBox::NONE; MOST],
     );
     let pairs =
         (0..values.len()).flat_map(|outer| (0..values.len()).map(move |inner| (outer, inner)));
@@ -139,7 +145,7 @@ fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Opti
         |(outer, inner)| {
             let ((boundary, of_boundary, around), (fluid, of_fluid, within)) =
                 (&values[outer], &values[inner]);
-            let cells = Cells::of(extents[inner], *within);
+            let cells = FluidCells::of(extents[inner], *within);
             let visit = |key: u64, visit: &(dyn Fn(usize) + Sync)| {
                 let take = |positions: &[[f64; 3]], keys: &[u64]| {
                     let those =
@@ -168,14 +174,14 @@ fn by(particles: &(impl Particles + ?Sized), source: Source, name: &str) -> Opti
 }
 
 /// Cells in the bounding box of the fluid.
-struct Cells {
+struct FluidCells {
     lo: DVec3,
     scale: DVec3,
     count: i32,
 }
 
-impl Cells {
-    fn of(Extent([lo, hi]): Extent, particles: usize) -> Self {
+impl FluidCells {
+    fn of(BoundingBox([lo, hi]): BoundingBox, particles: usize) -> Self {
         let count = (particles as f64 / IN_CELL).cbrt().clamp(1.0, FINEST).floor();
         Self {
             lo,

@@ -23,7 +23,7 @@ use thiserror::Error;
 
 pub use cloud::{AttributeValue, Cloud};
 pub use kind::{AttributeKind, colour_attribute};
-pub use metered::Metered;
+pub use metered::MeteredParticles;
 
 /// A value of every particle.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -65,7 +65,7 @@ impl AttributeInfo {
 
 /// An error of reading particles again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-pub enum Unread {
+pub enum RereadError {
     /// The file of the particles was changed meanwhile.
     #[error("changed while it was read")]
     Changed,
@@ -97,8 +97,8 @@ pub trait Particles: Sync {
     /// Checks, after reading, that the particles did not change meanwhile.
     ///
     /// # Errors
-    /// [`Unread`], for particles of a file that changed: discard what was read.
-    fn check(&self) -> Result<(), Unread> {
+    /// [`RereadError`], for particles of a file that changed: discard what was read.
+    fn check(&self) -> Result<(), RereadError> {
         Ok(())
     }
 

@@ -42,9 +42,9 @@ impl std::fmt::Display for Value {
 /// Finds the scalar attributes and labels with few different values.
 pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<ValueCounts> {
     let scalars = particles.attributes().iter().enumerate().filter(|(_, i)| i.components == 1);
-    let sources = scalars.map(|(index, info)| (Source::Attribute(index), &info.name));
+    let sources = scalars.map(|(index, info)| (AttributeOrLabel::Attribute(index), &info.name));
     let labels = particles.labels().iter().enumerate();
-    let sources = sources.chain(labels.map(|(index, l)| (Source::Label(index), &l.name)));
+    let sources = sources.chain(labels.map(|(index, l)| (AttributeOrLabel::Label(index), &l.name)));
     let found = sources.filter_map(|(source, name)| {
         let values = values_of(particles, source)?;
         let values = values.into_iter().map(|(_, value, count)| (value, count)).collect();
@@ -55,14 +55,14 @@ pub fn occurring(particles: &(impl Particles + ?Sized)) -> Vec<ValueCounts> {
 
 /// A scalar attribute or a label.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Source {
+pub(super) enum AttributeOrLabel {
     /// A scalar attribute.
     Attribute(usize),
     /// A label.
     Label(usize),
 }
 
-impl Source {
+impl AttributeOrLabel {
     /// Sort keys of the values of a range of particles.
     pub(super) fn keys(
         self,
@@ -97,7 +97,7 @@ impl Source {
 /// many, or almost all occur once.
 pub(super) fn values_of(
     particles: &(impl Particles + ?Sized),
-    source: Source,
+    source: AttributeOrLabel,
 ) -> Option<Vec<(u64, Value, usize)>> {
     let counts = counted(particles, source)?;
     let values = counts.into_iter().map(|(key, n)| (key, source.value(particles, key), n));
@@ -106,7 +106,10 @@ pub(super) fn values_of(
 
 /// The number of particles with each key; `None` if there are too many keys, or almost all occur
 /// once.
-fn counted(particles: &(impl Particles + ?Sized), source: Source) -> Option<BTreeMap<u64, usize>> {
+fn counted(
+    particles: &(impl Particles + ?Sized),
+    source: AttributeOrLabel,
+) -> Option<BTreeMap<u64, usize>> {
     let all = particles.len();
     let counts = chunks(particles, |range| {
         let mut counts = BTreeMap::new();

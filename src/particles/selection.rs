@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::condition::{Comparison, Condition, Where};
 use super::occurring::{ValueCounts, occurring};
 use super::sieve::{GROUP, Sieve};
-use super::{AttributeInfo, Label, Particles, Unread, attribute_called};
+use super::{AttributeInfo, Label, Particles, RereadError, attribute_called};
 
 /// Names of the components of vectors, and of the axes of positions.
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -72,7 +72,7 @@ pub enum SelectionFault {
     },
     /// The particles cannot be read.
     #[error("{0}")]
-    Unread(#[from] Unread),
+    Unread(#[from] RereadError),
     /// The caller cancelled the work.
     #[error("cancelled")]
     Cancelled,
@@ -101,7 +101,7 @@ fn example(attribute: &str, components: usize) -> String {
 
 /// A number that every particle has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Number {
+enum ConditionOperand {
     /// A component of an attribute.
     Component(usize, usize),
     /// A coordinate.
@@ -110,9 +110,9 @@ enum Number {
 
 /// A condition on stored values.
 #[derive(Debug)]
-enum Test {
+enum StoredCondition {
     /// Compares a number with values.
-    Number(Number, Comparison, Vec<f64>),
+    Number(ConditionOperand, Comparison, Vec<f64>),
     /// Compares an integer component of an attribute for equality.
     Whole((usize, usize), Comparison, Vec<i64>),
     /// A label, with whether each of its texts satisfies the condition.
@@ -146,14 +146,18 @@ impl Condition {
         }
     }
 
-    fn number(&self, infos: &[AttributeInfo], labels: &[Label]) -> Result<Number, SelectionFault> {
+    fn number(
+        &self,
+        infos: &[AttributeInfo],
+        labels: &[Label],
+    ) -> Result<ConditionOperand, SelectionFault> {
         let name = self.name.clone();
         let Some(index) = self.attribute(infos) else {
             let axis = AXES.iter().position(|axis| name.eq_ignore_ascii_case(axis));
             let names = infos.iter().map(|info| &info.name);
             let known = || names.chain(labels.iter().map(|label| &label.name)).cloned().collect();
             let missing = || SelectionFault::NoAttribute { name, known: known() };
-            return axis.map(Number::Position).ok_or_else(missing);
+            return axis.map(ConditionOperand::Position).ok_or_else(missing);
         };
         let info = &infos[index];
         let named = attribute_called(&name, infos).is_none().then(|| component(&name)).flatten();
@@ -162,10 +166,14 @@ impl Condition {
             let (attribute, components) = (info.name.clone(), info.components);
             return Err(SelectionFault::Component { name, attribute, components });
         }
-        Ok(Number::Component(index, component))
+        Ok(ConditionOperand::Component(index, component))
     }
 
-    fn test(&self, infos: &[AttributeInfo], labels: &[Label]) -> Result<Test, SelectionFault> {
+    fn test(
+        &self,
+        infos: &[AttributeInfo],
+        labels: &[Label],
+    ) -> Result<StoredCondition, SelectionFault> {
         let name = &self.name;
         let is_called = |label: &Label| label.name == *name;
         let is_alike = |label: &Label| label.name.eq_ignore_ascii_case(name);
@@ -175,7 +183,7 @@ impl Condition {
             let order = || SelectionFault::Order { name: name.clone() };
             let passes = |text: &String| self.of_text(text).ok_or_else(order);
             let texts = labels[index].texts.iter().map(passes).collect::<Result<_, _>>()?;
-            return Ok(Test::Label(index, texts));
+            return Ok(StoredCondition::Label(index, texts));
         }
         let number = self.number(infos, labels)?;
         let value = |text: &String| {
@@ -185,17 +193,17 @@ impl Condition {
         let values = self.values.iter().map(value).collect::<Result<_, _>>()?;
         let whole: Option<Vec<i64>> = self.values.iter().map(|text| text.parse().ok()).collect();
         Ok(match (number, whole) {
-            (Number::Component(index, component), Some(whole))
+            (ConditionOperand::Component(index, component), Some(whole))
                 if infos[index].kind.is_whole() && !self.comparison.is_of_order() =>
             {
-                Test::Whole((index, component), self.comparison, whole)
+                StoredCondition::Whole((index, component), self.comparison, whole)
             }
-            _ => Test::Number(number, self.comparison, values),
+            _ => StoredCondition::Number(number, self.comparison, values),
         })
     }
 }
 
-impl Test {
+impl StoredCondition {
     /// Clears the bits of the particles in `range` that fail.
     fn apply(&self, particles: &(impl Particles + ?Sized), range: Range<usize>, words: &mut [u64]) {
         let (first, count) = (range.start, range.len());
@@ -203,10 +211,10 @@ impl Test {
             Self::Number(number, comparison, values) => {
                 let mut numbers = vec![0.0; count];
                 match *number {
-                    Number::Component(index, component) => {
+                    ConditionOperand::Component(index, component) => {
                         particles.component((index, component), first, &mut numbers)
                     }
-                    Number::Position(axis) => {
+                    ConditionOperand::Position(axis) => {
                         let mut positions = vec![[0.0; 3]; count];
                         particles.positions(first, &mut positions);
                         let along = positions.iter().map(|position| position[axis]);
@@ -284,12 +292,12 @@ impl SelectionFault {
 
 /// A selection of other particles.
 #[derive(Debug)]
-pub struct Selected<'a, P: ?Sized> {
+pub struct SelectedParticles<'a, P: ?Sized> {
     particles: &'a P,
     sieve: Sieve,
 }
 
-impl<'a, P: Particles + ?Sized> Selected<'a, P> {
+impl<'a, P: Particles + ?Sized> SelectedParticles<'a, P> {
     /// Selects particles with a sieve.
     pub fn new(particles: &'a P, sieve: Sieve) -> Self {
         Self { particles, sieve }
@@ -312,7 +320,7 @@ impl<'a, P: Particles + ?Sized> Selected<'a, P> {
     }
 }
 
-impl<P: Particles + ?Sized> Particles for Selected<'_, P> {
+impl<P: Particles + ?Sized> Particles for SelectedParticles<'_, P> {
     fn len(&self) -> usize {
         self.sieve.count()
     }
@@ -323,7 +331,7 @@ impl<P: Particles + ?Sized> Particles for Selected<'_, P> {
         });
     }
 
-    fn check(&self) -> Result<(), Unread> {
+    fn check(&self) -> Result<(), RereadError> {
         self.particles.check()
     }
 

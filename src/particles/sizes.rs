@@ -105,7 +105,7 @@ fn listed(names: &[String]) -> String {
 
 /// Indices of the attributes with the sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Columns {
+pub struct SizeAttributes {
     /// The attribute with the sizes.
     pub size: usize,
     /// The density, if the attribute is a mass.
@@ -144,16 +144,20 @@ impl SizeChoice {
     ///
     /// # Errors
     /// [`SizeFault`] for a requested attribute.
-    pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<Columns>, SizeFault> {
+    pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Option<SizeAttributes>, SizeFault> {
         match self {
             Self::Ignored => Ok(None),
             Self::Usual => {
                 let is_usual =
                     |info: &AttributeInfo| info.components == 1 && is_among(&info.name, &USUAL);
                 let size = infos.iter().position(is_usual);
-                Ok(size.map(|size| Columns { size, density: None, meaning: Meaning::Radius }))
+                Ok(size.map(|size| SizeAttributes {
+                    size,
+                    density: None,
+                    meaning: Meaning::Radius,
+                }))
             }
-            Self::Named(name) => Columns::named(name, infos).map(Some),
+            Self::Named(name) => SizeAttributes::named(name, infos).map(Some),
         }
     }
 }
@@ -178,7 +182,7 @@ impl Meaning {
     }
 }
 
-impl Columns {
+impl SizeAttributes {
     /// Finds the attribute with this name, and the density if it is a mass.
     ///
     /// # Errors
@@ -265,8 +269,11 @@ impl Sizes {
     ///
     /// # Errors
     /// [`SizeFault`] if they do not exist.
-    pub fn columns(&self, infos: &[AttributeInfo]) -> Result<Columns, SizeFault> {
-        Ok(Columns { meaning: self.meaning, ..Columns::named(&self.attribute, infos)? })
+    pub fn columns(&self, infos: &[AttributeInfo]) -> Result<SizeAttributes, SizeFault> {
+        Ok(SizeAttributes {
+            meaning: self.meaning,
+            ..SizeAttributes::named(&self.attribute, infos)?
+        })
     }
 
     /// Measures the sizes of particles; `None` if all have one size.
@@ -275,10 +282,10 @@ impl Sizes {
     /// [`SizeFault::NoSize`].
     pub fn found(
         particles: &(impl Particles + ?Sized),
-        columns: &Columns,
+        columns: &SizeAttributes,
     ) -> Result<Option<Self>, SizeFault> {
         let attribute = particles.attributes()[columns.size].name.clone();
-        let census = Census::of(particles, columns);
+        let census = SizeCounts::of(particles, columns);
         let none = || SizeFault::NoSize { name: attribute.clone() };
         let (finest, quantile) = census.range().ok_or_else(none)?;
         if quantile < ONE_SIZE * finest {
@@ -316,7 +323,7 @@ impl Sizes {
 }
 
 /// Numbers of particles by size, in steps of an eighth of an octave.
-struct Census {
+struct SizeCounts {
     /// The number of particles, the smallest and the largest size of each step.
     steps: HashMap<u64, (u64, f64, f64)>,
     invalid: u64,
@@ -325,8 +332,8 @@ struct Census {
 /// Bits of a number that do not affect its step: all except the exponent and three bits.
 const STEP_BITS: u32 = 49;
 
-impl Census {
-    fn of(particles: &(impl Particles + ?Sized), columns: &Columns) -> Self {
+impl SizeCounts {
+    fn of(particles: &(impl Particles + ?Sized), columns: &SizeAttributes) -> Self {
         let of_chunk = |range: std::ops::Range<usize>| {
             let mut census = Self { steps: HashMap::new(), invalid: 0 };
             for size in columns.read(particles, range.start, range.len()) {
@@ -398,7 +405,7 @@ impl Census {
 /// with particles all around them. `None` for too few such cells.
 fn filling(
     particles: &(impl Particles + ?Sized),
-    columns: &Columns,
+    columns: &SizeAttributes,
     sizes: &Sizes,
     edge: f64,
 ) -> Option<f64> {
@@ -457,7 +464,7 @@ mod tests {
         assert_eq!(usual(&["age", "pscale"]), Some(1));
         assert_eq!(usual(&["Radius"]), Some(0));
         assert_eq!(usual(&["h", "mass", "density", "volume"]), None);
-        let named = |name: &str, names: &[&str]| Columns::named(name, &infos(names));
+        let named = |name: &str, names: &[&str]| SizeAttributes::named(name, &infos(names));
         let mass = named("Masses", &["Masses", "Densities"]).unwrap();
         assert_eq!((mass.meaning, mass.density), (Meaning::Mass, Some(1)));
         assert!(matches!(named("mass", &["mass", "h"]), Err(SizeFault::NoDensity { .. })));

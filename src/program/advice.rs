@@ -3,15 +3,15 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Error, FrameError, NoEstimate, PartsError, ReadFault, Remedy, SimulationError,
-    TooFine, Unread, WriteFault, shown, significant,
+    BinError, Error, FrameError, NoEstimate, PartsError, ReadFault, Remedy, RereadError,
+    SimulationError, TooFine, WriteFault, shown, significant,
 };
 use meniscus::{
     Comparison, Condition, EmptyReason, Mixture, SpacingMistake, SpacingSource, SpacingWarning,
     TooSmall, Warning,
 };
 
-use super::options::Options;
+use super::options::ReconstructOptions;
 
 /// Prints an error with advice.
 pub fn say_error(error: &Error) {
@@ -105,7 +105,7 @@ fn advice(error: &Error) -> String {
 
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
-        FrameError::Unread(Unread::Changed) => "; convert it when it is complete",
+        FrameError::Unread(RereadError::Changed) => "; convert it when it is complete",
         FrameError::Bin(BinError::NotFinite { .. }) => {
             "; use --skip-invalid to leave out such particles"
         }
@@ -190,7 +190,7 @@ fn on_lost(smoothed: bool) -> &'static str {
 }
 
 /// The text of a warning, with advice that suits the other options.
-pub fn warning_message(warning: &Warning, options: Option<&Options>) -> String {
+pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) -> String {
     match warning {
         Warning::Spacing(warning) => spacing_message(warning),
         Warning::Coincident { found, .. } if found.alone => {
@@ -217,7 +217,11 @@ pub fn warning_message(warning: &Warning, options: Option<&Options>) -> String {
 }
 
 /// Advice for a surface that encloses too little.
-fn on_shortfall(options: Option<&Options>, clouds: bool, calibration_frame: Option<i64>) -> String {
+fn on_shortfall(
+    options: Option<&ReconstructOptions>,
+    clouds: bool,
+    calibration_frame: Option<i64>,
+) -> String {
     let mut advice = String::new();
     if let Some(frame) = calibration_frame {
         let what = if clouds { "its plateau" } else { "its isovalue" };
@@ -295,7 +299,7 @@ mod tests {
             frame(FrameError::TooFine(steps)),
             frame(FrameError::TooFine(TooFine::Finest { cell_size: 0.001, spacing: 0.05 })),
             frame(FrameError::TooFine(TooFine::Symmetry { cell_size: 0.02, spacing: 0.05 })),
-            frame(FrameError::Unread(Unread::Changed)),
+            frame(FrameError::Unread(RereadError::Changed)),
             frame(FrameError::Bin(BinError::NotFinite { index: 7, position: [f64::NAN; 3] })),
             frame(FrameError::NoDistanceSurface),
             frame(FrameError::NoKernelSurface),

@@ -18,19 +18,19 @@ pub struct Arguments {
 #[derive(Subcommand)]
 pub enum Command {
     /// Make a mesh of a frame of particles, or of each frame of a simulation.
-    Reconstruct(Box<options::Options>),
+    Reconstruct(Box<options::ReconstructOptions>),
     /// Pack a frame, to mesh it later with different smoothing or isovalues.
-    Pack(Box<pack::Options>),
+    Pack(Box<pack::PackOptions>),
     /// Print what particle files, packed frames or meshes contain.
-    Info(info::Options),
+    Info(info::InfoOptions),
     /// Check that meshes are closed, oriented and manifold, and measure them.
     Check(inspect::CheckOptions),
     /// List the Vulkan devices of this machine.
-    Devices(devices::Options),
+    Devices(devices::DevicesOptions),
     /// Measure the distances between a mesh and a reference mesh.
     Compare(inspect::CompareOptions),
     /// Draw pictures and animations of meshes.
-    Render(render::Options),
+    Render(render::RenderOptions),
     /// Print a completion script for a shell.
     Completions(shells::CompletionOptions),
     /// Write man pages into a folder.

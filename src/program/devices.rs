@@ -8,14 +8,14 @@ use serde_json::json;
 use super::notes::Verdict;
 
 #[derive(Args)]
-pub struct Options {
+pub struct DevicesOptions {
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
 /// Runs the command.
-pub fn run(options: &Options) -> Result<Verdict, Error> {
+pub fn run(options: &DevicesOptions) -> Result<Verdict, Error> {
     let devices = Instance::connect(false)?.devices()?;
     if options.json {
         super::notes::print_json(&devices.iter().map(record).collect::<Vec<_>>())?;

@@ -15,7 +15,7 @@ use super::advice::say_error;
 use super::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
-pub struct Options {
+pub struct InfoOptions {
     /// Particle files, packed frames (.mnf) or meshes; also folders, globs, or patterns with {} for
     /// the frame number.
     #[arg(required = true, value_name = "FILE")]
@@ -32,8 +32,8 @@ pub struct Options {
 }
 
 /// Runs the command.
-pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let Options { format, r#where, .. } = options;
+pub fn run(options: &InfoOptions) -> Result<Verdict, Error> {
+    let InfoOptions { format, r#where, .. } = options;
     let settings = Settings { format: *format, r#where: r#where.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
     for file in files(&options.files, is_listed)? {

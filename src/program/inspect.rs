@@ -33,7 +33,7 @@ pub struct CompareOptions {
 }
 
 #[derive(Serialize)]
-struct Checked {
+struct MeshCheck {
     mesh: PathBuf,
     closed_oriented_manifold: bool,
     report: CheckReport,
@@ -47,7 +47,7 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {
         let mesh = read_mesh(&path)?;
         let report = meniscus::mesh::check(&mesh);
-        let checked = Checked {
+        let checked = MeshCheck {
             mesh: path.clone(),
             closed_oriented_manifold: report.is_closed_oriented_manifold(),
             report,

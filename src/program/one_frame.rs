@@ -9,10 +9,10 @@ use meniscus::{Error, Reconstruction, Surface};
 
 use super::interrupt;
 use super::notes::Notes;
-use super::options::Options;
+use super::options::ReconstructOptions;
 use super::report::{report, report_device, report_stages, warn_all};
 use super::run::bytes_of;
-use super::stats::{Made, record};
+use super::stats::{MeshStats, record};
 
 /// Rejects a file that is both an input and an output, or two outputs.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
@@ -23,7 +23,7 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
 }
 
 /// A checked request with its output files.
-pub struct Ready {
+pub struct PreparedRequest {
     pub request: Reconstruction,
     pub output: Output,
     pub preview: Option<PictureFile>,
@@ -31,7 +31,7 @@ pub struct Ready {
 }
 
 /// Checks a request for one frame, and prepares its output files.
-pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
+pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<PreparedRequest, Error> {
     let notes = options.run.notes();
     match options.parts.parts {
         Some(_) => options.simulation.refuse_for_parts()?,
@@ -62,7 +62,7 @@ pub fn ready(options: &Options, inputs: &[PathBuf]) -> Result<Ready, Error> {
     // Attributes that the file cannot store need not be computed.
     let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
-    Ok(Ready { request, output, preview, notes })
+    Ok(PreparedRequest { request, output, preview, notes })
 }
 
 /// Draws the preview beside a mesh.
@@ -76,7 +76,7 @@ fn draw_preview(surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(
 
 /// Reports a surface, and writes it with its preview.
 pub fn write(
-    options: &Options,
+    options: &ReconstructOptions,
     input: &Path,
     surface: &Surface,
     request: &Reconstruction,
@@ -106,6 +106,7 @@ pub fn write(
     report_stages(&stages, notes);
     report_device(request.device(), 1, notes);
     let counts = [mesh.vertex_count(), mesh.triangle_count(), bytes];
-    let made = Made { input, output: &options.output, counts, stages: &stages, lost: report.lost };
+    let made =
+        MeshStats { input, output: &options.output, counts, stages: &stages, lost: report.lost };
     options.append_stats(|| record(options, report, &made))
 }

@@ -22,7 +22,7 @@ fn inputs() -> String {
 }
 
 #[derive(Args)]
-pub struct Options {
+pub struct ReconstructOptions {
     #[arg(required = true, value_name = "INPUT", help = INPUT, long_help = format!("{INPUT}.\n\n{}", inputs()))]
     pub inputs: Vec<PathBuf>,
     /// Make one surface of the particles of all inputs, such as several fluids.
@@ -55,7 +55,7 @@ pub struct Options {
     pub run: RunOptions,
 }
 
-impl Options {
+impl ReconstructOptions {
     /// The request for a surface, without threads, memory and backend.
     pub fn request(&self) -> Result<Reconstruction, Error> {
         let request = Reconstruction::new().with_settings(self.settings.clone());

@@ -14,7 +14,7 @@ use super::report::{report_census, report_opened, report_stages, warn_all};
 use super::run::{RunOptions, bytes_of};
 
 #[derive(Args)]
-pub struct Options {
+pub struct PackOptions {
     #[arg(value_name = "INPUT", help = "Particle file", long_help = format!("Particle file: {}.", InputFormat::KNOWN))]
     input: PathBuf,
     /// Packed frame: .mnf.
@@ -27,8 +27,8 @@ pub struct Options {
 }
 
 /// Runs the command.
-pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let Options { input, output, settings, run } = options;
+pub fn run(options: &PackOptions) -> Result<Verdict, Error> {
+    let PackOptions { input, output, settings, run } = options;
     let notes = run.notes();
     let request = Reconstruction::new().with_settings(settings.clone());
     request.check_packing()?;

@@ -10,24 +10,24 @@ use meniscus::{Error, Indicator, PartDone, PartNeeds, Parts, PartsPlan, Reconstr
 
 use super::notes::Notes;
 use super::notes::{Verdict, print};
-use super::one_frame::{Ready, ready, write};
-use super::options::Options;
+use super::one_frame::{PreparedRequest, ready, write};
+use super::options::ReconstructOptions;
 use super::report::{report_cells, report_census, report_stages, warn_all};
 
 /// Runs the requested step of `count` parts.
-pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error> {
+pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Verdict, Error> {
     let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
         _ if options.dry_run => {
             Some("--dry-run does not support --parts: --plan prints what each part takes")
         }
-        Step::Plan | Step::Part(_) if options.stats.is_some() => {
+        PartsStep::Plan | PartsStep::Part(_) if options.stats.is_some() => {
             Some("--stats needs --merge: the other steps of --parts make no mesh")
         }
-        Step::Plan | Step::Part(_) if options.preview => {
+        PartsStep::Plan | PartsStep::Part(_) if options.preview => {
             Some("--preview needs --merge: the other steps of --parts make no mesh")
         }
-        Step::Merge if options.simulation.resume => {
+        PartsStep::Merge if options.simulation.resume => {
             Some("--resume needs --plan: --merge always writes the whole mesh")
         }
         _ => None,
@@ -35,18 +35,18 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
     if let Some(what) = refused {
         return Err(Error::Request(what.into()));
     }
-    let Ready { request, output, preview, notes } = ready(options, &[input.to_owned()])?;
+    let PreparedRequest { request, output, preview, notes } = ready(options, &[input.to_owned()])?;
     let parts = parts(options, &request, input, count);
     match step {
-        Step::Plan => {
+        PartsStep::Plan => {
             drop(output);
             plan(options, &parts, &notes)
         }
-        Step::Part(part) => {
+        PartsStep::Part(part) => {
             drop(output);
             make(options, &parts, part, &notes)
         }
-        Step::Merge => {
+        PartsStep::Merge => {
             let surface = parts.merge()?;
             let made = surface.report();
             notes.say(format!("{}: {count} parts", parts.folder().display()));
@@ -61,7 +61,12 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
     }
 }
 
-fn parts(options: &Options, request: &Reconstruction, input: &Path, count: u32) -> Parts {
+fn parts(
+    options: &ReconstructOptions,
+    request: &Reconstruction,
+    input: &Path,
+    count: u32,
+) -> Parts {
     let parts = request.parts(input, &options.output, count);
     match (replace(options), options.simulation.resume) {
         (Replace::Allow, _) => parts.overwrite(),
@@ -70,11 +75,11 @@ fn parts(options: &Options, request: &Reconstruction, input: &Path, count: u32) 
     }
 }
 
-fn replace(options: &Options) -> Replace {
+fn replace(options: &ReconstructOptions) -> Replace {
     if options.run.overwrite { Replace::Allow } else { Replace::Refuse }
 }
 
-fn plan(options: &Options, parts: &Parts, notes: &Notes) -> Result<Verdict, Error> {
+fn plan(options: &ReconstructOptions, parts: &Parts, notes: &Notes) -> Result<Verdict, Error> {
     let planned = parts.plan()?;
     let PartsPlan { particles, format, cells, moved_to, indicator, .. } = &planned;
     notes.say(format!("{}: {particles} particles, {format}", options.inputs[0].display()));
@@ -112,7 +117,12 @@ fn listed(planned: &PartsPlan) -> String {
     lines.join("\n")
 }
 
-fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Verdict, Error> {
+fn make(
+    options: &ReconstructOptions,
+    parts: &Parts,
+    part: u32,
+    notes: &Notes,
+) -> Result<Verdict, Error> {
     let PartDone { path, bytes, blocks, triangles, read, reused, warnings, timings, .. } =
         parts.part(part)?;
     warn_all(&warnings, Some(options), notes);
@@ -158,7 +168,7 @@ pub struct PartsOptions {
 }
 
 /// A step of a mesh in parts.
-pub enum Step {
+pub enum PartsStep {
     Plan,
     Part(u32),
     Merge,
@@ -166,11 +176,11 @@ pub enum Step {
 
 impl PartsOptions {
     /// The requested step; `plan` if --plan was given.
-    pub fn step(&self, plan: bool) -> Result<Step, Error> {
+    pub fn step(&self, plan: bool) -> Result<PartsStep, Error> {
         match (plan, self.part, self.merge) {
-            (true, ..) => Ok(Step::Plan),
-            (false, Some(part), _) => Ok(Step::Part(part)),
-            (false, None, true) => Ok(Step::Merge),
+            (true, ..) => Ok(PartsStep::Plan),
+            (false, Some(part), _) => Ok(PartsStep::Part(part)),
+            (false, None, true) => Ok(PartsStep::Merge),
             (false, None, false) => {
                 Err(Error::Request("--parts needs --plan, --part I or --merge".into()))
             }

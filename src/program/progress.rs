@@ -19,11 +19,11 @@ pub enum ProgressMode {
 }
 
 /// Progress bars, if enabled: one for all frames, and one for each lane.
-pub struct Progress {
+pub struct ProgressBars {
     bars: Option<(ProgressBar, Vec<ProgressBar>)>,
 }
 
-impl Progress {
+impl ProgressBars {
     /// Starts bars for `bytes` of input, and returns the notes to use with them. The estimate of
     /// the remaining time uses bytes, because frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
@@ -37,7 +37,7 @@ impl Progress {
         }
         let all = match mode {
             ProgressMode::Always if !io::stderr().is_terminal() => MultiProgress::with_draw_target(
-                ProgressDrawTarget::term_like_with_hz(Box::new(Pretended), 2),
+                ProgressDrawTarget::term_like_with_hz(Box::new(TerminalOutput), 2),
             ),
             _ => MultiProgress::new(),
         };
@@ -93,9 +93,9 @@ impl Progress {
 /// A terminal on standard error, also for callers that forward it to a terminal. Write errors are
 /// ignored.
 #[derive(Debug)]
-struct Pretended;
+struct TerminalOutput;
 
-impl Pretended {
+impl TerminalOutput {
     fn put(text: &str) -> io::Result<()> {
         let _ = io::stderr().write_all(text.as_bytes());
         Ok(())
@@ -106,7 +106,7 @@ impl Pretended {
     }
 }
 
-impl TermLike for Pretended {
+impl TermLike for TerminalOutput {
     fn width(&self) -> u16 {
         80
     }

@@ -5,17 +5,17 @@ use std::path::{Path, PathBuf};
 use bytesize::ByteSize;
 use meniscus::error::shown;
 use meniscus::files::{InputFormat, MeshFormat, files};
-use meniscus::{Error, Needs, Opened, Simulation};
+use meniscus::{Error, Needs, OpenedFrame, Simulation};
 
 use super::notes::{Verdict, print};
-use super::one_frame::{Ready, ready, write};
-use super::options::Options;
+use super::one_frame::{PreparedRequest, ready, write};
+use super::options::ReconstructOptions;
 use super::parts;
 use super::report::report_opened;
 use super::simulation;
 
 /// Runs the command.
-pub fn run(options: &Options) -> Result<Verdict, Error> {
+pub fn run(options: &ReconstructOptions) -> Result<Verdict, Error> {
     if options.together {
         return run_together(options);
     }
@@ -31,7 +31,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 }
 
 /// Joins the inputs, as one frame or frame by frame.
-fn run_together(options: &Options) -> Result<Verdict, Error> {
+fn run_together(options: &ReconstructOptions) -> Result<Verdict, Error> {
     if options.parts.parts.is_some() {
         return Err(Error::Request(
             "--parts reads a single file and cannot be used with --together".into(),
@@ -47,8 +47,8 @@ fn run_together(options: &Options) -> Result<Verdict, Error> {
     }
 }
 
-fn run_frame(options: &Options, inputs: &[PathBuf]) -> Result<Verdict, Error> {
-    let Ready { request, output, preview, notes } = ready(options, inputs)?;
+fn run_frame(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Verdict, Error> {
+    let PreparedRequest { request, output, preview, notes } = ready(options, inputs)?;
     let opened = request.open_together(inputs)?;
     let input = &inputs[0];
     report_opened(inputs, &opened, &notes);
@@ -64,7 +64,11 @@ fn run_frame(options: &Options, inputs: &[PathBuf]) -> Result<Verdict, Error> {
 }
 
 /// The text of a dry run: what would be done, with estimates.
-fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<String, Error> {
+fn dry_run(
+    options: &ReconstructOptions,
+    opened: &OpenedFrame,
+    format: MeshFormat,
+) -> Result<String, Error> {
     let output = options.output.display();
     let Some(needs) = opened.needs(format)? else {
         return Ok(format!("would reconstruct {} particles into {output}", opened.particles()));

@@ -16,7 +16,7 @@ use super::notes::Notes;
 use super::notes::Verdict;
 
 #[derive(Args)]
-pub struct Options {
+pub struct RenderOptions {
     /// Meshes: files, a folder, a glob, or a pattern with {} for the frame number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
@@ -46,7 +46,7 @@ pub struct Options {
     /// Colour: water; a colour such as ff8800; an attribute such as velocity, with a colour map as
     /// in velocity:turbo; or distance:red-blue with --reference.
     #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
-    colour: Asked,
+    colour: ColourArgument,
     /// Colour by the distance from this mesh, negative inside, in the meshes' unit of length.
     #[arg(long, value_name = "MESH")]
     reference: Option<PathBuf>,
@@ -69,7 +69,7 @@ pub struct Options {
 }
 
 /// Runs the command.
-pub fn run(options: &Options) -> Result<Verdict, Error> {
+pub fn run(options: &RenderOptions) -> Result<Verdict, Error> {
     let notes = Notes::new(options.quiet, false);
     let memory = options.memory.map_or_else(|| default_memory().0, |size| size.as_u64());
     let mut picture = Picture::new()
@@ -128,7 +128,7 @@ fn view(numbers: &[f64]) -> Result<View, Error> {
 
 /// A colour on the command line.
 #[derive(Clone)]
-enum Asked {
+enum ColourArgument {
     Colour(Colour),
     Named(String, Option<ColourMap>),
 }
@@ -136,10 +136,10 @@ enum Asked {
 /// The name of the distance from a reference.
 const DISTANCE: &str = "distance";
 
-impl Options {
+impl RenderOptions {
     fn colour(&self) -> Result<Colour, Error> {
         let (name, map) = match (&self.colour, &self.reference) {
-            (Asked::Named(name, map), Some(path)) if name == DISTANCE => {
+            (ColourArgument::Named(name, map), Some(path)) if name == DISTANCE => {
                 let mesh = read_mesh(path)?;
                 let fail = |fault| Error::Picture { path: Some(path.clone()), fault };
                 let from = Reference::new(&mesh).map_err(fail)?;
@@ -152,22 +152,22 @@ impl Options {
                 let what = format!("{}: --reference needs --colour {DISTANCE}", path.display());
                 return Err(Error::Request(what));
             }
-            (Asked::Colour(colour), None) => return Ok(colour.clone()),
-            (Asked::Named(name, map), None) => (name.clone(), map.unwrap_or_default()),
+            (ColourArgument::Colour(colour), None) => return Ok(colour.clone()),
+            (ColourArgument::Named(name, map), None) => (name.clone(), map.unwrap_or_default()),
         };
         Ok(Colour::Attribute { name, map })
     }
 }
 
-fn colour(text: &str) -> Result<Asked, String> {
+fn colour(text: &str) -> Result<ColourArgument, String> {
     if text == "water" {
-        return Ok(Asked::Colour(Colour::Water));
+        return Ok(ColourArgument::Colour(Colour::Water));
     }
     let digits = text.strip_prefix('#').unwrap_or(text);
     if digits.len() == 6
         && let Ok(rgb) = u32::from_str_radix(digits, 16)
     {
-        return Ok(Asked::Colour(Colour::Solid(
+        return Ok(ColourArgument::Colour(Colour::Solid(
             [rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8),
         )));
     }
@@ -177,5 +177,5 @@ fn colour(text: &str) -> Result<Asked, String> {
         }
         None => (text, None),
     };
-    Ok(Asked::Named(name.to_owned(), map))
+    Ok(ColourArgument::Named(name.to_owned(), map))
 }

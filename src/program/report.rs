@@ -7,16 +7,16 @@ use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::{shown, significant};
 use meniscus::mesh::MeshSource;
 use meniscus::{
-    Calibrated, Cells, Census, IndicatorKind, Isovalue, Opened, Plateau, Report, SpacingSource,
-    SpacingWarning, Timings, Warning,
+    Cells, Census, IndicatorKind, Isovalue, MeasuredCalibration, OpenedFrame, Plateau, Report,
+    SpacingSource, SpacingWarning, Timings, Warning,
 };
 
 use super::advice::{spacing_message, warning_message};
 use super::notes::Notes;
-use super::options::Options;
+use super::options::ReconstructOptions;
 
 /// Prints what was opened, and the chosen cells.
-pub fn report_opened(inputs: &[PathBuf], opened: &Opened, notes: &Notes) {
+pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     notes.say(format!(
         "{}: {} particles, {}",
@@ -65,7 +65,7 @@ pub fn report_cells(
 }
 
 /// Prints everything about a surface.
-pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
+pub fn report(options: &ReconstructOptions, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
     warn_all(&report.warnings, Some(options), notes);
     report
         .measured
@@ -92,8 +92,13 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
 }
 
 /// Prints the level of the surface, and the resolution of the field.
-fn report_calibration(report: &Report, measured: &Calibrated, options: &Options, notes: &Notes) {
-    let &Calibrated { calibration, plateau, step_cells } = measured;
+fn report_calibration(
+    report: &Report,
+    measured: &MeasuredCalibration,
+    options: &ReconstructOptions,
+    notes: &Notes,
+) {
+    let &MeasuredCalibration { calibration, plateau, step_cells } = measured;
     let facts = &report.facts;
     notes.detail(format!(
         "a step of the field moves the surface by {} cells",
@@ -174,7 +179,7 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
 
 /// Prints the warnings about a surface, with advice. Warnings about the spacing were already
 /// printed when it was chosen.
-pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
+pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {
             *source != SpacingSource::Packed

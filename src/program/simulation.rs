@@ -12,13 +12,13 @@ use super::advice::{error_message, spacing_message, warning_message};
 use super::interrupt;
 use super::notes::Notes;
 use super::notes::{Verdict, print};
-use super::options::Options;
-use super::progress::{Progress, ProgressMode};
+use super::options::ReconstructOptions;
+use super::progress::{ProgressBars, ProgressMode};
 use super::report::{report_census, report_device, too_small, warn_all};
 use super::stats::{of_failed, of_frame};
 
 /// Runs the command for each simulation in the inputs.
-pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> {
+pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdict, Error> {
     let mut simulation = options.simulation.of(simulation);
     if options.run.overwrite {
         simulation = simulation.overwrite();
@@ -78,10 +78,10 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
 
 /// Prints messages for events.
 struct Listener<'a> {
-    options: &'a Options,
+    options: &'a ReconstructOptions,
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
-    bars: Option<(Progress, Notes)>,
+    bars: Option<(ProgressBars, Notes)>,
     /// Parts of frames that were not read, with the number of frames that have each.
     left_out: BTreeMap<String, usize>,
     /// The failure to write the statistics.
@@ -96,7 +96,7 @@ impl Listener<'_> {
         if self.bad { Verdict::Bad } else { Verdict::Good }
     }
 
-    fn progress(&self) -> Option<&Progress> {
+    fn progress(&self) -> Option<&ProgressBars> {
         self.bars.as_ref().map(|(progress, _)| progress)
     }
 
@@ -120,7 +120,7 @@ impl Listener<'_> {
                 let idle = frames == done && !followed;
                 let mode =
                     if idle { ProgressMode::Never } else { self.options.simulation.progress };
-                self.bars = Some(Progress::start(mode, bytes, lanes, self.notes.clone()));
+                self.bars = Some(ProgressBars::start(mode, bytes, lanes, self.notes.clone()));
             }
             Event::FrameAppeared { bytes } => {
                 self.progress().into_iter().for_each(|bars| bars.lengthen(*bytes))
@@ -138,7 +138,7 @@ impl Listener<'_> {
                 self.bad = true;
             }
             Event::Ended(summary) => {
-                self.progress().into_iter().for_each(Progress::finish);
+                self.progress().into_iter().for_each(ProgressBars::finish);
                 self.bars = None;
                 self.ended(summary);
             }
@@ -165,7 +165,7 @@ impl Listener<'_> {
             let warning = warning_message(warning, Some(self.options));
             self.notes().warn(&format!("{}: {warning}", done.input.display()));
         }
-        if self.progress().is_some_and(Progress::has_bars) {
+        if self.progress().is_some_and(ProgressBars::has_bars) {
             self.notes().detail(done.to_string());
         } else {
             self.notes().say(done.to_string());

@@ -9,10 +9,10 @@ use meniscus::{Error, FrameDone, FrameFailed, MethodName, Report, Timings, peak_
 use serde_json::{Map, Value, json};
 
 use super::advice::error_message;
-use super::options::Options;
+use super::options::ReconstructOptions;
 
 /// The mesh of a frame.
-pub struct Made<'a> {
+pub struct MeshStats<'a> {
     pub input: &'a Path,
     pub output: &'a Path,
     /// Vertices, triangles, and bytes of the file.
@@ -22,7 +22,7 @@ pub struct Made<'a> {
     pub lost: u64,
 }
 
-impl Options {
+impl ReconstructOptions {
     /// Checks before the work that statistics can be appended, without creating the file. A folder
     /// that will be created for the meshes need not exist yet.
     pub fn prepare_stats(&self) -> Result<(), Error> {
@@ -56,7 +56,7 @@ impl Options {
 }
 
 /// The record of a frame of a simulation.
-pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
+pub fn of_frame(options: &ReconstructOptions, done: &FrameDone) -> Value {
     let FrameDone { input, output, mesh, report, lost, .. } = done;
     let mut stats = match report {
         Some(report) => {
@@ -64,7 +64,7 @@ pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
             record(
                 options,
                 report,
-                &Made { input, output, counts, stages: &report.timings, lost: *lost },
+                &MeshStats { input, output, counts, stages: &report.timings, lost: *lost },
             )
         }
         None => {
@@ -83,8 +83,8 @@ pub fn of_failed(failed: &FrameFailed) -> Value {
 }
 
 /// The record of a frame.
-pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
-    let Made { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
+pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_>) -> Value {
+    let MeshStats { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
     let seconds =
         stages.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
     let facts = &report.facts;

@@ -8,7 +8,7 @@ use crate::field::calibration::Calibration;
 use crate::grid::units::{Isovalue, MeanCount, UnitError};
 
 #[derive(Serialize, Deserialize)]
-struct Numbers {
+struct CalibrationNumbers {
     mu0: Option<f64>,
     isovalue: Option<f64>,
     plateau: Option<u16>,
@@ -22,12 +22,12 @@ pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S:
         Some(Calibration::Clouds { plateau }) => Some(*plateau),
         _ => None,
     };
-    Numbers { mu0, isovalue, plateau }.serialize(to)
+    CalibrationNumbers { mu0, isovalue, plateau }.serialize(to)
 }
 
 /// Reads a calibration, and rejects values that cannot have been measured.
 pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
-    let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
+    let CalibrationNumbers { mu0, isovalue, plateau } = CalibrationNumbers::deserialize(from)?;
     let calibration = |iso| {
         let mean = mu0.map(MeanCount::new).transpose()?;
         Ok::<_, UnitError>(Calibration::Indicator { mean, iso: Isovalue::new(iso)? })

@@ -3,31 +3,31 @@
 
 use crate::error::Error;
 use crate::io::output::MeshFormat;
-use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::particles::sizes::SizeChoice;
 use crate::particles::{AttributeInfo, attribute_called, velocity_attribute};
 use crate::settings::{Settings, Where};
 
-use super::checked::Checked;
+use super::checked::CheckedRequest;
 
-impl Checked {
+impl CheckedRequest {
     /// The particles and attributes that must be read from an input.
-    pub(crate) fn wanted(&self) -> Wanted<'_> {
+    pub(crate) fn wanted(&self) -> WantedParticles<'_> {
         self.settings.wanted(&self.sampling.size)
     }
 }
 
 impl Settings {
     /// The particles and attributes that must be read from an input, with those for `sizes`.
-    pub(crate) fn wanted<'a>(&'a self, sizes: &'a SizeChoice) -> Wanted<'a> {
+    pub(crate) fn wanted<'a>(&'a self, sizes: &'a SizeChoice) -> WantedParticles<'a> {
         let (names, conditions) = (self.attribute_names(), self.conditions());
         let attributes = WantedAttributes::Only { names, conditions, sizes };
-        Wanted {
+        WantedParticles {
             format: self.format,
             particle_type: Where::particle_type(self.conditions()),
             attributes,
             conditions,
-            ..Wanted::default()
+            ..WantedParticles::default()
         }
     }
 

@@ -43,7 +43,7 @@ impl CellSize {
 
 /// The origin of particles, as far as it affects their spacing.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Source<'a> {
+pub struct SpacingHints<'a> {
     /// The file, beside which there may be a scene file.
     pub path: Option<&'a Path>,
     /// The spacing in the file.

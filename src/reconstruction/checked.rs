@@ -33,7 +33,7 @@ use crate::system::memory::default_memory;
 use super::builder::Reconstruction;
 use super::threads::Threads;
 use super::warning::Warning;
-use super::{CellSize, SamplingRequest, Search};
+use super::{CellSize, SamplingRequest, WallSearch};
 
 /// Maximum number of threads of a call: more than the cores of any machine, but few enough to
 /// start.
@@ -41,7 +41,7 @@ const MOST_THREADS: usize = 1024;
 
 /// A request that can be run.
 #[derive(Debug, Clone)]
-pub(crate) struct Checked {
+pub(crate) struct CheckedRequest {
     pub(crate) settings: Settings,
     pub(crate) sampling: SamplingRequest,
     pub(crate) surfacing: Surfacing,
@@ -58,19 +58,19 @@ pub(crate) struct Checked {
 
 /// A checked request with its own threads.
 #[derive(Debug, Clone)]
-pub(crate) struct Started {
-    pub(crate) checked: Arc<Checked>,
+pub(crate) struct StartedRequest {
+    pub(crate) checked: Arc<CheckedRequest>,
     pub(crate) threads: Arc<ThreadPool>,
 }
 
 impl Reconstruction {
     /// Checks all numbers, and the settings as far as this needs no input.
-    pub(crate) fn checked(&self) -> Result<Checked, Error> {
+    pub(crate) fn checked(&self) -> Result<CheckedRequest, Error> {
         self.checked_without_solids()?.at_solids()
     }
 
     /// Checks everything except the solids, which may differ from frame to frame.
-    pub(crate) fn checked_without_solids(&self) -> Result<Checked, Error> {
+    pub(crate) fn checked_without_solids(&self) -> Result<CheckedRequest, Error> {
         let settings = &self.settings;
         let surfacing = surfacing(settings)?;
         let sampling = sampling(settings, &surfacing)?;
@@ -108,7 +108,7 @@ impl Reconstruction {
             control: self.control.clone(),
         };
         let (settings, calibration, pool) = (settings.clone(), self.calibration, self.pool.clone());
-        Ok(Checked {
+        Ok(CheckedRequest {
             settings,
             sampling,
             surfacing,
@@ -184,8 +184,8 @@ fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingReques
             Some(Tank::Auto) | None => None,
         },
         search: match &settings.domain {
-            Some(Tank::Auto) => Search::Walls,
-            Some(Tank::Walls(_)) | None => Search::Never,
+            Some(Tank::Auto) => WallSearch::Walls,
+            Some(Tank::Walls(_)) | None => WallSearch::Never,
         },
         up: match (settings.particles_up, settings.format) {
             (Some(UpAxis::Y), _) => Some(1),
@@ -343,12 +343,12 @@ impl Settings {
     }
 }
 
-impl Checked {
+impl CheckedRequest {
     /// Starts threads for the request.
-    pub(crate) fn on_threads(self) -> Result<Started, Error> {
+    pub(crate) fn on_threads(self) -> Result<StartedRequest, Error> {
         let started = || Threads::start(self.threads).map_err(Error::Threads);
         let threads = self.pool.clone().map_or_else(started, Ok)?;
-        Ok(Started { checked: Arc::new(self), threads })
+        Ok(StartedRequest { checked: Arc::new(self), threads })
     }
 
     /// Rejects settings that do not apply to the indicator, or that need a periodic box if there is

@@ -7,32 +7,32 @@ use crate::frame::{Engine, FrameError, Normals, Shortfall};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{Mesh, VertexAttribute};
-use crate::surface::simplify::Simplified;
-use crate::surface::stitch::Stitched;
+use crate::surface::simplify::SimplifiedSurface;
+use crate::surface::stitch::StitchedSurface;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::SinglePrecision;
-use super::checked::Checked;
+use super::checked::CheckedRequest;
 use super::report::Report;
 use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
 
 /// A surface without the threads that made it.
-pub(crate) struct Drawn {
-    pub(crate) mesh: Kept,
+pub(crate) struct DrawnSurface {
+    pub(crate) mesh: DrawnMesh,
     pub(crate) precision: SinglePrecision,
     pub(crate) report: Report,
 }
 
 /// A mesh in memory, or in scratch files if it exceeds its share of the memory.
-pub(crate) enum Kept {
+pub(crate) enum DrawnMesh {
     /// The mesh of a frame that has no surface.
     Empty(Mesh),
-    Whole(Stitched),
-    Reduced(Simplified),
+    Whole(StitchedSurface),
+    Reduced(SimplifiedSurface),
 }
 
-impl Kept {
+impl DrawnMesh {
     /// The mesh, piece by piece.
     pub(crate) fn source(&self) -> &dyn MeshSource {
         match self {
@@ -43,7 +43,7 @@ impl Kept {
     }
 }
 
-impl Checked {
+impl CheckedRequest {
     /// Makes the surface of a frame with a given calibration, or one that is measured on it, and
     /// removes components that are too small.
     pub(crate) fn draw(
@@ -51,7 +51,7 @@ impl Checked {
         engine: &Engine,
         known: Option<&Calibration>,
         timings: &mut Timings,
-    ) -> Result<Drawn, Error> {
+    ) -> Result<DrawnSurface, Error> {
         let (surface, report) = self.draw_whole(engine, known, timings)?;
         Ok(self.reduce_of(engine, surface, report, timings)?)
     }
@@ -66,7 +66,7 @@ impl Checked {
         infos: Vec<AttributeInfo>,
         calibration_frame: Option<i64>,
         timings: &mut Timings,
-    ) -> Result<Drawn, FrameError> {
+    ) -> Result<DrawnSurface, FrameError> {
         let drawn = self.draw_whole(engine, known, timings).and_then(|(surface, report)| {
             let whole = report.clone();
             match self.reduce_of(engine, surface, report, timings) {
@@ -101,20 +101,20 @@ impl Checked {
         why: EmptyReason,
         infos: Vec<AttributeInfo>,
         calibration_frame: Option<i64>,
-    ) -> Drawn {
+    ) -> DrawnSurface {
         let clouds = report.is_clouds();
         report.warnings.push(Warning::Empty { why, clouds, calibration_frame });
-        Drawn { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
+        DrawnSurface { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
     }
 
     /// An empty mesh with the expected attributes, which every program can load.
-    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> Kept {
+    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> DrawnMesh {
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
             attributes: infos.into_iter().map(VertexAttribute::without_values).collect(),
             ..Mesh::default()
         };
-        Kept::Empty(mesh)
+        DrawnMesh::Empty(mesh)
     }
 
     /// Draws the whole surface of a frame.
@@ -123,7 +123,7 @@ impl Checked {
         engine: &Engine,
         known: Option<&Calibration>,
         timings: &mut Timings,
-    ) -> Result<(Stitched, Report), FrameError> {
+    ) -> Result<(StitchedSurface, Report), FrameError> {
         let control = &self.resources.control;
         control.during(Stage::Meshing, || {
             let calibrated = engine.calibrate_for(&self.surfacing, known, control, timings)?;
@@ -145,7 +145,7 @@ impl Checked {
     pub(super) fn judge(
         &self,
         report: &mut Report,
-        surface: &Stitched,
+        surface: &StitchedSurface,
         shortfall: Option<Shortfall>,
     ) {
         let bubbles =
@@ -163,10 +163,10 @@ impl Checked {
     fn reduce_of(
         &self,
         engine: &Engine,
-        surface: Stitched,
+        surface: StitchedSurface,
         report: Report,
         timings: &mut Timings,
-    ) -> Result<Drawn, FrameError> {
+    ) -> Result<DrawnSurface, FrameError> {
         let control = &self.resources.control;
         self.reduce(surface, report, |surface| {
             engine.simplify(surface, &self.reduction, control, timings)
@@ -176,17 +176,17 @@ impl Checked {
     /// Simplifies a surface and removes small components, if requested.
     pub(crate) fn reduce(
         &self,
-        surface: Stitched,
+        surface: StitchedSurface,
         mut report: Report,
-        simplify: impl FnOnce(Stitched) -> Result<Simplified, FrameError>,
-    ) -> Result<Drawn, FrameError> {
+        simplify: impl FnOnce(StitchedSurface) -> Result<SimplifiedSurface, FrameError>,
+    ) -> Result<DrawnSurface, FrameError> {
         let precision = SinglePrecision::of(&surface);
         if self.reduction.is_none() {
-            return Ok(Drawn { mesh: Kept::Whole(surface), precision, report });
+            return Ok(DrawnSurface { mesh: DrawnMesh::Whole(surface), precision, report });
         }
         let simplified = simplify(surface)?;
         report.too_small = Some(simplified.too_small());
-        Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
+        Ok(DrawnSurface { mesh: DrawnMesh::Reduced(simplified), precision, report })
     }
 }
 

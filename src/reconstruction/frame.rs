@@ -6,20 +6,20 @@ use std::sync::Arc;
 
 use crate::brick::BinPlan;
 use crate::error::{Conflict, Error, Setting, SettingConflict};
-use crate::frame::{Counted, Engine, FrameError, Sampling};
+use crate::frame::{CountedFrame, Engine, FrameError, Sampling};
 use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
 use crate::particles::Particles;
-use crate::particles::selection::{Selected, select};
+use crate::particles::selection::{SelectedParticles, select};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::builder::Reconstruction;
-use super::checked::{Checked, Started};
+use super::checked::{CheckedRequest, StartedRequest};
 use super::output::PackedOutput;
 use super::surface::Surface;
 use super::warning::{Warning, of_frame, with_spacing_warnings};
-use super::{Cells, ChosenSampling, Packed, Source};
+use super::{Cells, ChosenSampling, PackReport, SpacingHints};
 use crate::settings::{Settings, Where};
 
 /// A sampled frame: its discrete indicator function, and the particle data that surfaces need.
@@ -27,20 +27,20 @@ use crate::settings::{Settings, Where};
 pub struct Frame {
     pub(super) path: Option<PathBuf>,
     pub(super) up: UpAxis,
-    pub(super) ready: Started,
-    pub(super) sampled: Sampled,
+    pub(super) ready: StartedRequest,
+    pub(super) sampled: FrameSamples,
     pub(super) timings: Timings,
 }
 
 /// The samples with their cells.
 #[derive(Debug)]
-pub(super) struct Sampled {
+pub(super) struct FrameSamples {
     pub(super) engine: Engine,
     pub(super) cells: Option<Cells>,
     pub(super) moved: bool,
 }
 
-impl Started {
+impl StartedRequest {
     pub(super) fn sample(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
         let selected = self.threads.install(|| self.checked.selected(particles))?;
         match selected {
@@ -54,7 +54,7 @@ impl Started {
         let mut timings = Timings::default();
         checked.check_indicator()?;
         let sampled = self.threads.install(|| {
-            let choose = || checked.choose_and_plan(particles, Source::default());
+            let choose = || checked.choose_and_plan(particles, SpacingHints::default());
             let chosen = checked.resources.control.during(Stage::Reading, choose)?;
             timings.done(chosen.stage());
             checked.sampled(particles, chosen, &mut timings)
@@ -63,12 +63,12 @@ impl Started {
     }
 }
 
-impl Checked {
+impl CheckedRequest {
     /// The particles in memory that satisfy the conditions; `None` without conditions.
     pub(crate) fn selected<'a, P: Particles + ?Sized>(
         &self,
         particles: &'a P,
-    ) -> Result<Option<Selected<'a, P>>, Error> {
+    ) -> Result<Option<SelectedParticles<'a, P>>, Error> {
         let conditions = self.settings.conditions();
         if conditions.is_empty() {
             return Ok(None);
@@ -76,7 +76,7 @@ impl Checked {
         let sieve = select(particles, conditions.iter().flat_map(Where::conditions), || {
             self.go_on().is_ok()
         })?;
-        Ok(Some(Selected::new(particles, sieve)))
+        Ok(Some(SelectedParticles::new(particles, sieve)))
     }
 
     /// Samples particles.
@@ -85,10 +85,10 @@ impl Checked {
         particles: &(impl Particles + ?Sized),
         chosen: ChosenSampling,
         timings: &mut Timings,
-    ) -> Result<Sampled, Error> {
+    ) -> Result<FrameSamples, Error> {
         let ChosenSampling { sampling, cells, moved, plan } = chosen;
         let engine = self.engine(particles, &sampling, plan, timings)?;
-        Ok(Sampled { engine, cells: Some(cells), moved })
+        Ok(FrameSamples { engine, cells: Some(cells), moved })
     }
 
     /// Counts particles, unless `plan` already has their counts, and samples their field.
@@ -100,7 +100,7 @@ impl Checked {
         timings: &mut Timings,
     ) -> Result<Engine, FrameError> {
         let counted_now = plan.is_none();
-        let count = || Counted::for_surface(particles, sampling, &self.surfacing, plan);
+        let count = || CountedFrame::for_surface(particles, sampling, &self.surfacing, plan);
         let counted = self.resources.control.during(Stage::Counting, count)?;
         if counted_now {
             timings.done("count");
@@ -151,7 +151,7 @@ impl Frame {
         self.draw(&Arc::new(checked), Timings::default())
     }
 
-    fn draw(&self, checked: &Arc<Checked>, mut timings: Timings) -> Result<Surface, Error> {
+    fn draw(&self, checked: &Arc<CheckedRequest>, mut timings: Timings) -> Result<Surface, Error> {
         timings.skip();
         let threads = &self.ready.threads;
         let drawn = threads.install(|| {
@@ -175,8 +175,8 @@ impl Frame {
     /// # Errors
     /// [`Error::SettingConflict`] for kernel methods, which have no samples, and for particles of
     /// several sizes, [`Error::Write`] and [`Error::Cancelled`].
-    pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
-        let Started { checked, threads } = &self.ready;
+    pub fn pack(&self, output: PackedOutput) -> Result<PackReport, Error> {
+        let StartedRequest { checked, threads } = &self.ready;
         if self.sampled.engine.has_sizes() {
             let setting = Setting::named("size");
             return Err(SettingConflict { setting, with: Conflict::PackedSizes }.into());
@@ -193,6 +193,6 @@ impl Frame {
         timings.done("write");
         let dif = &sampled.dif;
         let census = sampled.facts.census;
-        Ok(Packed { bytes, cells: dif.full_cells(), bricks: dif.bricks(), census, timings })
+        Ok(PackReport { bytes, cells: dif.full_cells(), bricks: dif.bricks(), census, timings })
     }
 }

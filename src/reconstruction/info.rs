@@ -9,14 +9,14 @@ use serde::Serialize;
 use crate::brick::InvalidParticles;
 use crate::error::Error;
 use crate::field::indicator::SampledDif;
-use crate::frame::{Counted, Resources};
+use crate::frame::{CountedFrame, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::Unpacking;
 use crate::io::collection::{frame_of, is_list};
 use crate::io::input::{InputFormat, KNOWN, file_and_step, holds_mesh, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
-use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::occurring::{ValueCounts, occurring};
 use crate::particles::sizes::SizeChoice;
@@ -27,7 +27,7 @@ use crate::system::memory::default_memory;
 
 use crate::settings::Settings;
 
-use super::{Cells, FoundWalls, SamplingRequest, Search, Slab, Source, SpacingSource};
+use super::{Cells, FoundWalls, SamplingRequest, Slab, SpacingHints, SpacingSource, WallSearch};
 
 /// Contents of a file.
 #[derive(Debug, Clone, Serialize)]
@@ -216,18 +216,20 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let scratch = std::env::temp_dir();
     let unpacking =
         Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
-    let wanted =
-        Wanted { attributes: WantedAttributes::All, ..settings.wanted(&SizeChoice::Ignored) };
+    let wanted = WantedParticles {
+        attributes: WantedAttributes::All,
+        ..settings.wanted(&SizeChoice::Ignored)
+    };
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);
     let request = SamplingRequest {
         invalid: InvalidParticles::Skip,
-        search: Search::Hint,
+        search: WallSearch::Hint,
         size: SizeChoice::Usual,
         ..SamplingRequest::default()
     };
-    let source = Source { path: Some(path), spacing: file.spacing };
+    let source = SpacingHints { path: Some(path), spacing: file.spacing };
     let (cells, spacing_unknown) = match request.cells(particles, source) {
         Ok(cells) => (Some(cells), None),
         Err(Error::NoSpacing { why, suggested, .. }) => (None, Some((why.to_string(), suggested))),
@@ -280,6 +282,6 @@ fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let sampling =
         request.sampling_on(grid, request.method, cells.spacing(), carried, resources).ok()?;
     let sampling = sampling.sized(cells.sizes.as_ref(), particles).ok()?;
-    let counted = Counted::of(particles, &sampling).ok()?;
+    let counted = CountedFrame::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())
 }

@@ -14,16 +14,16 @@ use crate::baselines::{KernelMethod, TooManyCells};
 use crate::brick::{BinError, Census};
 use crate::error::{
     ColourScale, CompareError, Conflict, DomainError, Error, FrameError, KindFault, NoEstimate,
-    OverBudget, PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy,
+    OverBudget, PartsError, PeriodicError, PictureError, ReadError, ReadFault, Remedy, RereadError,
     SelectionFault, Setting, SettingConflict, SimulationError, SizeFault, TooFine, UnitError,
-    Unread, VulkanError, WholeMeshError, WriteError, WriteFault,
+    VulkanError, WholeMeshError, WriteError, WriteFault,
 };
 use crate::field::calibration::NoMeanCount;
 use crate::field::indicator::IndicatorKind;
 use crate::field::walls::BeyondWall;
-use crate::frame::{Coincident, Shortfall};
+use crate::frame::{CoincidentParticles, Shortfall};
 use crate::grid::units::Isovalue;
-use crate::io::LeftOut;
+use crate::io::UnreadPart;
 use crate::io::output::MeshFormat;
 use crate::particles::mixture::Mixture;
 use crate::particles::occurring::{Value, ValueCounts};
@@ -229,7 +229,7 @@ fn files() -> String {
                 values: vec![(Value::Number(0.0), 60), (Value::Text("wall".into()), 40)],
             }],
         },
-        Unread(Unread::Changed),
+        Unread(RereadError::Changed),
         Cancelled,
     );
     examples!(text, WriteFault:
@@ -295,7 +295,7 @@ fn frames() -> String {
     let over = OverBudget { cell_size: 0.01, budget: 16 << 20, fitting_cell_size: 0.02 };
     let far = BinError::TooFar { index: 7, position: [1e12, 0.0, 0.0], cell_size: 0.1 };
     examples!(text, FrameError:
-        NoParticles(census), NoParticles(Census::default()), Bin(far), Unread(Unread::Changed),
+        NoParticles(census), NoParticles(Census::default()), Bin(far), Unread(RereadError::Changed),
         Kind(KindFault::Scale { name: "Cd".into(), greatest: 200.0 }),
         OverBudget(over), MeanCount(mean), TooFine(fine), NoSurface { iso }, NoDistanceSurface,
         OtherIndicator, FewImages { needed: 40, there: 22 }, NoSpacing,
@@ -330,12 +330,12 @@ fn frames() -> String {
 
 fn warnings(all: &mut String) {
     let mut text = String::new();
-    let unused = Coincident { particles: 90, most: 91, at: [0.0; 3], alone: true };
-    let some = Coincident { particles: 20, most: 2, at: [0.5; 3], alone: false };
+    let unused = CoincidentParticles { particles: 90, most: 91, at: [0.0; 3], alone: true };
+    let some = CoincidentParticles { particles: 20, most: 2, at: [0.5; 3], alone: false };
     let past = |moved| BeyondWall { axis: 'x', wall: 1.0, reach: 1.1, moved };
     let format = MeshFormat::Stl;
     let heat = || "heat".to_owned();
-    let block = LeftOut::Block { name: "walls".into(), holds: "a grid".into() };
+    let block = UnreadPart::Block { name: "walls".into(), holds: "a grid".into() };
     let shortfall = Shortfall { share: 0.3, particles: 1000, spacing: 0.05 };
     let (clouds, calibration_frame) = (true, None);
     examples!(text, Warning:
@@ -367,7 +367,7 @@ fn warnings(all: &mut String) {
         },
     );
     let known = AttributeInfo { name: heat(), components: 1, kind: AttributeKind::Number };
-    examples!(text, LeftOut:
+    examples!(text, UnreadPart:
         Attribute(known),
         Block { name: "walls".into(), holds: "a grid".into() },
         Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },

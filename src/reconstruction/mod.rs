@@ -4,10 +4,10 @@
 //!
 //! | | planned | sampled | drawn | written |
 //! |---|---|---|---|---|
-//! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `Checked::engine` | `draw` | `output` |
+//! | whole: `opened`, `frame` | cells by a look at the particles, which counts them too | all particles, `CheckedRequest::engine` | `draw` | `output` |
 //! | in parts: `parts` | once for all parts, `parts/plan.rs`, kept in `plan.json` | the bins that decide its blocks, `parts/make.rs` | its blocks alone, not stitched; `parts/merge.rs` stitches all | a file of blocks, then `output` |
 //! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `draw_or_empty` | filled by its lane, named by another thread |
-//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `Checked::engine` | `draw_or_empty` | by its caller |
+//! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `CheckedRequest::engine` | `draw_or_empty` | by its caller |
 //!
 //! The guide `limits.md` lists limits.
 
@@ -41,23 +41,23 @@ mod warning;
 mod width;
 
 pub use builder::Reconstruction;
-pub use cells::{CellSize, Cells, FoundWalls, Slab, Source};
-pub(crate) use checked::{Checked, Started};
-pub(crate) use draw::Drawn;
+pub use cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
+pub(crate) use checked::{CheckedRequest, StartedRequest};
+pub(crate) use draw::DrawnSurface;
 pub use frame::Frame;
 pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_with};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};
 pub use needs::Needs;
 pub(crate) use needs::mesh_bytes;
-pub use opened::Opened;
+pub use opened::OpenedFrame;
 pub(crate) use orientation::Orientation;
 pub use orientation::usual_up;
-pub(crate) use output::{Held, coordinate_width, refuse_same_file};
-pub use output::{Output, Packed, PackedOutput};
+pub use output::{Output, PackReport, PackedOutput};
+pub(crate) use output::{TemporaryOutput, coordinate_width, refuse_same_file};
 pub use particles::open_particles;
 pub use parts::{PartDone, PartNeeds, PartShare, Parts, PartsPlan};
 pub use report::Report;
-pub use request::{ChosenSampling, SamplingRequest, Search};
+pub use request::{ChosenSampling, SamplingRequest, WallSearch};
 pub use spacing::{SpacingMistake, SpacingSource, SpacingWarning};
 pub use surface::Surface;
 pub(crate) use surface::made_of;

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use crate::brick::Census;
 use crate::error::Error;
-use crate::frame::estimate::Estimate;
-use crate::frame::{Counted, Engine, FrameError, Sampling};
+use crate::frame::estimate::MemoryEstimate;
+use crate::frame::{CountedFrame, Engine, FrameError, Sampling};
 use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{MortonKey, block_of_bin};
 use crate::io::ParticleFile;
@@ -16,8 +16,8 @@ use crate::particles::Particles;
 use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::timings::Timings;
 
-use super::checked::{Checked, Started};
-use super::opened::{Input, Opened};
+use super::checked::{CheckedRequest, StartedRequest};
+use super::opened::{Input, OpenedFrame};
 
 /// Minimum number of particles in the sample. A frame with up to twice as many is made completely.
 const SAMPLE: usize = 200_000;
@@ -62,7 +62,7 @@ pub(crate) fn mesh_bytes(vertices: u64, triangles: u64) -> u64 {
 }
 
 /// Result of making some or all blocks of a frame.
-struct Tried {
+struct TrialResult {
     /// Particles that were binned.
     particles: usize,
     triangles: u64,
@@ -70,7 +70,7 @@ struct Tried {
     seconds: [f64; 2],
 }
 
-impl Opened {
+impl OpenedFrame {
     /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. A
     /// part of the frame is made to measure the time.
     ///
@@ -78,16 +78,16 @@ impl Opened {
     /// [`Error::Frame`] for invalid particles, or too little memory, and [`Error::Cancelled`].
     pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
         let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
-        let Started { checked, threads } = &self.ready;
+        let StartedRequest { checked, threads } = &self.ready;
         let (begun, sampling) = (Instant::now(), &chosen.sampling);
         let counted = threads.install(|| {
             let counted =
-                Counted::for_surface(&file.particles, sampling, &checked.surfacing, None)?;
+                CountedFrame::for_surface(&file.particles, sampling, &checked.surfacing, None)?;
             let (census, estimate) = (counted.census(), counted.estimate());
             let before = self.timings.total() + begun.elapsed().as_secs_f64();
             Ok((census, estimate, forecast(checked, file, sampling, counted, before)?))
         });
-        let (census, estimate, (triangles, seconds)): (Census, Estimate, _) =
+        let (census, estimate, (triangles, seconds)): (Census, MemoryEstimate, _) =
             counted.map_err(|fault| self.in_file(fault))?;
         let resources = &checked.resources;
         let plan = estimate.plan(resources.budget);
@@ -114,10 +114,10 @@ impl Opened {
 /// The approximate number of triangles of a frame, and its time in seconds: the time `before` it
 /// was counted, and the time that the whole frame or a sample of it takes.
 fn forecast(
-    checked: &Checked,
+    checked: &CheckedRequest,
     file: &ParticleFile,
     sampling: &Sampling,
-    counted: Counted<'_, impl Particles + ?Sized>,
+    counted: CountedFrame<'_, impl Particles + ?Sized>,
     before: f64,
 ) -> Result<(u64, Option<f64>), FrameError> {
     let particles = counted.census().binned;
@@ -126,7 +126,7 @@ fn forecast(
     if particles <= 2 * SAMPLE {
         let whole = tried(checked, counted, Stretch::ALL);
         return Ok(match accepted(whole)? {
-            Some(Tried { triangles, seconds: [sampling, meshing], .. }) => {
+            Some(TrialResult { triangles, seconds: [sampling, meshing], .. }) => {
                 (triangles, Some(before + sampling + meshing))
             }
             None => (expected, None),
@@ -138,7 +138,7 @@ fn forecast(
     let stretch = sample(counted.bins());
     drop(counted);
     let wanted = WantedBins { stretch, sight: sampling.sight(kind, &checked.surfacing) };
-    let counted = Counted::of_wanted(&file.particles, sampling, &checked.surfacing, wanted)?;
+    let counted = CountedFrame::of_wanted(&file.particles, sampling, &checked.surfacing, wanted)?;
     let Some(part) = accepted(tried(checked, counted, stretch))? else {
         return Ok((expected, None));
     };
@@ -151,7 +151,7 @@ fn forecast(
 }
 
 /// A missing surface does not fail a forecast.
-fn accepted(tried: Result<Tried, FrameError>) -> Result<Option<Tried>, FrameError> {
+fn accepted(tried: Result<TrialResult, FrameError>) -> Result<Option<TrialResult>, FrameError> {
     match tried {
         Err(FrameError::Cancelled) => Err(FrameError::Cancelled),
         tried => Ok(tried.ok()),
@@ -160,10 +160,10 @@ fn accepted(tried: Result<Tried, FrameError>) -> Result<Option<Tried>, FrameErro
 
 /// Makes the blocks of a stretch.
 fn tried(
-    checked: &Checked,
-    counted: Counted<'_, impl Particles + ?Sized>,
+    checked: &CheckedRequest,
+    counted: CountedFrame<'_, impl Particles + ?Sized>,
     stretch: Stretch,
-) -> Result<Tried, FrameError> {
+) -> Result<TrialResult, FrameError> {
     let (begun, particles) = (Instant::now(), counted.census().binned);
     let mut timings = Timings::default();
     let engine = Engine::sample_counted(counted, checked.resources.budget, &mut timings)?;
@@ -172,7 +172,7 @@ fn tried(
     let sampled = begun.elapsed();
     let spool = calibrated.within(stretch).blocks(&mut timings)?;
     let seconds = [sampled, begun.elapsed() - sampled].map(|time| time.as_secs_f64());
-    Ok(Tried { particles, triangles: spool.triangles(), seconds })
+    Ok(TrialResult { particles, triangles: spool.triangles(), seconds })
 }
 
 /// Consecutive blocks that contain as many particles as a sample, from the block of the particle in

@@ -8,20 +8,20 @@ use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Engine, FrameError};
 use crate::io::input::open_joined;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::{LeftOut, ParticleFile, ReadError};
-use crate::particles::{Metered, Particles};
+use crate::io::{ParticleFile, ReadError, UnreadPart};
+use crate::particles::{MeteredParticles, Particles};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::checked::{Checked, Started};
-use super::frame::{Frame, Sampled};
-use super::{Cells, ChosenSampling, FoundWalls, SamplingRequest, Search, Source};
+use super::checked::{CheckedRequest, StartedRequest};
+use super::frame::{Frame, FrameSamples};
+use super::{Cells, ChosenSampling, FoundWalls, SamplingRequest, SpacingHints, WallSearch};
 
 /// An opened input that is not sampled yet.
 #[derive(Debug)]
-pub struct Opened {
+pub struct OpenedFrame {
     path: PathBuf,
-    pub(super) ready: Started,
+    pub(super) ready: StartedRequest,
     pub(super) input: Input,
     /// Walls that were found without a request.
     hint: Option<FoundWalls>,
@@ -34,9 +34,9 @@ pub(super) enum Input {
     Packed(Box<SampledDif>),
 }
 
-impl Started {
+impl StartedRequest {
     /// Opens one file, or several as one frame.
-    pub(super) fn open(self, paths: &[&Path]) -> Result<Opened, Error> {
+    pub(super) fn open(self, paths: &[&Path]) -> Result<OpenedFrame, Error> {
         let path = *paths.first().ok_or_else(|| Error::Request("no file to open".into()))?;
         let checked = &self.checked;
         let mut timings = Timings::default();
@@ -60,7 +60,7 @@ impl Started {
             let file = open_joined(paths, checked.wanted(), checked.unpacking())?;
             let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
-            let source = Source { path: Some(path), spacing: file.spacing };
+            let source = SpacingHints { path: Some(path), spacing: file.spacing };
             let chosen = checked.hinted().choose_and_plan(&file.particles, source);
             let chosen = chosen.map_err(|error| error.of_file(path))?;
             timings.done(chosen.stage());
@@ -69,24 +69,26 @@ impl Started {
         let control = &checked.resources.control;
         let mut input = self.threads.install(|| control.during(Stage::Reading, open))?;
         let hint = match &mut input {
-            Input::Particles { chosen, .. } if checked.sampling.search != Search::Walls => {
+            Input::Particles { chosen, .. } if checked.sampling.search != WallSearch::Walls => {
                 chosen.cells.walls.take()
             }
             Input::Particles { .. } | Input::Packed(_) => None,
         };
-        Ok(Opened { path: path.to_owned(), ready: self, input, hint, timings })
+        Ok(OpenedFrame { path: path.to_owned(), ready: self, input, hint, timings })
     }
 }
 
-impl Checked {
+impl CheckedRequest {
     /// The request with a search for walls, if it has neither a domain nor a periodic box.
     fn hinted(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
-        if request.search != Search::Never || request.walls.is_some() || request.periodic.is_some()
+        if request.search != WallSearch::Never
+            || request.walls.is_some()
+            || request.periodic.is_some()
         {
             return Cow::Borrowed(self);
         }
-        let sampling = SamplingRequest { search: Search::Hint, ..request.clone() };
+        let sampling = SamplingRequest { search: WallSearch::Hint, ..request.clone() };
         Cow::Owned(Self { sampling, ..self.clone() })
     }
 
@@ -99,10 +101,10 @@ impl Checked {
     pub(super) fn choose(
         &self,
         particles: &(impl Particles + ?Sized),
-        source: Source<'_>,
+        source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        let particles = Metered::new(particles, &self.resources.control, Stage::Reading);
+        let particles = MeteredParticles::new(particles, &self.resources.control, Stage::Reading);
         self.sampling.sampling(&particles, source, carried, self.resources.clone())
     }
 
@@ -110,15 +112,15 @@ impl Checked {
     pub(super) fn choose_and_plan(
         &self,
         particles: &(impl Particles + ?Sized),
-        source: Source<'_>,
+        source: SpacingHints<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        let particles = Metered::new(particles, &self.resources.control, Stage::Reading);
+        let particles = MeteredParticles::new(particles, &self.resources.control, Stage::Reading);
         self.sampling.sampling_and_plan(&particles, source, carried, self.resources.clone())
     }
 }
 
-impl Opened {
+impl OpenedFrame {
     /// The number of particles. For a packed frame, of the particles that it was made from.
     #[must_use]
     pub fn particles(&self) -> usize {
@@ -148,7 +150,7 @@ impl Opened {
 
     /// Parts of the input that are not read.
     #[must_use]
-    pub fn left_out(&self) -> &[LeftOut] {
+    pub fn left_out(&self) -> &[UnreadPart] {
         match &self.input {
             Input::Particles { file, .. } => &file.left_out,
             Input::Packed(_) => &[],
@@ -219,7 +221,7 @@ impl Opened {
             Input::Packed(sampled) => {
                 let engine =
                     Engine::from_sampled(*sampled, &checked.surfacing, checked.resources.clone());
-                Ok(Sampled { engine, cells: None, moved: false })
+                Ok(FrameSamples { engine, cells: None, moved: false })
             }
             Input::Particles { file, chosen } => {
                 checked.sampled(&file.particles, *chosen, &mut timings)

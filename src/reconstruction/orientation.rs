@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use crate::io::UpAxis;
-use crate::io::glb::{Compression, Layout};
+use crate::io::glb::{GlbCompression, GlbLayout};
 use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
 use crate::surface::mesh::source::Bounds;
 use crate::surface::mesh::source::MeshSource;
-use crate::surface::mesh::up::Turned;
+use crate::surface::mesh::up::TurnedMesh;
 
 use crate::settings::Settings;
 
@@ -54,9 +54,10 @@ impl Settings {
     }
 
     /// The layout of a file, for formats with several layouts.
-    pub(crate) fn layout(&self, orientation: Orientation) -> Layout {
-        let compression = if self.compress { Compression::Meshopt } else { Compression::None };
-        Layout { up: orientation.file, compression }
+    pub(crate) fn layout(&self, orientation: Orientation) -> GlbLayout {
+        let compression =
+            if self.compress { GlbCompression::Meshopt } else { GlbCompression::None };
+        GlbLayout { up: orientation.file, compression }
     }
 
     /// Whether the writer of a format holds the whole mesh in memory.
@@ -67,8 +68,8 @@ impl Settings {
 
 impl Orientation {
     /// The mesh with the axes of the file.
-    pub(crate) fn turned<'a>(&self, mesh: &'a dyn MeshSource) -> Turned<'a> {
-        Turned::new(mesh, self.particles, self.file)
+    pub(crate) fn turned<'a>(&self, mesh: &'a dyn MeshSource) -> TurnedMesh<'a> {
+        TurnedMesh::new(mesh, self.particles, self.file)
     }
 
     /// The bounding box of the mesh on the screen of a viewer.

@@ -10,8 +10,8 @@ use crate::io::stamp::is_same_file;
 use crate::io::whole::{FilledFile, MadeFolders, Replace, WholeFile};
 use crate::io::{CoordinateWidth, WriteError, WriteFault};
 use crate::surface::mesh::source::MeshSource;
-use crate::surface::mesh::source::Metered;
-use crate::system::cancel::{Cancel, Unfinished};
+use crate::surface::mesh::source::MeteredMesh;
+use crate::system::cancel::{Cancel, UnfinishedOutput};
 use crate::system::control::{Control, Stage};
 use crate::system::timings::Timings;
 
@@ -20,8 +20,8 @@ use crate::settings::Settings;
 
 /// Temporary files and folders of an output, removed if it fails.
 #[derive(Debug)]
-pub(crate) struct Held {
-    unfinished: Unfinished,
+pub(crate) struct TemporaryOutput {
+    unfinished: UnfinishedOutput,
     /// Dropped after the file, which may be inside.
     _folders: MadeFolders,
 }
@@ -30,7 +30,7 @@ pub(crate) struct Held {
 #[derive(Debug)]
 pub struct Output {
     file: MeshOutput,
-    held: Held,
+    held: TemporaryOutput,
     path: PathBuf,
 }
 
@@ -38,14 +38,14 @@ pub struct Output {
 #[derive(Debug)]
 pub struct PackedOutput {
     file: WholeFile,
-    held: Held,
+    held: TemporaryOutput,
     path: PathBuf,
 }
 
 /// A report on a packed frame that was written.
 #[derive(Debug)]
 #[non_exhaustive]
-pub struct Packed {
+pub struct PackReport {
     /// The file's size.
     pub bytes: u64,
     /// Cells that are not 0.
@@ -107,7 +107,11 @@ impl Output {
         let ((file, folders), unfinished) =
             cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
         settings.check_format(path, file.format())?;
-        Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
+        Ok(Self {
+            file,
+            held: TemporaryOutput { unfinished, _folders: folders },
+            path: path.to_owned(),
+        })
     }
 
     /// The format, by the file's extension.
@@ -123,7 +127,7 @@ impl Output {
     }
 
     /// Applies the layout of `request` to the same file.
-    pub(crate) fn with_layout(mut self, layout: crate::io::glb::Layout) -> Self {
+    pub(crate) fn with_layout(mut self, layout: crate::io::glb::GlbLayout) -> Self {
         self.file = self.file.with_layout(layout);
         self
     }
@@ -134,9 +138,9 @@ impl Output {
         mesh: &dyn MeshSource,
         width: CoordinateWidth,
         control: &Control,
-    ) -> Result<(FilledFile, Held), Error> {
+    ) -> Result<(FilledFile, TemporaryOutput), Error> {
         let readings = self.file.format().readings(mesh);
-        let mesh = Metered::new(mesh, readings, control, Stage::Writing);
+        let mesh = MeteredMesh::new(mesh, readings, control, Stage::Writing);
         let file =
             control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
         Ok((file, self.held))
@@ -168,7 +172,11 @@ impl PackedOutput {
         };
         let ((file, folders), unfinished) =
             cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
-        Ok(Self { file, held: Held { unfinished, _folders: folders }, path: path.to_owned() })
+        Ok(Self {
+            file,
+            held: TemporaryOutput { unfinished, _folders: folders },
+            path: path.to_owned(),
+        })
     }
 
     /// The file's path.
@@ -188,7 +196,7 @@ impl PackedOutput {
 }
 
 /// Renames a temporary file to its final name, unless the work was cancelled.
-fn keep(file: FilledFile, held: &Held) -> Result<u64, Error> {
+fn keep(file: FilledFile, held: &TemporaryOutput) -> Result<u64, Error> {
     if held.unfinished.is_cancelled() {
         return Err(Error::Cancelled);
     }

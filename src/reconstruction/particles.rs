@@ -7,7 +7,7 @@ use crate::io::ParticleFile;
 use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
 use crate::io::scene::spacing_beside;
-use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::particles::sizes::SizeChoice;
 use crate::settings::Settings;
 use crate::system::memory::default_memory;
@@ -32,8 +32,10 @@ pub fn open_particles(path: impl AsRef<Path>, settings: &Settings) -> Result<Par
     let (path, scratch) = (path.as_ref(), std::env::temp_dir());
     let unpacking =
         Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
-    let wanted =
-        Wanted { attributes: WantedAttributes::All, ..settings.wanted(&SizeChoice::Ignored) };
+    let wanted = WantedParticles {
+        attributes: WantedAttributes::All,
+        ..settings.wanted(&SizeChoice::Ignored)
+    };
     let mut file = open_wanted(path, wanted, unpacking)?;
     file.spacing = file.spacing.or_else(|| spacing_beside(path).map(|(spacing, _)| spacing));
     Ok(file)

@@ -2,7 +2,7 @@
 
 use crate::backend::Work;
 use crate::brick::FrameFacts;
-use crate::field::calibration::{Calibrated, Calibration};
+use crate::field::calibration::{Calibration, MeasuredCalibration};
 use crate::field::indicator::Indicator;
 use crate::frame::{Engine, Method, Surfacing};
 use crate::surface::simplify::TooSmall;
@@ -32,7 +32,7 @@ pub struct Report {
     /// The isovalue of a kernel method that has one.
     pub kernel_iso: Option<f64>,
     /// The measurements on the frame; `None` if the calibration was given, or for kernel methods.
-    pub measured: Option<Calibrated>,
+    pub measured: Option<MeasuredCalibration>,
     /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
     /// Components that were left out, if a limit was set.

@@ -8,8 +8,8 @@ use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
-    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, NoEstimate, Plane, Share, evidence,
-    look_at, show_all,
+    ALL, CubeSample, Cubes, EvenSample, Evidence, NoEstimate, Plane, SampleSurvey, SpacingDraft,
+    SpacingEstimate, evidence, look_at, show_all,
 };
 use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
@@ -21,7 +21,7 @@ use crate::particles::mixture::mixture;
 use crate::particles::sizes::{SizeChoice, SizeFault, Sizes};
 use crate::particles::{Particles, bounds};
 
-use super::cells::{CellSize, Cells, FoundWalls, Slab, Source};
+use super::cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
 use super::lattice::on_sound_grid;
 use super::orientation::usual_up;
 use super::spacing::{SpacingSource, SpacingWarning, is_suspicious};
@@ -39,7 +39,7 @@ pub struct SamplingRequest {
     /// at -inf and inf.
     pub walls: Option<[DVec3; 2]>,
     /// Whether to find walls if none are given.
-    pub search: Search,
+    pub search: WallSearch,
     /// The axis that points up, if known: 0, 1 or 2.
     pub up: Option<usize>,
     /// The faces of a periodic box along each axis, `None` for open axes, and the surface that the
@@ -55,7 +55,7 @@ pub struct SamplingRequest {
 
 /// Whether to find the walls of a tank.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Search {
+pub enum WallSearch {
     #[default]
     /// Do not find walls.
     Never,
@@ -72,7 +72,7 @@ impl Default for SamplingRequest {
             invalid: InvalidParticles::Refuse,
             origin: None,
             walls: None,
-            search: Search::Never,
+            search: WallSearch::Never,
             up: None,
             periodic: None,
             spacing: None,
@@ -160,7 +160,7 @@ impl SamplingRequest {
     /// The request for a frame in the `walls` that were found, if it uses found walls.
     #[must_use]
     pub fn in_walls(&self, walls: Option<&Walls>) -> Self {
-        let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
+        let walls = walls.filter(|walls| self.search == WallSearch::Walls && !walls.is_open());
         Self { walls: walls.map(Walls::corners).or(self.walls), ..self.clone() }
     }
 
@@ -174,7 +174,7 @@ impl SamplingRequest {
         spacing: Option<f64>,
         grid: &Grid,
     ) -> (Self, Vec<BeyondWall>) {
-        let walls = walls.filter(|walls| self.search == Search::Walls && !walls.is_open());
+        let walls = walls.filter(|walls| self.search == WallSearch::Walls && !walls.is_open());
         let bounds = walls.and_then(|_| bounds_held(particles, grid));
         match (walls, bounds) {
             (Some(walls), Some(bounds)) => {
@@ -216,7 +216,7 @@ impl SamplingRequest {
     }
 
     /// The spacing from the caller, the file, or a scene file beside it.
-    fn given(&self, from: Source<'_>) -> Option<(f64, SpacingSource)> {
+    fn given(&self, from: SpacingHints<'_>) -> Option<(f64, SpacingSource)> {
         let scene = || {
             let (spacing, path) = spacing_beside(from.path?)?;
             Some((spacing, SpacingSource::Scene(path)))
@@ -231,7 +231,7 @@ impl SamplingRequest {
     pub fn cells(
         &self,
         particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
+        from: SpacingHints<'_>,
     ) -> Result<Cells, Error> {
         let read = |_, look: LookAtAll<'_>| {
             show_all(particles, look);
@@ -245,7 +245,7 @@ impl SamplingRequest {
     fn cells_while<T>(
         &self,
         particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
+        from: SpacingHints<'_>,
         read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
         let (mut cells, done) = match self.sizes(particles)? {
@@ -256,15 +256,15 @@ impl SamplingRequest {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
         let is_sought = match self.search {
-            Search::Never => false,
-            Search::Hint => particles.len() <= MOST_HINTED,
-            Search::Walls => true,
+            WallSearch::Never => false,
+            WallSearch::Hint => particles.len() <= MOST_HINTED,
+            WallSearch::Walls => true,
         };
         if is_sought {
             let ends = self.ends(particles, &cells)?;
             let found = ends.map(|ends| self.walls_of(&[ends], from.path));
             cells.walls =
-                found.filter(|found| self.search == Search::Walls || !found.walls.is_open());
+                found.filter(|found| self.search == WallSearch::Walls || !found.walls.is_open());
         }
         Ok((cells, done))
     }
@@ -302,7 +302,7 @@ impl SamplingRequest {
     fn cells_by<T>(
         &self,
         particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
+        from: SpacingHints<'_>,
         mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
         let is_many = particles.len() > ALL;
@@ -310,11 +310,11 @@ impl SamplingRequest {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => ratio * spacing,
         };
-        let share = Share::of(particles.len());
+        let share = EvenSample::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
             // The scene may belong to other particles, and does not mention a second resolution.
             let is_scene = matches!(source, SpacingSource::Scene(_));
-            let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
+            let in_cubes = CubeSample::new(Cubes::for_spacing(spacing), particles.len());
             let look = |positions: &[[f64; 3]]| {
                 in_cubes.look(positions);
                 if is_scene {
@@ -323,11 +323,11 @@ impl SamplingRequest {
             };
             let done = if is_many { read(size(spacing), &look) } else { None };
             let look = match done {
-                Some(_) => Look::of(in_cubes.sample(), spacing),
+                Some(_) => SampleSurvey::of(in_cubes.sample(), spacing),
                 None => look_at(particles, spacing),
             };
             let taken = (is_scene && done.is_some()).then(|| share.taken());
-            let draft = taken.filter(|taken| taken.larger().is_none()).and_then(Draft::of);
+            let draft = taken.filter(|taken| taken.larger().is_none()).and_then(SpacingDraft::of);
             let evidence = draft.zip(look.clone()).map(|(draft, look)| draft.with(look.neighbours));
             return Ok((self.cells_for_given(particles, spacing, source, look, evidence)?, done));
         }
@@ -340,7 +340,7 @@ impl SamplingRequest {
             CellSize::Spacings(_) => None,
         };
         if let Some(usual) = usual {
-            let in_cubes = InCubes::new(Cubes::for_spacing(usual), particles.len());
+            let in_cubes = CubeSample::new(Cubes::for_spacing(usual), particles.len());
             let look = |positions: &[[f64; 3]]| {
                 share.look(positions);
                 in_cubes.look(positions);
@@ -354,7 +354,7 @@ impl SamplingRequest {
             show_all(particles, |positions| share.look(positions));
         }
         let taken = share.taken();
-        let draft = if taken.larger().is_none() { Draft::of(taken) } else { None };
+        let draft = if taken.larger().is_none() { SpacingDraft::of(taken) } else { None };
         let Some(draft) = draft else {
             return Ok((self.cells_by_evidence(particles, from, evidence(particles))?, done));
         };
@@ -424,7 +424,7 @@ impl SamplingRequest {
         particles: &(impl Particles + ?Sized),
         spacing: f64,
         source: SpacingSource,
-        look: Option<Look>,
+        look: Option<SampleSurvey>,
         evidence_at_hand: Option<Evidence>,
     ) -> Result<Cells, Error> {
         let all_is_well = look.as_ref().is_some_and(|look| {
@@ -456,7 +456,7 @@ impl SamplingRequest {
     fn cells_by_evidence(
         &self,
         particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
+        from: SpacingHints<'_>,
         evidence: Option<Evidence>,
     ) -> Result<Cells, Error> {
         let path = || from.path.map(Path::to_owned);
@@ -474,7 +474,7 @@ impl SamplingRequest {
         {
             // If the estimate leads to cells that are rejected, it was an estimate of spray.
             let grid = self.grid(size)?;
-            let fits = |estimate: &Estimate| {
+            let fits = |estimate: &SpacingEstimate| {
                 let spacing = Some(estimate.spacing);
                 Surfacing::PLAIN.refuse_too_fine(kind, mean, spacing, &grid).is_ok()
             };
@@ -513,7 +513,7 @@ impl SamplingRequest {
     pub fn sampling(
         &self,
         particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
+        from: SpacingHints<'_>,
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
@@ -526,7 +526,7 @@ impl SamplingRequest {
     pub fn sampling_and_plan(
         &self,
         particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
+        from: SpacingHints<'_>,
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
@@ -540,7 +540,7 @@ impl SamplingRequest {
                 BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
             Some((grid, plan.ok()?))
         };
-        let is_settled = self.periodic.is_none() && self.search != Search::Walls;
+        let is_settled = self.periodic.is_none() && self.search != WallSearch::Walls;
         let (cells, counted) = if is_settled {
             self.cells_while(particles, from, count)?
         } else {

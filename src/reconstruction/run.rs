@@ -8,7 +8,7 @@ use crate::io::whole::{Replace, sweep_beside};
 use crate::particles::Particles;
 
 use super::builder::Reconstruction;
-use super::{Frame, Opened, Output, PackedOutput, Surface};
+use super::{Frame, OpenedFrame, Output, PackedOutput, Surface};
 
 impl Reconstruction {
     /// Checks everything that can be checked without an input.
@@ -60,7 +60,7 @@ impl Reconstruction {
     ///
     /// # Errors
     /// [`Error::Read`], and those of [`run`](Self::run) that need no particles.
-    pub fn open(&self, path: impl AsRef<Path>) -> Result<Opened, Error> {
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<OpenedFrame, Error> {
         self.open_together(&[path.as_ref()])
     }
 
@@ -69,7 +69,7 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::Read`], and those of [`run`](Self::run) that need no particles; [`Error::Request`]
     /// for no file.
-    pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<Opened, Error> {
+    pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<OpenedFrame, Error> {
         let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
         self.checked()?.on_threads()?.open(&paths)
     }

@@ -12,7 +12,7 @@ use crate::io::stamp::Stamp;
 use crate::settings::Settings;
 use crate::surface::solid::Solid;
 
-use super::checked::Checked;
+use super::checked::CheckedRequest;
 use super::warning::Warning;
 
 /// Minimum bytes of memory per byte of a mesh file while it is read.
@@ -30,7 +30,7 @@ impl Settings {
     }
 }
 
-impl Checked {
+impl CheckedRequest {
     /// Adds the requested solids, which are the same in all frames.
     pub(crate) fn at_solids(self) -> Result<Self, Error> {
         let paths = self.settings.solid_files().iter().map(PathBuf::from).collect::<Vec<_>>();

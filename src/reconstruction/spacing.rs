@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::field::spacing::{Estimate, Evidence, Neighbours, evidence, look_at};
+use crate::field::spacing::{Evidence, Neighbours, SpacingEstimate, evidence, look_at};
 use crate::grid::units::{shown, significant};
 use crate::particles::Particles;
 use crate::particles::mixture::Mixture;
@@ -180,13 +180,13 @@ impl SpacingWarning {
     ) -> Vec<Self> {
         let mut warnings = Vec::new();
         match evidence.estimate() {
-            Ok(Estimate { two: Some(spacings), .. }) => {
+            Ok(SpacingEstimate { two: Some(spacings), .. }) => {
                 if !spacings.iter().any(|found| (TOO_SMALL..TOO_LARGE).contains(&(given / found))) {
                     warnings.push(Self::contradicted(given, source, spacings[0], false));
                 }
                 warnings.push(Self::TwoResolutions { spacings, used: given });
             }
-            Ok(Estimate { spacing, thin, .. }) => {
+            Ok(SpacingEstimate { spacing, thin, .. }) => {
                 let unsure = if thin { UNSURE } else { 1.0 };
                 let too_small = given < TOO_SMALL / unsure * spacing && !at_scale.has_solid(given);
                 if too_small || given > TOO_LARGE * unsure * spacing {
@@ -236,8 +236,8 @@ impl SpacingWarning {
     }
 
     /// The warnings about an estimate.
-    pub(super) fn of_estimate(estimate: &Estimate, evidence: &Evidence) -> Vec<Self> {
-        let &Estimate { spacing: used, two, thin } = estimate;
+    pub(super) fn of_estimate(estimate: &SpacingEstimate, evidence: &Evidence) -> Vec<Self> {
+        let &SpacingEstimate { spacing: used, two, thin } = estimate;
         let mut warnings = Vec::new();
         warnings.extend(two.map(|spacings| Self::TwoResolutions { spacings, used }));
         if thin {

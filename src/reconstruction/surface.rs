@@ -18,8 +18,8 @@ use crate::system::cancel::Cancel;
 use crate::system::control::Control;
 
 use super::SinglePrecision;
-use super::checked::Checked;
-use super::draw::{Drawn, Kept};
+use super::checked::CheckedRequest;
+use super::draw::{DrawnMesh, DrawnSurface};
 use super::output::{Output, coordinate_width};
 use super::report::Report;
 use super::threads::Threads;
@@ -32,7 +32,7 @@ const PREVIEW: [usize; 2] = [640, 360];
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
-    drawn: Drawn,
+    drawn: DrawnSurface,
     /// The threads that made the surface and write it; stopped in between, because a surface may be
     /// kept for long.
     threads: Threads,
@@ -48,8 +48,8 @@ pub struct Surface {
 impl Surface {
     /// Combines a surface with its request, its threads, and the up axis of its particles.
     pub(crate) fn new(
-        drawn: Drawn,
-        checked: &Checked,
+        drawn: DrawnSurface,
+        checked: &CheckedRequest,
         threads: &Arc<rayon::ThreadPool>,
         particles_up: UpAxis,
     ) -> Self {
@@ -72,9 +72,9 @@ impl Surface {
     pub fn to_mesh(&self) -> Result<Mesh, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let mesh = threads.install(|| match &self.drawn.mesh {
-            Kept::Empty(mesh) => Ok(mesh.clone()),
-            Kept::Whole(mesh) => mesh.to_mesh(),
-            Kept::Reduced(mesh) => in_one_piece(mesh),
+            DrawnMesh::Empty(mesh) => Ok(mesh.clone()),
+            DrawnMesh::Whole(mesh) => mesh.to_mesh(),
+            DrawnMesh::Reduced(mesh) => in_one_piece(mesh),
         });
         Ok(mesh?)
     }

@@ -4,12 +4,12 @@ use std::fmt;
 use std::path::PathBuf;
 
 use crate::brick::FrameFacts;
-use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
+use crate::field::calibration::{MeasuredCalibration, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::field::walls::BeyondWall;
-use crate::frame::{Coincident, Engine, FrameError, Shortfall};
+use crate::frame::{CoincidentParticles, Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
-use crate::io::LeftOut;
+use crate::io::UnreadPart;
 use crate::io::output::MeshFormat;
 use crate::particles::selection::SelectionFault;
 use crate::surface::simplify::TooSmall;
@@ -39,7 +39,7 @@ pub enum Warning {
     /// Particles have the same position as others.
     Coincident {
         /// The number and place of these particles, and whether they are far from others.
-        found: Coincident,
+        found: CoincidentParticles,
         /// Number of particles.
         of: usize,
     },
@@ -121,7 +121,7 @@ pub enum Warning {
         cell_size: f64,
     },
     /// A part of the input is not read.
-    LeftOut(LeftOut),
+    LeftOut(UnreadPart),
     /// No particle of the frame satisfies the conditions: its mesh is empty.
     NoneSelected(SelectionFault),
     /// The frame of a simulation has no surface: its mesh is empty.
@@ -171,7 +171,7 @@ impl fmt::Display for Warning {
                 )
             }
             Self::Coincident { found, of } => {
-                let Coincident { particles, most, at, alone, .. } = found;
+                let CoincidentParticles { particles, most, at, alone, .. } = found;
                 let at = at.map(|c| significant(c, 6)).join(", ");
                 write!(f, "{particles} of {of} particles have the same position as another one")?;
                 match (*alone, *most) {
@@ -305,7 +305,7 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,
-    coincident: Option<Coincident>,
+    coincident: Option<CoincidentParticles>,
     lacking: impl Iterator<Item = (&'a str, usize)>,
     mean_symmetry: Option<f64>,
 ) -> Vec<Warning> {
@@ -329,7 +329,10 @@ pub(crate) fn of_particles<'a>(
 }
 
 /// A warning about a given isovalue, from measurements on the frame.
-pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Option<Warning> {
+pub(crate) fn of_isovalue(
+    measured: &MeasuredCalibration,
+    given: Option<Isovalue>,
+) -> Option<Warning> {
     let (Plateau::Interior { lowest, .. }, Some(given)) = (measured.plateau, given) else {
         return None;
     };

@@ -1,6 +1,6 @@
 //! Chooses f32 or f64 for the coordinates of a mesh.
 
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 
 /// Maximum error by rounding to f32, in cells.
 const COARSEST: f64 = 1.0 / 256.0;
@@ -18,7 +18,7 @@ pub enum SinglePrecision {
 
 impl SinglePrecision {
     /// Measures the farthest vertex of a surface.
-    pub fn of(surface: &Stitched) -> Self {
+    pub fn of(surface: &StitchedSurface) -> Self {
         let farthest = surface.farthest_coordinate();
         let step = surface.grid().cell_size() * COARSEST;
         if farthest > f64::from(f32::MAX) || step < f64::from(f32::MIN_POSITIVE) {

@@ -52,18 +52,18 @@ impl FromStr for Iso {
 }
 
 /// Whether a field of [`Settings`](super::Settings) has a value.
-pub(super) trait Given {
+pub(super) trait OptionalSetting {
     /// Whether the field has no value.
     fn is_not_given(&self) -> bool;
 }
 
-impl<T> Given for Option<T> {
+impl<T> OptionalSetting for Option<T> {
     fn is_not_given(&self) -> bool {
         self.is_none()
     }
 }
 
-impl Given for bool {
+impl OptionalSetting for bool {
     fn is_not_given(&self) -> bool {
         !self
     }
@@ -93,7 +93,7 @@ pub trait Source {
 }
 
 /// The value of a setting, taken from a [`Source`].
-pub trait Taken: Sized {
+pub trait FromSource: Sized {
     /// Converts the source.
     ///
     /// # Errors
@@ -101,7 +101,7 @@ pub trait Taken: Sized {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error>;
 }
 
-impl<T: Taken> Taken for Option<T> {
+impl<T: FromSource> FromSource for Option<T> {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
         T::taken(source).map(Some)
     }
@@ -109,7 +109,7 @@ impl<T: Taken> Taken for Option<T> {
 
 macro_rules! taken {
     ($($type:ty: $by:ident),*) => {
-        $(impl Taken for $type {
+        $(impl FromSource for $type {
             fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
                 source.$by()
             }
@@ -119,19 +119,19 @@ macro_rules! taken {
 
 taken!(f64: number, u32: count, bool: switch, String: text, Vec<String>: names, [f64; 3]: point, Faces: faces);
 
-impl Taken for Vec<Where> {
+impl FromSource for Vec<Where> {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
         Ok(vec![source.conditions()?])
     }
 }
 
-impl Taken for Tank {
+impl FromSource for Tank {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
         if source.is_word("auto") { Ok(Self::Auto) } else { source.walls().map(Self::Walls) }
     }
 }
 
-impl Taken for Iso {
+impl FromSource for Iso {
     fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
         if source.is_word("auto") { Ok(Self::Auto) } else { source.number().map(Self::Value) }
     }
@@ -139,7 +139,7 @@ impl Taken for Iso {
 
 macro_rules! taken_by_name {
     ($($type:ty: $($name:literal => $value:ident),*;)*) => {
-        $(impl Taken for $type {
+        $(impl FromSource for $type {
             fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
                 // A value that is missing here does not compile.
                 let _all = |value: &Self| match value { $(Self::$value => ()),* };
@@ -166,9 +166,9 @@ mod tests {
     use super::*;
 
     /// A source that gives the word of an index, and records all words.
-    struct Nth(usize, RefCell<Vec<String>>);
+    struct IndexSource(usize, RefCell<Vec<String>>);
 
-    impl Source for Nth {
+    impl Source for IndexSource {
         type Error = ();
         fn one_of(&self, words: &[&str]) -> Result<usize, ()> {
             *self.1.borrow_mut() = words.iter().map(|word| (*word).to_owned()).collect();
@@ -206,9 +206,9 @@ mod tests {
         }
     }
 
-    fn are_called_as_in_files<T: Taken + Serialize + Debug>(count: usize) {
+    fn are_called_as_in_files<T: FromSource + Serialize + Debug>(count: usize) {
         for index in 0..count {
-            let source = Nth(index, RefCell::default());
+            let source = IndexSource(index, RefCell::default());
             let value = T::taken(&source).unwrap();
             let words = source.1.into_inner();
             assert_eq!(words.len(), count);

@@ -15,27 +15,27 @@ use crate::io::ParticleFile;
 use crate::io::output::MeshFormat;
 use crate::io::series::Series;
 use crate::particles::Particles;
-use crate::reconstruction::Checked;
+use crate::reconstruction::CheckedRequest;
 use crate::system::cancel::Cancel;
 use crate::system::control::Progress;
 
 use super::event::{Event, Summary};
 use super::frame_file::FrameFile;
-use super::gate::Gate;
+use super::gate::FrameGate;
 use super::lanes::Division;
-use super::one_frame::{Done, Filled};
+use super::one_frame::{ConvertedFrame, WrittenFrame};
 use super::records::{Record, Records};
 use super::setup::{POLL, Setup};
 use super::small_meshes::SmallMeshes;
-use super::state::{State, Store};
+use super::state::{State, StateFolder};
 use super::tally::Tally;
-use super::watch::{Ready, Watch};
+use super::watch::{CompleteFrame, Watch};
 
 /// Minimum time between two events of progress within a stage.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Settles `None` on drop, unless it is settled, so that no lane waits forever.
-struct SettleOnDrop<'a>(&'a OnceLock<Option<Settled>>);
+struct SettleOnDrop<'a>(&'a OnceLock<Option<SharedMeasurements>>);
 
 impl Drop for SettleOnDrop<'_> {
     fn drop(&mut self) {
@@ -44,7 +44,7 @@ impl Drop for SettleOnDrop<'_> {
 }
 
 /// The end of a conversion.
-pub(super) enum Ran {
+pub(super) enum ConversionEnd {
     /// All frames have finished or failed.
     Ended(Box<Summary>),
     /// The calibration frame, in this file, has changed since it was measured.
@@ -82,7 +82,7 @@ impl Conversion<'_> {
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
         let (number, fingerprint) = (state.shared.frame, state.fingerprint());
-        self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
+        self.settled.get_or_init(|| Some(SharedMeasurements { state, fingerprint }));
         let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());
         Ok(open.map(|file| (number, file)))
     }
@@ -120,7 +120,7 @@ impl Conversion<'_> {
         known: Option<State>,
         frames: &[FrameFile],
         series: &Series,
-    ) -> Result<Ran, Error> {
+    ) -> Result<ConversionEnd, Error> {
         let options = self.setup.simulation;
         let mut tally = Tally::new(self, series);
         // If all frames must be made, the lanes open the first ones during the calibration.
@@ -184,9 +184,9 @@ impl Conversion<'_> {
         let frames = self.setup.frames()?;
         match self.changed(&frames) {
             Some(frame) if !self.cancel().is_cancelled() && !tally.is_broken() => {
-                Ok(Ran::Outdated(frame.path.clone()))
+                Ok(ConversionEnd::Outdated(frame.path.clone()))
             }
-            _ => tally.finish(&frames).map(|summary| Ran::Ended(Box::new(summary))),
+            _ => tally.finish(&frames).map(|summary| ConversionEnd::Ended(Box::new(summary))),
         }
     }
 
@@ -195,7 +195,7 @@ impl Conversion<'_> {
         &self,
         mut watch: Watch,
         to_lanes: Sender<Job>,
-        outcomes: &Receiver<Outcome<Done>>,
+        outcomes: &Receiver<Outcome<ConvertedFrame>>,
         tally: &mut Tally,
     ) -> Result<(), Error> {
         let options = self.setup.simulation;
@@ -223,7 +223,7 @@ impl Conversion<'_> {
                         self.stop.store(true, Ordering::Relaxed);
                         continue;
                     }
-                    for Ready { frame, again } in ready {
+                    for CompleteFrame { frame, again } in ready {
                         let is_done = options.resume && !again && tally.lists(&frame);
                         if !options.wants(frame.number) || is_done {
                             watch.done(frame.number);
@@ -256,7 +256,7 @@ impl Conversion<'_> {
     }
 
     /// Records the outcome of a frame.
-    fn note(&self, outcome: Outcome<Done>, tally: &mut Tally) -> Result<(), Error> {
+    fn note(&self, outcome: Outcome<ConvertedFrame>, tally: &mut Tally) -> Result<(), Error> {
         let Outcome { frame, result } = outcome;
         let taken = tally.take(&frame, result);
         if !matches!(taken, Ok(false)) {
@@ -271,7 +271,7 @@ impl Conversion<'_> {
         lane: usize,
         pool: &ThreadPool,
         jobs: &Mutex<Receiver<Job>>,
-        to_disk: &SyncSender<Outcome<Filled>>,
+        to_disk: &SyncSender<Outcome<WrittenFrame>>,
     ) {
         // Runs on one of the pool's threads; otherwise every step of a frame would wait until
         // another thread wakes up. The current thread could belong to the pool, but rayon would
@@ -300,7 +300,7 @@ impl Conversion<'_> {
 
     /// The request for a frame with its solids, which reports progress for its lane: at the start
     /// and end of a stage, and seldom in between, because each event wakes the caller's thread.
-    fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<Checked, Error> {
+    fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<CheckedRequest, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
         let (events, mut checked) = (self.setup.events.clone(), self.setup.checked.clone());
         let last_sent = Mutex::new(Instant::now());
@@ -321,7 +321,11 @@ impl Conversion<'_> {
     }
 
     /// Waits until meshes are on disk, so that lanes need not wait.
-    fn keep(&self, filled: &Mutex<Receiver<Outcome<Filled>>>, results: &Sender<Outcome<Done>>) {
+    fn keep(
+        &self,
+        filled: &Mutex<Receiver<Outcome<WrittenFrame>>>,
+        results: &Sender<Outcome<ConvertedFrame>>,
+    ) {
         while let Some(Outcome { frame, result }) = next(filled) {
             let result = result.and_then(|filled| self.finish(filled));
             if results.send(Outcome { frame, result }).is_err() {
@@ -351,7 +355,7 @@ pub(super) fn convert(
     known: Option<State>,
     frames: &[FrameFile],
     series: &Series,
-) -> Result<Ran, Error> {
+) -> Result<ConversionEnd, Error> {
     conversion.run(known, frames, series)
 }
 
@@ -359,20 +363,20 @@ pub(super) fn convert(
 pub(super) struct Conversion<'a> {
     pub(super) setup: &'a Setup<'a>,
     pub(super) format: MeshFormat,
-    pub(super) store: Store,
+    pub(super) store: StateFolder,
     /// `None` if the calibration failed.
-    pub(super) settled: OnceLock<Option<Settled>>,
+    pub(super) settled: OnceLock<Option<SharedMeasurements>>,
     /// Records of the frames that existed before this run replaced any mesh.
     pub(super) before: OnceLock<Records>,
     pub(super) division: Division,
-    pub(super) gate: Gate,
+    pub(super) gate: FrameGate,
     pub(super) stop: AtomicBool,
     /// Whether the spacing comes from an earlier state, and has not been checked on a frame yet.
     pub(super) unchecked: AtomicBool,
 }
 
 /// Measurements that all frames share.
-pub(super) struct Settled {
+pub(super) struct SharedMeasurements {
     pub(super) state: State,
     pub(super) fingerprint: u32,
 }
@@ -381,11 +385,12 @@ impl<'a> Conversion<'a> {
     pub(super) fn new(
         setup: &'a Setup<'a>,
         format: MeshFormat,
-        store: Store,
+        store: StateFolder,
         frames: usize,
     ) -> Self {
         let division = setup.division(frames);
-        let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes, setup.checked.threads));
+        let (settled, gate) =
+            (OnceLock::new(), FrameGate::new(division.lanes, setup.checked.threads));
         let [stop, unchecked] = [(); 2].map(|()| AtomicBool::new(false));
         let before = OnceLock::new();
         Self { setup, format, store, settled, before, division, gate, stop, unchecked }

@@ -148,7 +148,7 @@ pub struct FrameCounts {
 /// Particles and drops that are left out of surfaces.
 #[derive(Debug, Default, Clone, Copy)]
 #[non_exhaustive]
-pub struct LeftOut {
+pub struct OmittedCounts {
     /// Counts of particles.
     pub census: Census,
     /// Lower bound of the particles that are missing from surfaces.
@@ -159,7 +159,7 @@ pub struct LeftOut {
     pub unselected: u64,
 }
 
-impl LeftOut {
+impl OmittedCounts {
     pub(super) fn add(&mut self, other: &Self) {
         self.census.binned += other.census.binned;
         self.census.not_finite += other.census.not_finite;
@@ -171,7 +171,7 @@ impl LeftOut {
     }
 }
 
-impl From<Census> for LeftOut {
+impl From<Census> for OmittedCounts {
     fn from(census: Census) -> Self {
         Self { census, ..Self::default() }
     }
@@ -180,7 +180,7 @@ impl From<Census> for LeftOut {
 /// Frames that are missing between others.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Missing {
+pub struct MissingFrames {
     /// The first number.
     pub first: i64,
     /// The last number.
@@ -191,7 +191,7 @@ pub struct Missing {
     pub paths: [PathBuf; 2],
 }
 
-impl fmt::Display for Missing {
+impl fmt::Display for MissingFrames {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { first, last, paths: [from, to], .. } = self;
         if first == last {
@@ -218,12 +218,12 @@ pub struct Summary {
     /// The error that prevented this simulation, one of several.
     pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
-    pub missing: Vec<Missing>,
+    pub missing: Vec<MissingFrames>,
     /// Numbers without a file, if more are missing than exist: then they are not counted as
     /// missing.
     pub chosen: Option<Gaps>,
     /// Particles and drops that are left out of the surfaces.
-    pub left_out: LeftOut,
+    pub left_out: OmittedCounts,
     /// Whether the indicator is counting or symmetry, which lose drops that clouds keep.
     pub smoothed: bool,
     /// Duration in seconds.

@@ -8,7 +8,7 @@ use bytesize::ByteSize;
 use rayon::prelude::*;
 
 use crate::error::Error;
-use crate::frame::{Counted, Engine};
+use crate::frame::{CountedFrame, Engine};
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::is_packed;
 use crate::particles::Particles;
@@ -21,7 +21,7 @@ use super::gaps::{Gaps, gaps};
 use super::records::Records;
 use super::setup::Setup;
 use super::shared_calibration::SharedCalibration;
-use super::state::{State, Store};
+use super::state::{State, StateFolder};
 
 /// A forecast of a conversion. It displays as several lines of text.
 #[derive(Debug, Clone)]
@@ -42,13 +42,13 @@ pub struct Forecast {
     /// The calibration that all frames share.
     pub shared: SharedCalibration,
     /// The forecast for the largest frame; `None` for packed frames.
-    pub largest: Option<Largest>,
+    pub largest: Option<LargestFrame>,
 }
 
 /// The largest frame of a conversion, and estimates for all frames.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct Largest {
+pub struct LargestFrame {
     /// The frame's number.
     pub frame: i64,
     /// The number of particles in the frame.
@@ -101,7 +101,7 @@ impl Setup<'_> {
     pub(super) fn forecast(
         &self,
         kept: Option<State>,
-        store: &Store,
+        store: &StateFolder,
         frames: &[FrameFile],
         wanted: &[&FrameFile],
     ) -> Result<Forecast, Error> {
@@ -137,7 +137,7 @@ impl Setup<'_> {
         wanted: &[&FrameFile],
         done: usize,
         begun: Instant,
-    ) -> Result<Option<Largest>, Error> {
+    ) -> Result<Option<LargestFrame>, Error> {
         let (checked, total) =
             (self.checked, wanted.iter().map(|frame| frame.bytes()).sum::<u64>());
         let largest =
@@ -157,8 +157,9 @@ impl Setup<'_> {
         let (sampling, _) = self.sampling(shared, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
-        let counted = Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None)
-            .map_err(in_file)?;
+        let counted =
+            CountedFrame::for_surface(&file.particles, &sampling, &checked.surfacing, None)
+                .map_err(in_file)?;
         let (census, estimate) = (counted.census(), counted.estimate());
         let frame =
             Engine::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
@@ -168,7 +169,7 @@ impl Setup<'_> {
         let share = largest.bytes().max(1) as f64;
         let scale =
             (wanted.len() - done) as f64 * total as f64 / wanted.len().max(1) as f64 / share;
-        Ok(Some(Largest {
+        Ok(Some(LargestFrame {
             frame: largest.number,
             particles: census.binned,
             triangles: mesh.triangle_count(),

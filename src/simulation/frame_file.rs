@@ -6,7 +6,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::frame_files::files_of;
 use crate::io::input::open_joined;
 use crate::io::stamp::Stamp;
-use crate::io::wanted::Wanted;
+use crate::io::wanted::WantedParticles;
 use crate::io::{ParticleFile, ReadError};
 
 /// The files of a frame.
@@ -53,7 +53,7 @@ impl FrameFile {
 
     pub(super) fn open(
         &self,
-        wanted: Wanted,
+        wanted: WantedParticles,
         unpacking: Unpacking,
     ) -> Result<ParticleFile, ReadError> {
         let file = open_joined(&self.paths().collect::<Vec<_>>(), wanted, unpacking)?;

@@ -2,9 +2,9 @@
 
 use super::frame_file::FrameFile;
 use super::shared_calibration::{
-    Measured, SharedCalibration, Stamp, Trust, measure_in, measure_sampled,
+    FrameMeasurements, SharedCalibration, Stamp, Trust, measure_in, measure_sampled,
 };
-use super::state::{State, Store};
+use super::state::{State, StateFolder};
 use crate::error::{Cause, Error};
 use crate::field::walls::Ends;
 use crate::frame::{FrameError, Resources};
@@ -14,7 +14,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
 use crate::particles::{AttributeKind, Particles};
-use crate::reconstruction::{self, FoundWalls, Search, Slab, SpacingWarning};
+use crate::reconstruction::{self, FoundWalls, Slab, SpacingWarning, WallSearch};
 
 use super::event::Event;
 use super::setup::{POLL, Setup};
@@ -28,7 +28,7 @@ const LOOKED_AT: usize = 64;
 const LOOKED_AT_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
-struct OneMeasured {
+struct MeasuredFrame {
     shared: SharedCalibration,
     trust: Trust,
     /// Warnings about its spacing.
@@ -40,7 +40,7 @@ impl Setup<'_> {
     /// still open.
     pub(super) fn state(
         &self,
-        store: &Store,
+        store: &StateFolder,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
@@ -61,7 +61,7 @@ impl Setup<'_> {
         resources: &Resources,
     ) -> Result<(SharedCalibration, Option<ParticleFile>), Error> {
         let (frame, mut measured, file) = self.freeze_one(frames, resources)?;
-        if self.checked.sampling.search == Search::Walls && self.simulation.watch.is_none() {
+        if self.checked.sampling.search == WallSearch::Walls && self.simulation.watch.is_none() {
             measured.shared.walls = self.common_walls(frames, &measured.shared, resources)?;
         }
         self.report_measured(&frame, &measured);
@@ -99,10 +99,10 @@ impl Setup<'_> {
         &self,
         frames: &[FrameFile],
         resources: &Resources,
-    ) -> Result<(FrameFile, OneMeasured, Option<ParticleFile>), Error> {
+    ) -> Result<(FrameFile, MeasuredFrame, Option<ParticleFile>), Error> {
         let idle = self.simulation.watch;
         let mut watch = idle.map(|idle| Watch::new(idle, self.simulation.selection));
-        let mut best: Option<(FrameFile, OneMeasured)> = None;
+        let mut best: Option<(FrameFile, MeasuredFrame)> = None;
         let mut first_error = None;
         let mut looked_at = 0;
         let (first, rest) = frames.split_at(frames.len().min(LOOKED_AT / 2));
@@ -127,7 +127,7 @@ impl Setup<'_> {
                     }
                     Ok((found, _)) => {
                         // Spray is farther apart than fluid, so its estimated spacing is too large.
-                        let is_better = |(_, known): &(FrameFile, OneMeasured)| {
+                        let is_better = |(_, known): &(FrameFile, MeasuredFrame)| {
                             known.trust < found.trust
                                 || known.trust == found.trust
                                     && known.shared.spacing > found.shared.spacing
@@ -213,7 +213,7 @@ impl Setup<'_> {
     }
 
     /// Reports the calibration with its frame, and warnings about its spacing.
-    fn report_measured(&self, frame: &FrameFile, found: &OneMeasured) {
+    fn report_measured(&self, frame: &FrameFile, found: &MeasuredFrame) {
         found
             .warnings
             .iter()
@@ -229,7 +229,7 @@ impl Setup<'_> {
         frame: &FrameFile,
         lattice: Option<&SharedCalibration>,
         resources: &Resources,
-    ) -> Result<(OneMeasured, Option<ParticleFile>), Error> {
+    ) -> Result<(MeasuredFrame, Option<ParticleFile>), Error> {
         let path = &frame.path;
         let input = frame.stamp()?;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
@@ -242,12 +242,15 @@ impl Setup<'_> {
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let spacing = sampled.facts.spacing;
             let shared = shared(frame.number, input, spacing, None, (None, None), measured);
-            return Ok((OneMeasured { shared, trust: measured.trust, warnings: Vec::new() }, None));
+            return Ok((
+                MeasuredFrame { shared, trust: measured.trust, warnings: Vec::new() },
+                None,
+            ));
         }
         let file = self.open_particles(frame, resources)?;
         let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
         let request = &self.checked.sampling;
-        let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
+        let source = reconstruction::SpacingHints { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
         let asked = request.method;
         let known = lattice.map(|first| {
@@ -272,7 +275,7 @@ impl Setup<'_> {
         if let Some(first) = lattice {
             (shared.spacing, shared.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
-        Ok((OneMeasured { shared, trust: measured.trust, warnings: cells.warnings }, Some(file)))
+        Ok((MeasuredFrame { shared, trust: measured.trust, warnings: cells.warnings }, Some(file)))
     }
 }
 
@@ -282,7 +285,7 @@ fn shared(
     spacing: Option<f64>,
     spacing_source: Option<String>,
     (slab, walls): (Option<Slab>, Option<FoundWalls>),
-    Measured { grid, calibration, .. }: Measured,
+    FrameMeasurements { grid, calibration, .. }: FrameMeasurements,
 ) -> SharedCalibration {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
     SharedCalibration {

@@ -9,17 +9,17 @@ use super::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Runs frames in parallel, or one alone.
 #[derive(Debug)]
-pub(super) struct Gate {
+pub(super) struct FrameGate {
     lanes: usize,
     threads: usize,
     /// Threads of a frame that runs alone.
     all: OnceLock<Option<ThreadPool>>,
-    state: Mutex<State>,
+    state: Mutex<GateState>,
     changed: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct GateState {
     inside: usize,
     waiting_alone: usize,
 }
@@ -27,11 +27,11 @@ struct State {
 /// A permit to compute, returned on drop.
 #[derive(Debug)]
 pub(super) struct Permit<'a> {
-    gate: &'a Gate,
+    gate: &'a FrameGate,
     lanes: usize,
 }
 
-impl Gate {
+impl FrameGate {
     /// A gate for `lanes` lanes. A lane that runs alone has `threads` threads.
     pub(super) fn new(lanes: usize, threads: usize) -> Self {
         let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
@@ -44,7 +44,7 @@ impl Gate {
         self.all.get_or_init(start).as_ref()
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, GateState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

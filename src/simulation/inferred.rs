@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use crate::error::SimulationError;
 
-use super::pattern::{Candidate, Numbers, PIECE, Pattern, skeleton};
+use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 
 /// Infers the patterns of files, one for each simulation. Files without a number are ignored.
 ///
@@ -18,14 +18,14 @@ use super::pattern::{Candidate, Numbers, PIECE, Pattern, skeleton};
 ///
 /// # Errors
 /// [`SimulationError::Names`] if several numbers could be the frame.
-pub(super) fn infer(files: &[Candidate]) -> Result<Vec<Pattern>, SimulationError> {
+pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, SimulationError> {
     let numbered = files.iter().filter(|file| !file.runs.is_empty());
     let mut found: BTreeMap<[String; 2], Pattern> = BTreeMap::new();
     let mut add = |pattern: Pattern| {
         let key = [&pattern.prefix, &pattern.suffix].map(String::clone);
         found.entry(key).or_insert(pattern);
     };
-    let mut kinds: BTreeMap<String, Vec<Candidate>> = BTreeMap::new();
+    let mut kinds: BTreeMap<String, Vec<FrameCandidate>> = BTreeMap::new();
     for files in by(numbered, |file| skeleton(&file.name, &file.decimals())).into_values() {
         match times(&files) {
             Some(pattern) => add(pattern),
@@ -36,7 +36,7 @@ pub(super) fn infer(files: &[Candidate]) -> Result<Vec<Pattern>, SimulationError
     }
     with_signs(&mut kinds);
     for files in kinds.into_values() {
-        let mut files: Vec<&Candidate> = files.iter().collect();
+        let mut files: Vec<&FrameCandidate> = files.iter().collect();
         files.sort_by(|a, b| a.path.cmp(&b.path));
         match frame_number(&files)? {
             FrameNumber::InPieces(pattern) => add(pattern),
@@ -48,10 +48,10 @@ pub(super) fn infer(files: &[Candidate]) -> Result<Vec<Pattern>, SimulationError
 
 /// Files by a key.
 fn by<'a>(
-    files: impl IntoIterator<Item = &'a Candidate>,
-    key: impl Fn(&Candidate) -> String,
-) -> BTreeMap<String, Vec<&'a Candidate>> {
-    let mut groups: BTreeMap<String, Vec<&Candidate>> = BTreeMap::new();
+    files: impl IntoIterator<Item = &'a FrameCandidate>,
+    key: impl Fn(&FrameCandidate) -> String,
+) -> BTreeMap<String, Vec<&'a FrameCandidate>> {
+    let mut groups: BTreeMap<String, Vec<&FrameCandidate>> = BTreeMap::new();
     for file in files {
         groups.entry(key(file)).or_default().push(file);
     }
@@ -59,7 +59,7 @@ fn by<'a>(
 }
 
 /// Joins `f-1` with `f1`: if both exist, the dash is a sign.
-fn with_signs(kinds: &mut BTreeMap<String, Vec<Candidate>>) {
+fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
     let dashed: Vec<String> =
         kinds.keys().filter(|kind| kind.matches("-\0").count() == 1).cloned().collect();
     for kind in dashed {
@@ -81,7 +81,7 @@ fn with_signs(kinds: &mut BTreeMap<String, Vec<Candidate>>) {
 /// The pattern of files whose names differ in one decimal, if the decimal must be a time: it has an
 /// exponent, is a fraction of 1 after a separator, or continues from one integer to the next in
 /// steps that are no longer than those between.
-fn times(files: &[&Candidate]) -> Option<Pattern> {
+fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     let first = files[0];
     let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
     let text = |file: usize, number: usize| &files[file].name[numbers[file][number].clone()];
@@ -97,7 +97,7 @@ fn times(files: &[&Candidate]) -> Option<Pattern> {
     if !is_fraction(number) {
         return None;
     }
-    let pattern = || first.pattern_at(numbers[0][number].clone(), Numbers::Times);
+    let pattern = || first.pattern_at(numbers[0][number].clone(), NumberKind::Times);
     if all(number).any(|text| text.contains(['e', 'E'])) {
         return Some(pattern());
     }
@@ -132,7 +132,7 @@ enum FrameNumber {
     InPieces(Pattern),
 }
 
-fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
+fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationError> {
     let first = files[0];
     let varies = |&run: &usize| files.iter().any(|file| file.digits(run) != first.digits(run));
     let varying: Vec<usize> = (0..first.runs.len()).filter(varies).collect();
@@ -149,17 +149,17 @@ fn frame_number(files: &[&Candidate]) -> Result<FrameNumber, SimulationError> {
     let decimal = varying.iter().filter(|_| !others.is_empty()).find(is_joint);
     if decimal.is_none() {
         match pieces(files, &varying)? {
-            Pieces::In(pattern) => return Ok(FrameNumber::InPieces(pattern)),
-            Pieces::Unlikely if others.is_empty() || side_by_side(files, others, last) => {
+            PiecesGuess::In(pattern) => return Ok(FrameNumber::InPieces(pattern)),
+            PiecesGuess::Unlikely if others.is_empty() || side_by_side(files, others, last) => {
                 return Ok(FrameNumber::Run(last));
             }
-            Pieces::Unlikely | Pieces::Unclear => {}
+            PiecesGuess::Unlikely | PiecesGuess::Unclear => {}
         }
     }
     let mut choices: Vec<String> = Vec::new();
     if let Some(&run) = decimal {
         let time = numbers.iter().find(|number| number.end >= first.runs[run].end);
-        let time = time.map(|number| first.pattern_at(number.clone(), Numbers::Times));
+        let time = time.map(|number| first.pattern_at(number.clone(), NumberKind::Times));
         choices.extend(time.map(|pattern| format!("\"{pattern}\"")));
     }
     choices.extend(varying.iter().map(|&run| format!("\"{}\"", first.pattern(run))));
@@ -188,7 +188,7 @@ const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];
 const MAY_BE_PIECES: [&str; 5] = ["p", "part", "piece", "block", "domain"];
 
 /// Whether files are pieces of frames.
-enum Pieces {
+enum PiecesGuess {
     /// Pieces of frames in this pattern.
     In(Pattern),
     /// Pieces or frames.
@@ -208,7 +208,7 @@ fn is_padded(digits: &str) -> bool {
 /// # Errors
 /// [`SimulationError::Names`] if the files of processes differ between frames, or have no other
 /// number.
-fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationError> {
+fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, SimulationError> {
     let first = files[0];
     let is_called = |run: usize, words: &[&str]| {
         let before = first.name[..first.runs[run].start].trim_end_matches(['_', '-', '.', ' ']);
@@ -234,10 +234,10 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
             let word = before[word..].to_ascii_lowercase();
             if !word.is_empty() && !FRAMES.contains(&word.as_str()) {
                 // As in `case1_rank0`: these may be frames of one case.
-                return Ok(Pieces::Unclear);
+                return Ok(PiecesGuess::Unclear);
             }
             if files.iter().any(|file| is_padded(file.digits(*piece))) {
-                return Ok(Pieces::Unclear);
+                return Ok(PiecesGuess::Unclear);
             }
             (*piece, frame)
         }
@@ -247,10 +247,10 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
             _ => match [one, other].map(|run| is_called(run, &MAY_BE_PIECES)) {
                 [false, true] => (other, one),
                 [true, false] => (one, other),
-                _ => return Ok(Pieces::Unlikely),
+                _ => return Ok(PiecesGuess::Unlikely),
             },
         },
-        _ => return Ok(Pieces::Unlikely),
+        _ => return Ok(PiecesGuess::Unlikely),
     };
     let mut frames: BTreeMap<&str, BTreeSet<Option<usize>>> = BTreeMap::new();
     for file in files {
@@ -262,7 +262,7 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
     let pattern = in_pieces(first, frame, piece);
     if is_process(&piece) {
         if is_same {
-            return Ok(Pieces::In(pattern));
+            return Ok(PiecesGuess::In(pattern));
         }
         let (frame, own) = frames.iter().find(|(_, own)| **own != counted).expect("one differs");
         let lacking = counted.difference(own).flatten().next();
@@ -276,17 +276,17 @@ fn pieces(files: &[&Candidate], varying: &[usize]) -> Result<Pieces, SimulationE
         )));
     }
     Ok(if files.iter().any(|file| is_padded(file.digits(piece))) {
-        Pieces::Unlikely
+        PiecesGuess::Unlikely
     } else if is_same && pieces > 1 && pieces <= frames.len() {
-        Pieces::In(pattern)
+        PiecesGuess::In(pattern)
     } else {
-        Pieces::Unclear
+        PiecesGuess::Unclear
     })
 }
 
 /// The pattern of frames with one run of digits as their number, and another as the number of their
 /// pieces.
-fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
+fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
     let mut pattern = file.pattern(frame);
     let Range { start, end } = file.runs[piece].clone();
     if piece < frame {
@@ -302,13 +302,13 @@ fn in_pieces(file: &Candidate, frame: usize, piece: usize) -> Pattern {
 /// `last`: there are fewer simulations than frames, and at least half of the numbers of each
 /// simulation also occur in the longest one. Numbers that count from 0 in the same way in all of
 /// them can be pieces, unless they are padded like frames.
-fn side_by_side(files: &[&Candidate], others: &[usize], last: usize) -> bool {
+fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
         let simulation = others.iter().map(|&run| file.digits(run)).collect();
         simulations.entry(simulation).or_default().insert(file.digits(last));
     }
-    let is_padded_longest = |file: &&Candidate| {
+    let is_padded_longest = |file: &&FrameCandidate| {
         let text = file.digits(last);
         let longest = others.iter().map(|&run| file.digits(run).len()).max().unwrap_or(0);
         is_padded(text) && text.len() >= longest

@@ -18,7 +18,7 @@ use crate::error::{Error, SimulationError};
 use super::frame_file::{FrameFile, neighbours};
 use super::inferred::infer;
 use super::numbered::{joined, timed, whole};
-use super::pattern::{Candidate, Numbers, Pattern, digit_runs};
+use super::pattern::{FrameCandidate, NumberKind, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
 /// Maximum wait for a second file that shows how to interpret the first.
@@ -82,7 +82,8 @@ impl Inputs {
         let each = arguments.iter().map(|argument| Self::of(std::slice::from_ref(argument)));
         let each = each.collect::<Result<Vec<_>, _>>()?;
         let is_file = |argument: &Option<Self>| argument.is_none();
-        let has_number = |argument: &PathBuf| !Candidate::from(argument.clone()).runs.is_empty();
+        let has_number =
+            |argument: &PathBuf| !FrameCandidate::from(argument.clone()).runs.is_empty();
         let members = if each.iter().all(is_file) && arguments.iter().any(has_number) {
             vec![Self::Files(arguments.to_vec())]
         } else {
@@ -196,7 +197,7 @@ impl Inputs {
             return SimulationError::NoFolder(folder.to_owned());
         }
         if let Self::Pattern(pattern) = self {
-            let times = Pattern { numbers: Numbers::Times, ..pattern.clone() };
+            let times = Pattern { numbers: NumberKind::Times, ..pattern.clone() };
             let files = self.candidates().unwrap_or_default();
             if files.iter().any(|file| times.digits(&file.name).is_some()) {
                 return SimulationError::Names(format!(
@@ -265,7 +266,7 @@ impl Inputs {
     }
 
     /// The existing files that may be frames.
-    fn candidates(&self) -> Result<Vec<Candidate>, SimulationError> {
+    fn candidates(&self) -> Result<Vec<FrameCandidate>, SimulationError> {
         Ok(match self {
             Self::Pattern(pattern) => {
                 let named =
@@ -273,7 +274,7 @@ impl Inputs {
                 all_in(pattern.folder())?
                     .into_iter()
                     .filter(|path| !self.hides(path))
-                    .map(|path| Candidate::from(named(path)))
+                    .map(|path| FrameCandidate::from(named(path)))
                     .collect()
             }
             Self::Folder(folder) => {
@@ -349,14 +350,14 @@ impl Sequence {
             (source, Some(pattern)) => {
                 let files = source.candidates()?;
                 self.confirm(pattern, &files)?;
-                let numbered = |file: Candidate| {
+                let numbered = |file: FrameCandidate| {
                     let digits = self.digits(pattern, &file)?.to_owned();
                     Some((digits, file))
                 };
                 let files: Vec<_> = files.into_iter().filter_map(numbered).collect();
                 match pattern.numbers {
-                    Numbers::Whole => whole(pattern, files)?,
-                    Numbers::Times => timed(files),
+                    NumberKind::Whole => whole(pattern, files)?,
+                    NumberKind::Times => timed(files),
                 }
             }
         };
@@ -382,7 +383,7 @@ impl Sequence {
 
     /// The frame's number in the name of a file. A pattern from the request is exact; an inferred
     /// one also matches `.gz` and similar endings.
-    fn digits<'a>(&self, pattern: &Pattern, file: &'a Candidate) -> Option<&'a str> {
+    fn digits<'a>(&self, pattern: &Pattern, file: &'a FrameCandidate) -> Option<&'a str> {
         match self.source {
             Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
             _ => pattern.digits(&file.name),
@@ -390,12 +391,12 @@ impl Sequence {
     }
 
     /// Infers the pattern again if new files differ from the frames in other numbers.
-    fn confirm(&self, pattern: &Pattern, files: &[Candidate]) -> Result<(), SimulationError> {
+    fn confirm(&self, pattern: &Pattern, files: &[FrameCandidate]) -> Result<(), SimulationError> {
         let Some(patience) = self.patience else { return Ok(()) };
-        let is_frame = |file: &Candidate| pattern.digits(&file.name).is_some();
+        let is_frame = |file: &FrameCandidate| pattern.digits(&file.name).is_some();
         let Some(first) = files.iter().find(|file| is_frame(file)) else { return Ok(()) };
         let kind = first.skeleton();
-        let is_alike = |file: &&Candidate| {
+        let is_alike = |file: &&FrameCandidate| {
             file.skeleton() == kind
                 && (is_frame(file) || !may_be_piece(&file.path) || rests(file, patience))
         };
@@ -423,7 +424,7 @@ impl Sequence {
 
     /// Whether this file would be a frame if it existed.
     pub fn takes(&self, path: &Path) -> bool {
-        let file = Candidate::from(path.to_owned());
+        let file = FrameCandidate::from(path.to_owned());
         let is_joined = matches!(self.source, Inputs::Together(_));
         self.source.takes(path)
             && !self.source.hides(path)
@@ -531,7 +532,7 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
 
 /// Removes meshes. Files that differ only in their last number are either all meshes, or none of
 /// them is.
-fn without_meshes(files: Vec<Candidate>) -> Vec<Candidate> {
+fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
     let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for file in files {
         let last = file.pattern(file.runs.len() - 1);
@@ -543,7 +544,7 @@ fn without_meshes(files: Vec<Candidate>) -> Vec<Candidate> {
 }
 
 /// Whether a file has not changed for at least `patience`.
-fn rests(file: &Candidate, patience: Duration) -> bool {
+fn rests(file: &FrameCandidate, patience: Duration) -> bool {
     let modified = file.path.metadata().and_then(|metadata| metadata.modified());
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
 }

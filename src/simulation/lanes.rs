@@ -53,7 +53,7 @@ impl Division {
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::super::gate::Gate;
+    use super::super::gate::FrameGate;
     use super::*;
 
     #[test]
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn who_is_alone_is_alone_and_comes_through_a_crowd() {
-        let gate = Gate::new(3, 1);
+        let gate = FrameGate::new(3, 1);
         let inside = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             for thread in 0..6 {

@@ -12,12 +12,12 @@ use crate::particles::kind::{SettledKind, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, Drawn, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning, Started, Surface,
-    Warning,
+    self, DrawnSurface, Reconstruction, Report, SinglePrecision, Slab, SpacingWarning,
+    StartedRequest, Surface, Warning,
 };
 use crate::system::timings::Timings;
 
-use super::shared_calibration::{Measured, Trust, measure_in};
+use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 
 /// A simulation whose frames come from memory, in order.
 ///
@@ -42,14 +42,14 @@ use super::shared_calibration::{Measured, Trust, measure_in};
 /// ```
 #[derive(Debug)]
 pub struct LiveSimulation {
-    ready: Started,
-    known: Option<Known>,
+    ready: StartedRequest,
+    known: Option<KnownCalibration>,
     settled: bool,
 }
 
 /// The calibration that the frames share.
 #[derive(Debug, Clone)]
-struct Known {
+struct KnownCalibration {
     kinds: Vec<SettledKind>,
     grid: Grid,
     method: Method,
@@ -114,7 +114,10 @@ impl LiveSimulation {
     }
 
     /// Makes the surface of a frame, or an empty mesh for a frame without particles.
-    fn drawn_or_empty(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
+    fn drawn_or_empty(
+        &mut self,
+        particles: &(impl Particles + ?Sized),
+    ) -> Result<DrawnSurface, Error> {
         match self.drawn(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
                 self.empty(particles, self.facts(census)?)
@@ -123,7 +126,7 @@ impl LiveSimulation {
         }
     }
 
-    fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
+    fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<DrawnSurface, Error> {
         let Self { ready, known, settled } = self;
         let checked = &ready.checked;
         let mut timings = Timings::default();
@@ -135,7 +138,7 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(&Known {
+        let Some(&KnownCalibration {
             grid,
             method,
             spacing,
@@ -177,7 +180,7 @@ impl LiveSimulation {
             Some(known) => (known.grid, known.spacing),
             None => {
                 let none: [[f64; 3]; 0] = [];
-                let cells = request.cells(&none, reconstruction::Source::default());
+                let cells = request.cells(&none, reconstruction::SpacingHints::default());
                 (request.grid(cells.map_or(1.0, |cells| cells.size))?, request.spacing)
             }
         };
@@ -189,7 +192,7 @@ impl LiveSimulation {
         &self,
         particles: &(impl Particles + ?Sized),
         facts: FrameFacts,
-    ) -> Result<Drawn, Error> {
+    ) -> Result<DrawnSurface, Error> {
         let checked = &self.ready.checked;
         let carried = checked.settings.carried(particles.attributes(), None)?;
         let kinds = self.known.as_ref().map_or(&[][..], |known| &known.kinds);
@@ -197,29 +200,32 @@ impl LiveSimulation {
         let mesh = checked.empty_mesh(infos);
         let report =
             Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
-        Ok(Drawn { mesh, precision: SinglePrecision::Enough, report })
+        Ok(DrawnSurface { mesh, precision: SinglePrecision::Enough, report })
     }
 }
 
 /// Measures a frame for all, on the grid of an earlier lattice if there was one. Also returns
 /// warnings about its spacing.
 fn measured(
-    ready: &Started,
+    ready: &StartedRequest,
     particles: &(impl Particles + ?Sized),
-    before: Option<&Known>,
-) -> Result<(Known, Vec<SpacingWarning>), Error> {
+    before: Option<&KnownCalibration>,
+) -> Result<(KnownCalibration, Vec<SpacingWarning>), Error> {
     let checked = &ready.checked;
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
-    let cells = request.cells(particles, reconstruction::Source::default())?;
+    let cells = request.cells(particles, reconstruction::SpacingHints::default())?;
     let known = lattice.map(|known| (known.grid, known.method));
     let measured = measure_in(&cells, known, particles, checked, checked.resources.clone())?;
-    let Measured { grid, calibration, trust } = measured;
+    let FrameMeasurements { grid, calibration, trust } = measured;
     let (slab, spacing) = (cells.slab, lattice.map_or(cells.spacing(), |known| known.spacing));
     let method = request.method.calibrated(calibration.as_ref());
     let carried = checked.settings.carried(particles.attributes(), None)?;
     let kinds = settled_for_all(particles, &carried);
     let walls = cells.found().copied();
     let reconstruction::Cells { sizes, warnings, .. } = cells;
-    Ok((Known { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust }, warnings))
+    Ok((
+        KnownCalibration { kinds, grid, method, spacing, slab, walls, sizes, calibration, trust },
+        warnings,
+    ))
 }

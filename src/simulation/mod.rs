@@ -42,8 +42,10 @@ mod watch;
 use std::sync;
 
 pub use builder::Simulation;
-pub use event::{Event, FrameCounts, FrameDone, FrameFailed, LeftOut, Missing, Summary};
-pub use forecast::{Forecast, Largest};
+pub use event::{
+    Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary,
+};
+pub use forecast::{Forecast, LargestFrame};
 pub use frame_file::FrameFile;
 pub use inputs::{files, frames};
 pub use live::LiveSimulation;

@@ -7,7 +7,7 @@ use crate::io::frame_files::snapshot_piece;
 use crate::io::output::MeshFormat;
 
 use super::inputs::{Inputs, Sequence};
-use super::pattern::{Numbers, PIECE, Pattern, stem};
+use super::pattern::{NumberKind, PIECE, Pattern, stem};
 
 /// The names of outputs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -68,7 +68,13 @@ impl Naming {
                 (without_piece(prefix), without_piece(&tail(suffix)))
             }
         };
-        Pattern { folder, prefix, suffix: tail + IN_FOLDER, width: None, numbers: Numbers::Whole }
+        Pattern {
+            folder,
+            prefix,
+            suffix: tail + IN_FOLDER,
+            width: None,
+            numbers: NumberKind::Whole,
+        }
     }
 }
 

@@ -8,15 +8,15 @@ use crate::error::SimulationError;
 
 use super::frame_file::FrameFile;
 use super::inputs::Sequence;
-use super::pattern::{Candidate, Pattern};
+use super::pattern::{FrameCandidate, Pattern};
 
 /// Frames by the integers in their names; files with the same number are its pieces, if their names
 /// distinguish them.
 pub(super) fn whole(
     pattern: &Pattern,
-    files: Vec<(String, Candidate)>,
+    files: Vec<(String, FrameCandidate)>,
 ) -> Result<Vec<FrameFile>, SimulationError> {
-    let number = |(digits, file): (String, Candidate)| match digits.parse() {
+    let number = |(digits, file): (String, FrameCandidate)| match digits.parse() {
         Ok(number) => Ok((number, digits, file)),
         Err(_) => Err(SimulationError::Names(format!(
             "{}: frames are numbered from {} to {}",
@@ -27,7 +27,7 @@ pub(super) fn whole(
     };
     let files = files.into_iter().map(number).collect::<Result<Vec<_>, _>>()?;
     if !pattern.has_pieces() {
-        let frame = |(number, digits, file): (i64, String, Candidate)| {
+        let frame = |(number, digits, file): (i64, String, FrameCandidate)| {
             FrameFile::new(number, digits, file.path)
         };
         return Ok(files.into_iter().map(frame).collect());
@@ -62,13 +62,15 @@ pub(super) fn whole(
 }
 
 /// Frames in the order of the times in their names, counted from 0.
-pub(super) fn timed(files: Vec<(String, Candidate)>) -> Vec<FrameFile> {
-    let time = |(digits, file): (String, Candidate)| Some((digits.parse().ok()?, digits, file));
-    let mut files: Vec<(f64, String, Candidate)> = files.into_iter().filter_map(time).collect();
+pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
+    let time =
+        |(digits, file): (String, FrameCandidate)| Some((digits.parse().ok()?, digits, file));
+    let mut files: Vec<(f64, String, FrameCandidate)> =
+        files.into_iter().filter_map(time).collect();
     files.sort_by(|(a, _, one), (b, _, other)| {
         a.total_cmp(b).then_with(|| one.path.cmp(&other.path))
     });
-    let frame = |(number, (time, digits, file)): (i64, (f64, String, Candidate))| FrameFile {
+    let frame = |(number, (time, digits, file)): (i64, (f64, String, FrameCandidate))| FrameFile {
         time: Some(time),
         ..FrameFile::new(number, digits, file.path)
     };

@@ -5,15 +5,15 @@ use std::mem::take;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use super::conversion::{Conversion, Settled};
-use super::event::{Event, LeftOut};
+use super::conversion::{Conversion, SharedMeasurements};
+use super::event::{Event, OmittedCounts};
 use super::frame_file::FrameFile;
 use super::gate::Permit;
 use super::records::{Record, Records};
 use super::shared_calibration::{SharedCalibration, Stamp};
 use super::small_meshes::SmallMeshes;
 use crate::error::Error;
-use crate::frame::{Counted, Engine, FrameError, Resources};
+use crate::frame::{CountedFrame, Engine, FrameError, Resources};
 use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
 use crate::io::input::file_and_step;
@@ -24,39 +24,39 @@ use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    Checked, Drawn, Held, Orientation, Output, Report, SinglePrecision, SpacingSource,
-    SpacingWarning, Warning, coordinate_width, made_of, refuse_same_file,
+    CheckedRequest, DrawnSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
+    SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, refuse_same_file,
 };
 use crate::surface::mesh::Mesh;
-use crate::surface::mesh::source::Bounded;
+use crate::surface::mesh::source::BoundedMesh;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 /// A converted frame.
-pub(super) struct Done {
+pub(super) struct ConvertedFrame {
     pub(super) mesh: SeriesFrame,
     pub(super) time: Option<f64>,
     pub(super) report: Option<Report>,
-    pub(super) left_out: LeftOut,
+    pub(super) left_out: OmittedCounts,
     pub(super) warnings: Vec<Warning>,
     pub(super) seconds: f64,
 }
 
 /// A frame whose mesh is written, but may not be on disk yet.
-pub(super) struct Filled {
+pub(super) struct WrittenFrame {
     file: FilledFile,
-    held: Held,
+    held: TemporaryOutput,
     target: PathBuf,
-    replaces: Replaces,
+    replaces: ReplaceableFiles,
     record: Record,
     /// A small mesh for the contact sheet, if the format cannot be read again.
     small: Option<Mesh>,
-    done: Done,
+    done: ConvertedFrame,
 }
 
 /// The files that a mesh may replace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Replaces {
+enum ReplaceableFiles {
     Nothing,
     /// Meshes that this conversion made.
     Own,
@@ -64,10 +64,10 @@ enum Replaces {
 }
 
 /// An open frame with its prepared output.
-pub(super) struct Opened {
+pub(super) struct PreparedFrame {
     input: Stamp,
     target: PathBuf,
-    replaces: Replaces,
+    replaces: ReplaceableFiles,
     orientation: Orientation,
     output: Output,
     /// `None` for a packed frame.
@@ -76,10 +76,10 @@ pub(super) struct Opened {
 }
 
 /// A frame that is ready to be meshed.
-struct Ready<'a> {
+struct MeshableFrame<'a> {
     /// `None` without particles.
     frame: Option<Engine>,
-    left_out: LeftOut,
+    left_out: OmittedCounts,
     /// Warnings about the input.
     warnings: Vec<Warning>,
     /// The attributes of the vertices.
@@ -93,23 +93,24 @@ impl Conversion<'_> {
     /// and opens the frame, unless its particles are already open.
     pub(super) fn open(
         &self,
-        checked: &Checked,
+        checked: &CheckedRequest,
         frame: &FrameFile,
         particles: Option<ParticleFile>,
         again: bool,
-    ) -> Result<Opened, Error> {
+    ) -> Result<PreparedFrame, Error> {
         let mut timings = Timings::default();
         let simulation = self.setup.simulation;
         let path = &frame.path;
         let input = frame.stamp()?;
         let replaces = if simulation.overwrite || again {
-            Replaces::Anything
+            ReplaceableFiles::Anything
         } else if simulation.resume {
-            Replaces::Own
+            ReplaceableFiles::Own
         } else {
-            Replaces::Nothing
+            ReplaceableFiles::Nothing
         };
-        let replace = if replaces == Replaces::Nothing { Replace::Refuse } else { Replace::Allow };
+        let replace =
+            if replaces == ReplaceableFiles::Nothing { Replace::Refuse } else { Replace::Allow };
         let target = self.output(frame);
         for path in frame.paths().chain(frame.solids.iter().map(PathBuf::as_path)) {
             refuse_same_file(&target, file_and_step(path).0)?;
@@ -134,32 +135,33 @@ impl Conversion<'_> {
             Ok::<_, Error>(Some(file))
         };
         let particles = checked.resources.control.during(Stage::Reading, open)?;
-        Ok(Opened { input, target, replaces, orientation, output, particles, timings })
+        Ok(PreparedFrame { input, target, replaces, orientation, output, particles, timings })
     }
 
     /// Converts a frame with the threads of its lane, or alone with all threads.
     pub(super) fn convert(
         &self,
-        checked: &Checked,
+        checked: &CheckedRequest,
         frame: &FrameFile,
-        opened: Opened,
-        settled: &Settled,
-    ) -> Result<Filled, Error> {
+        opened: PreparedFrame,
+        settled: &SharedMeasurements,
+    ) -> Result<WrittenFrame, Error> {
         let simulation = self.setup.simulation;
         let path = &frame.path;
         let shared = &settled.state.shared;
-        let Opened { input, target, replaces, orientation, output, particles, mut timings } =
+        let PreparedFrame { input, target, replaces, orientation, output, particles, mut timings } =
             opened;
         timings.skip();
         let ready = match particles {
             Some(file) => self.sample(checked, path, file, shared, &mut timings),
             None => self.unpack(checked, path, &mut timings),
         };
-        let Ready { frame: sampled, mut left_out, mut warnings, infos, time, permit } = ready?;
+        let MeshableFrame { frame: sampled, mut left_out, mut warnings, infos, time, permit } =
+            ready?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
                 let draw = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
-                let Drawn { mesh, precision, report } = permit.run(draw)?;
+                let DrawnSurface { mesh, precision, report } = permit.run(draw)?;
                 (mesh, precision, Some(report))
             }
             None => (checked.empty_mesh(infos), SinglePrecision::Enough, None),
@@ -173,7 +175,7 @@ impl Conversion<'_> {
         warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
         warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
-        let bounded = Bounded::new(&turned);
+        let bounded = BoundedMesh::new(&turned);
         let (file, held) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if frame.stamp().ok() != Some(input) {
@@ -211,14 +213,14 @@ impl Conversion<'_> {
         }
         let fingerprint = settled.fingerprint;
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
-        let done = Done { mesh: listed, time, report, left_out, warnings, seconds };
-        Ok(Filled { file, held, target, replaces, record, small, done })
+        let done = ConvertedFrame { mesh: listed, time, report, left_out, warnings, seconds };
+        Ok(WrittenFrame { file, held, target, replaces, record, small, done })
     }
 
     /// Waits until the frame's mesh is on disk, renames it, and stores its record.
-    pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
-        let Filled { file, held, target, replaces, record, small, done } = filled;
-        if replaces == Replaces::Own && self.is_foreign(&target, &record) {
+    pub(super) fn finish(&self, filled: WrittenFrame) -> Result<ConvertedFrame, Error> {
+        let WrittenFrame { file, held, target, replaces, record, small, done } = filled;
+        if replaces == ReplaceableFiles::Own && self.is_foreign(&target, &record) {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
@@ -245,10 +247,10 @@ impl Conversion<'_> {
     /// Reads a packed frame.
     fn unpack(
         &self,
-        checked: &Checked,
+        checked: &CheckedRequest,
         path: &Path,
         timings: &mut Timings,
-    ) -> Result<Ready<'_>, Error> {
+    ) -> Result<MeshableFrame<'_>, Error> {
         let budget = self.frame_budget(checked, self.division.share);
         let permit = self.gate.enter();
         let scratch = &checked.resources.scratch;
@@ -257,9 +259,9 @@ impl Conversion<'_> {
         checked.settings.check_indicator_settings(sampled.indicator.kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
         let frame = Engine::from_sampled(sampled, &checked.surfacing, resources);
-        Ok(Ready {
+        Ok(MeshableFrame {
             frame: Some(frame),
-            left_out: LeftOut::default(),
+            left_out: OmittedCounts::default(),
             warnings: Vec::new(),
             infos: Vec::new(),
             time: None,
@@ -270,13 +272,13 @@ impl Conversion<'_> {
     /// Samples the particles of a frame.
     fn sample(
         &self,
-        checked: &Checked,
+        checked: &CheckedRequest,
         path: &Path,
         file: ParticleFile,
         shared: &SharedCalibration,
         timings: &mut Timings,
-    ) -> Result<Ready<'_>, Error> {
-        let Checked { settings, surfacing, resources, .. } = checked;
+    ) -> Result<MeshableFrame<'_>, Error> {
+        let CheckedRequest { settings, surfacing, resources, .. } = checked;
         let control = &resources.control;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         let [share, alone] = [self.division.share, self.division.alone]
@@ -298,7 +300,7 @@ impl Conversion<'_> {
             });
         }
         control.begin(Stage::Counting);
-        let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
+        let mut counted = CountedFrame::for_surface(&file.particles, &sampling, surfacing, None);
         timings.done("count");
         let fits = match &counted {
             Ok(counted) => counted.estimate().in_core() <= share.0,
@@ -313,7 +315,7 @@ impl Conversion<'_> {
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
-            counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
+            counted = CountedFrame::for_surface(&file.particles, &sampling, surfacing, None);
         }
         let (frame, census) = match counted {
             Err(FrameError::NoParticles(census)) => (None, census),
@@ -324,17 +326,17 @@ impl Conversion<'_> {
                 (Some(permit.run(sample)?), census)
             }
         };
-        let left_out = LeftOut { unselected: file.unselected as u64, ..census.into() };
+        let left_out = OmittedCounts { unselected: file.unselected as u64, ..census.into() };
         let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
         let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
         let warnings = past.into_iter().chain(none_selected).chain(parts).collect();
-        Ok(Ready { frame, left_out, warnings, infos, time: file.time, permit })
+        Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
     }
 
     /// The part of a lane's memory for the frame itself. The rest is for simplifying, for a writer
     /// that holds the whole mesh, and for the frame's own solids.
-    fn frame_budget(&self, checked: &Checked, lane: MemoryBudget) -> MemoryBudget {
-        let Checked { settings, reduction, surfacing, .. } = self.setup.checked;
+    fn frame_budget(&self, checked: &CheckedRequest, lane: MemoryBudget) -> MemoryBudget {
+        let CheckedRequest { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());
         let lane = MemoryBudget(lane.0.saturating_sub(own.map_or(0, |solid| solid.bytes())));
         let holds = settings.holds_whole_mesh(self.format);
@@ -347,13 +349,13 @@ impl Conversion<'_> {
 
     /// The mesh of a frame, which may be empty, with its report.
     fn surface(
-        checked: &Checked,
+        checked: &CheckedRequest,
         path: &Path,
         sampled: &Engine,
         shared: &SharedCalibration,
         infos: Vec<AttributeInfo>,
         timings: &mut Timings,
-    ) -> Result<Drawn, Error> {
+    ) -> Result<DrawnSurface, Error> {
         let known = shared.calibration.as_ref();
         let calibration_frame =
             known.filter(|_| checked.surfacing.iso.is_none()).map(|_| shared.frame);

@@ -15,7 +15,7 @@ use super::placeholder::{Placeholder, all};
 
 /// The kind of numbers in the names of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Numbers {
+pub enum NumberKind {
     /// Integers, which may be negative.
     Whole,
     /// Times as decimals. Frames are numbered in their order.
@@ -34,7 +34,7 @@ pub struct Pattern {
     /// The minimum number of digits, from `{:04}`; numbers are padded with zeros.
     pub width: Option<usize>,
     /// The kind of number.
-    pub numbers: Numbers,
+    pub numbers: NumberKind,
 }
 
 /// The place of a piece's number, in a prefix or suffix.
@@ -44,8 +44,8 @@ impl std::fmt::Display for Pattern {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { folder, prefix, suffix, numbers, .. } = self;
         let number = match numbers {
-            Numbers::Whole => "{}",
-            Numbers::Times => "{time}",
+            NumberKind::Whole => "{}",
+            NumberKind::Times => "{time}",
         };
         folder.join(format!("{prefix}{number}{suffix}")).display().fmt(f)
     }
@@ -84,8 +84,8 @@ impl Pattern {
             return wrong("there must be text between {} and {piece}");
         }
         let (width, numbers) = match placeholder {
-            Placeholder::Number(width) => (width, Numbers::Whole),
-            Placeholder::Time | Placeholder::Piece => (None, Numbers::Times),
+            Placeholder::Number(width) => (width, NumberKind::Whole),
+            Placeholder::Time | Placeholder::Piece => (None, NumberKind::Times),
             Placeholder::Unknown(better) => {
                 let ours = folder.join(format!("{prefix}{better}{suffix}"));
                 return wrong(&format!(
@@ -133,8 +133,8 @@ impl Pattern {
             spelled.contains(&width) || plain.len() > width && !plain.starts_with('0')
         };
         let fits = match self.numbers {
-            Numbers::Whole => all_digits(plain) && self.width.is_none_or(padded),
-            Numbers::Times => is_decimal(number),
+            NumberKind::Whole => all_digits(plain) && self.width.is_none_or(padded),
+            NumberKind::Times => is_decimal(number),
         };
         fits.then_some(start..start + end)
     }
@@ -224,7 +224,7 @@ pub(super) fn stem(name: &str) -> &str {
 
 /// A file that may be a frame.
 #[derive(Debug, Clone)]
-pub(super) struct Candidate {
+pub(super) struct FrameCandidate {
     /// The file.
     pub(super) path: PathBuf,
     /// The file's name without `.gz` and similar endings: compressed frames belong to the others.
@@ -233,7 +233,7 @@ pub(super) struct Candidate {
     pub(super) runs: Vec<Range<usize>>,
 }
 
-impl From<PathBuf> for Candidate {
+impl From<PathBuf> for FrameCandidate {
     fn from(path: PathBuf) -> Self {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let name = plain_name(&name).to_owned();
@@ -250,7 +250,7 @@ impl From<PathBuf> for Candidate {
     }
 }
 
-impl Candidate {
+impl FrameCandidate {
     /// The text that is common to all files that differ only in numbers.
     pub(super) fn skeleton(&self) -> String {
         skeleton(&self.name, &self.runs)
@@ -262,13 +262,13 @@ impl Candidate {
 
     /// The pattern of the names that differ from this one only in this run of digits.
     pub(super) fn pattern(&self, run: usize) -> Pattern {
-        self.pattern_at(self.runs[run].clone(), Numbers::Whole)
+        self.pattern_at(self.runs[run].clone(), NumberKind::Whole)
     }
 
     pub(super) fn pattern_at(
         &self,
         Range { start, end }: Range<usize>,
-        numbers: Numbers,
+        numbers: NumberKind,
     ) -> Pattern {
         let folder = self.path.parent().unwrap_or(Path::new("")).to_owned();
         let [prefix, suffix] = [&self.name[..start], &self.name[end..]].map(str::to_owned);

@@ -24,9 +24,9 @@ use super::builder::Simulation;
 use super::frame_file::FrameFile;
 use super::inputs::{Inputs, Sequence, files_in};
 use super::naming::{self, Naming, without_number};
-use super::pattern::{Numbers, Pattern};
+use super::pattern::{NumberKind, Pattern};
 use super::small_meshes::SmallMeshes;
-use super::state::Store;
+use super::state::StateFolder;
 
 const PNG: &str = "png";
 const APNG: &str = "apng";
@@ -134,7 +134,7 @@ pub struct PictureDone<'a> {
 const RATES: RangeInclusive<f64> = 0.1..=1000.0;
 
 /// The output of the pictures.
-enum Target {
+enum PictureTarget {
     One(PictureFile),
     Each(Vec<PathBuf>),
     Sheet(WholeFile),
@@ -226,7 +226,7 @@ impl Pictures {
         let _folders = MadeFolders::of(&self.output)?;
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
-            Target::Sheet(_) => {
+            PictureTarget::Sheet(_) => {
                 let all = frames.len();
                 if all > MOST_ON_SHEET {
                     let chosen = (0..MOST_ON_SHEET).map(|n| n * (all - 1) / (MOST_ON_SHEET - 1));
@@ -234,8 +234,8 @@ impl Pictures {
                 }
                 Some(ON_SHEET)
             }
-            Target::Animation(_) => Some(IN_ANIMATION),
-            Target::One(_) | Target::Each(_) => None,
+            PictureTarget::Animation(_) => Some(IN_ANIMATION),
+            PictureTarget::One(_) | PictureTarget::Each(_) => None,
         };
         if let Some([width, height]) = size.filter(|_| !self.sized) {
             self.picture = self.picture.size(width, height);
@@ -281,7 +281,11 @@ impl Pictures {
     }
 
     /// Checks that the pictures can be written.
-    fn target(&self, sequence: Option<&Sequence>, frames: &[FrameFile]) -> Result<Target, Error> {
+    fn target(
+        &self,
+        sequence: Option<&Sequence>,
+        frames: &[FrameFile],
+    ) -> Result<PictureTarget, Error> {
         let fail = |path: &Path, fault| Error::from(WriteError::new(path, fault));
         let output = &self.output;
         if let Some(naming) = Naming::of(output)? {
@@ -308,12 +312,12 @@ impl Pictures {
                 // Not kept: this only checks that the file can be written.
                 drop(PictureFile::prepare(file, self.replace)?);
             }
-            return Ok(Target::Each(files));
+            return Ok(PictureTarget::Each(files));
         }
         self.refuse_inputs(frames, output)?;
         let file = WholeFile::prepare(output, self.replace)?;
         match extension(output) {
-            APNG if frames.len() > 1 => Ok(Target::Animation(file)),
+            APNG if frames.len() > 1 => Ok(PictureTarget::Animation(file)),
             APNG => Err(Error::Request(format!(
                 "{}: an animation needs several meshes",
                 output.display()
@@ -321,8 +325,8 @@ impl Pictures {
             _ if extension(output) != PNG && !file.is_direct() => {
                 Err(fail(output, WriteFault::UnknownExtension { known: KNOWN }))
             }
-            _ if frames.len() > 1 => Ok(Target::Sheet(file)),
-            _ => Ok(Target::One(PictureFile(file, MadeFolders::of(output)?))),
+            _ if frames.len() > 1 => Ok(PictureTarget::Sheet(file)),
+            _ => Ok(PictureTarget::One(PictureFile(file, MadeFolders::of(output)?))),
         }
     }
 
@@ -338,7 +342,7 @@ impl Pictures {
     fn draw(
         mut self,
         frames: &[FrameFile],
-        target: Target,
+        target: PictureTarget,
         mut report: impl FnMut(PictureDone<'_>) + Send,
     ) -> Result<(), Error> {
         if frames.len() > 1 {
@@ -353,21 +357,21 @@ impl Pictures {
             report(PictureDone { mesh: &frame.path, output, done: n + 1, all: frames.len() });
         };
         match target {
-            Target::One(file) => {
+            PictureTarget::One(file) => {
                 if let Some(next) = drawn.next() {
                     let (n, frame, image) = next?;
                     file.write_of(&image, self.source.as_deref())?;
                     done(n, frame, &output);
                 }
             }
-            Target::Each(files) => {
+            PictureTarget::Each(files) => {
                 for next in drawn {
                     let (n, frame, image) = next?;
                     PictureFile::prepare(&files[n], self.replace)?.write(&image)?;
                     done(n, frame, &files[n]);
                 }
             }
-            Target::Sheet(file) => {
+            PictureTarget::Sheet(file) => {
                 let mut images = Vec::with_capacity(frames.len());
                 for next in drawn {
                     let (n, frame, image) = next?;
@@ -380,7 +384,7 @@ impl Pictures {
                     sheet.as_ref().map_or(Ok(()), |sheet| sheet.write_png_of(out, source))
                 })?;
             }
-            Target::Animation(file) => {
+            PictureTarget::Animation(file) => {
                 // An error of the picture is returned as it is, not as an error of the file.
                 let mut fault = None;
                 let written = file.write(|out| {
@@ -564,10 +568,10 @@ impl Simulation {
         let meshes = match (&naming, simulations().and_then(|all| all.into_iter().next())) {
             // Meshes of frames with times in their names have these times.
             (Naming::Pattern(outputs), Some(sequence))
-                if sequence.pattern().is_some_and(|p| p.numbers == Numbers::Times)
+                if sequence.pattern().is_some_and(|p| p.numbers == NumberKind::Times)
                     && outputs.width.is_none() =>
             {
-                let timed = Pattern { numbers: Numbers::Times, ..outputs.clone() };
+                let timed = Pattern { numbers: NumberKind::Times, ..outputs.clone() };
                 PathBuf::from(timed.to_string())
             }
             _ => self.output.clone(),
@@ -579,7 +583,7 @@ impl Simulation {
             Naming::Pattern(outputs)
                 if MeshFormat::of(&self.output).is_some_and(|format| !format.is_read()) =>
             {
-                let store = Store::beside(&naming::simulation(outputs));
+                let store = StateFolder::beside(&naming::simulation(outputs));
                 Some(SmallMeshes::beside(store.folder()))
             }
             _ => None,

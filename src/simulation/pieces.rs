@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 use crate::io::bi4::is_later_piece;
 use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
 
-use super::pattern::{Candidate, all_digits, digit_runs, skeleton};
+use super::pattern::{FrameCandidate, all_digits, digit_runs, skeleton};
 
 /// Keeps the `paths` that are frames, in their order.
-pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
+pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
     // A file that cannot be read names no pieces. The error is reported when the file is converted.
     let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
     for index in &paths {
@@ -48,7 +48,10 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
                 let stands = !snapshot.has_base && number == snapshot.first;
                 // The frame's number is in the name of the snapshot, with which the names of its
                 // pieces begin.
-                stands.then(|| Candidate { runs: Candidate::from(base).runs, ..path.into() })
+                stands.then(|| FrameCandidate {
+                    runs: FrameCandidate::from(base).runs,
+                    ..path.into()
+                })
             }
             _ => Some(path.into()),
         }

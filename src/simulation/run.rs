@@ -11,11 +11,11 @@ use crate::io::mnf::is_packed;
 use crate::io::series::Series;
 use crate::io::whole::{MadeFolders, sweep};
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
-use crate::reconstruction::Checked;
-use crate::system::cancel::Unfinished;
+use crate::reconstruction::CheckedRequest;
+use crate::system::cancel::UnfinishedOutput;
 
 use super::builder::Simulation;
-use super::conversion::{Conversion, Ran, convert};
+use super::conversion::{Conversion, ConversionEnd, convert};
 use super::event::{Event, Summary};
 use super::event::{EventSender, with_events};
 use super::forecast::Forecast;
@@ -25,7 +25,7 @@ use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
 use super::small_meshes::SmallMeshes;
 use super::solids::SolidNames;
-use super::state::{Found, State, Store};
+use super::state::{State, StateFolder, StateLookup};
 
 /// Maximum number of repeated calibrations if files change without being watched.
 const ATTEMPTS: usize = 3;
@@ -34,12 +34,12 @@ const ATTEMPTS: usize = 3;
 type Each<T> = (String, Result<T, Arc<Error>>);
 
 /// A simulation whose request was checked.
-struct Begun<'a> {
+struct CheckedSimulation<'a> {
     setup: &'a Setup<'a>,
     series: Series,
-    store: Store,
+    store: StateFolder,
     frames: Vec<FrameFile>,
-    found: Found,
+    found: StateLookup,
 }
 
 impl Simulation {
@@ -68,7 +68,7 @@ impl Simulation {
 
     /// Converts a simulation. If the calibration frame changes meanwhile, measures it again, and
     /// makes the frames that used the old calibration again.
-    fn convert(&self, begun: Begun<'_>) -> Result<Summary, Error> {
+    fn convert(&self, begun: CheckedSimulation<'_>) -> Result<Summary, Error> {
         // All existing outputs are now from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
         let first = begun.setup;
@@ -76,8 +76,8 @@ impl Simulation {
         let mut attempts = 0;
         loop {
             let changed = match ran {
-                Ran::Ended(summary) => return Ok(*summary),
-                Ran::Outdated(path) => path,
+                ConversionEnd::Ended(summary) => return Ok(*summary),
+                ConversionEnd::Outdated(path) => path,
             };
             attempts += 1;
             if attempts > ATTEMPTS && self.watch.is_none() {
@@ -90,8 +90,8 @@ impl Simulation {
         }
     }
 
-    fn convert_once(&self, begun: Begun<'_>) -> Result<Ran, Error> {
-        let Begun { setup, series, mut store, frames, found } = begun;
+    fn convert_once(&self, begun: CheckedSimulation<'_>) -> Result<ConversionEnd, Error> {
+        let CheckedSimulation { setup, series, mut store, frames, found } = begun;
         let _folders = prepare_folder(setup, &store)?;
         let kept = store.begin(found, true)?;
         if let Some(state) = &kept {
@@ -109,7 +109,7 @@ impl Simulation {
     pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<i64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
         let numbers = plan.each(hear, |begun| {
-            let Begun { setup, mut store, frames, found, .. } = begun;
+            let CheckedSimulation { setup, mut store, frames, found, .. } = begun;
             let _folders = prepare_folder(setup, &store)?;
             match store.begin(found, false)? {
                 Some(state) => setup.send(resumed(&store, &state)),
@@ -129,7 +129,7 @@ impl Simulation {
     /// Those of [`run`](Self::run).
     pub fn forecast(&self, hear: impl FnMut(Event)) -> Result<Vec<Forecast>, Error> {
         let forecasts = self.each(hear, |begun| {
-            let Begun { setup, store, frames, found, .. } = begun;
+            let CheckedSimulation { setup, store, frames, found, .. } = begun;
             let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
             setup.forecast(found.kept(), &store, &frames, &wanted)
         })?;
@@ -161,7 +161,7 @@ impl Simulation {
     }
 
     /// Checks all numbers and combinations of settings.
-    fn prepare(&self) -> Result<(Inputs, Naming, Checked), Error> {
+    fn prepare(&self) -> Result<(Inputs, Naming, CheckedRequest), Error> {
         self.validate()?;
         let (inputs, naming) = self.names()?;
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
@@ -188,7 +188,7 @@ impl Simulation {
     fn found(
         &self,
         inputs: &Inputs,
-        checked: &Checked,
+        checked: &CheckedRequest,
         events: &EventSender,
     ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
         let look = || {
@@ -221,7 +221,7 @@ impl Simulation {
     fn each<T: Send>(
         &self,
         hear: impl FnMut(Event),
-        act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
+        act: impl Fn(CheckedSimulation<'_>) -> Result<T, Error> + Sync,
     ) -> Result<Vec<Each<T>>, Error> {
         with_events(&self.request.control.cancel, hear, |events| self.run_each(events, &act))
     }
@@ -229,7 +229,7 @@ impl Simulation {
     fn run_each<T: Send>(
         &self,
         events: &EventSender,
-        act: &(impl Fn(Begun<'_>) -> Result<T, Error> + Sync),
+        act: &(impl Fn(CheckedSimulation<'_>) -> Result<T, Error> + Sync),
     ) -> Result<Vec<Each<T>>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
         let ready = checked.clone().on_threads()?;
@@ -273,13 +273,17 @@ impl Simulation {
     }
 
     /// Checks a simulation's frames and outputs.
-    fn begin<'a>(&self, setup: &'a Setup<'a>, frames: Vec<FrameFile>) -> Result<Begun<'a>, Error> {
+    fn begin<'a>(
+        &self,
+        setup: &'a Setup<'a>,
+        frames: Vec<FrameFile>,
+    ) -> Result<CheckedSimulation<'a>, Error> {
         let Some(first) = frames.first() else {
             return Err(setup.sequence.no_frames().into());
         };
         let format = setup.format(first)?;
         let simulation = naming::simulation(&setup.outputs);
-        let store = Store::beside(&simulation);
+        let store = StateFolder::beside(&simulation);
         let up = {
             let settings = &setup.checked.settings;
             settings.orientation(settings.usual_up(&first.path), format).shown
@@ -296,7 +300,7 @@ impl Simulation {
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
         let there = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
         let found = setup.kept_state(&store, &frames)?;
-        let refused = if matches!(found, Found::Nothing) {
+        let refused = if matches!(found, StateLookup::Nothing) {
             foreign.map(|path| (path, WriteFault::Exists))
         } else if self.overwrite || self.resume || self.planned {
             None
@@ -306,18 +310,21 @@ impl Simulation {
         if let Some((path, fault)) = refused {
             return Err(WriteError::new(&path, fault).into());
         }
-        Ok(Begun { setup, series, store, frames, found })
+        Ok(CheckedSimulation { setup, series, store, frames, found })
     }
 }
 
 /// The event for a conversion that is resumed.
-fn resumed(store: &Store, state: &State) -> Event {
+fn resumed(store: &StateFolder, state: &State) -> Event {
     Event::Resumed { state: store.state_path(), shared: Box::new(state.shared.clone()) }
 }
 
 /// Prepares the folder of the outputs, and removes temporary files of killed processes. The
 /// returned guard removes the folder again if it stays empty, also if the work is abandoned.
-fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(MadeFolders, Unfinished), Error> {
+fn prepare_folder(
+    setup: &Setup<'_>,
+    store: &StateFolder,
+) -> Result<(MadeFolders, UnfinishedOutput), Error> {
     let folder = setup.outputs.folder();
     let cancel = &setup.checked.resources.control.cancel;
     let make =

@@ -16,7 +16,7 @@ use crate::io::series::Series;
 use crate::io::stamp::Identity;
 use crate::io::{WriteError, WriteFault};
 use crate::particles::Particles;
-use crate::reconstruction::{Checked, Warning};
+use crate::reconstruction::{CheckedRequest, Warning};
 use crate::surface::simplify::BYTES_A_THREAD;
 
 use super::builder::Simulation;
@@ -28,7 +28,7 @@ use super::lanes::Division;
 use super::pattern::Pattern;
 use super::shared_calibration::SharedCalibration;
 use super::solids::SolidNames;
-use super::state::{Found, State, Store};
+use super::state::{State, StateFolder, StateLookup};
 
 /// Time between two checks for new frames of a running simulation.
 pub(super) const POLL: Duration = Duration::from_millis(250);
@@ -39,7 +39,7 @@ pub(super) struct Setup<'a> {
     pub(super) sequence: &'a Sequence,
     /// The names of the meshes.
     pub(super) outputs: Pattern,
-    pub(super) checked: &'a Checked,
+    pub(super) checked: &'a CheckedRequest,
     pub(super) events: &'a EventSender,
 }
 
@@ -95,7 +95,7 @@ impl Setup<'_> {
 
     /// The division of the machine among `frames`.
     pub(super) fn division(&self, frames: usize) -> Division {
-        let Checked { resources, reduction, threads, .. } = self.checked;
+        let CheckedRequest { resources, reduction, threads, .. } = self.checked;
         let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };
         let chunk = reduction.tolerance.map_or(0, |_| BYTES_A_THREAD);
         Division::of(frames, *threads, resources.budget, chunk)
@@ -123,7 +123,7 @@ impl Setup<'_> {
         &self,
         frames: &[FrameFile],
         series: &Series,
-        store: &Store,
+        store: &StateFolder,
     ) -> Result<(), Error> {
         let same_file = |path: &Path, other: &Path| Error::SameFile {
             path: path.to_owned(),
@@ -172,11 +172,15 @@ impl Setup<'_> {
 
     /// The existing state, if it has these settings and these inputs. If only an input has changed,
     /// a new state is made.
-    pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Found, Error> {
-        let Some(text) = store.text()? else { return Ok(Found::Nothing) };
+    pub(super) fn kept_state(
+        &self,
+        store: &StateFolder,
+        frames: &[FrameFile],
+    ) -> Result<StateLookup, Error> {
+        let Some(text) = store.text()? else { return Ok(StateLookup::Nothing) };
         let anew = self.simulation.overwrite;
         let state = match store.parsed(&text) {
-            Err(_) if anew => return Ok(Found::Stale { text, of_others: true }),
+            Err(_) if anew => return Ok(StateLookup::Stale { text, of_others: true }),
             found => found?,
         };
         let mut differing = state.differing(&self.checked.settings.kept());
@@ -187,19 +191,19 @@ impl Setup<'_> {
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {
-                return Ok(Found::Kept(Box::new(state), text));
+                return Ok(StateLookup::Kept(Box::new(state), text));
             }
             let what = "the calibration is missing, or belongs to another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
             return if anew {
-                Ok(Found::Stale { text, of_others: true })
+                Ok(StateLookup::Stale { text, of_others: true })
             } else {
                 Err(damaged.into())
             };
         }
         if anew || self.simulation.resume && !of_others {
             self.send(Event::Restarted { state: store.state_path(), differing });
-            return Ok(Found::Stale { text, of_others });
+            return Ok(StateLookup::Stale { text, of_others });
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::Error;
-use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
+use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau, TooFine};
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Engine, FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::Grid;
@@ -13,7 +13,7 @@ use crate::particles::Particles;
 use crate::particles::kind::SettledKind;
 use crate::particles::sizes::Sizes;
 use crate::reconstruction::{
-    Cells, Checked, FoundWalls, Slab, as_numbers, moved, origin_for_lattice,
+    Cells, CheckedRequest, FoundWalls, Slab, as_numbers, moved, origin_for_lattice,
 };
 use crate::system::timings::Timings;
 
@@ -62,7 +62,7 @@ pub enum Origin {
 
 /// Measurements on one frame that hold for all frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
+pub struct FrameMeasurements {
     /// The grid for all frames.
     pub grid: Grid,
     /// The measured or given calibration; `None` for kernel methods.
@@ -88,9 +88,9 @@ pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
     particles: &(impl Particles + ?Sized),
-    checked: &Checked,
+    checked: &CheckedRequest,
     resources: Resources,
-) -> Result<Measured, Error> {
+) -> Result<FrameMeasurements, Error> {
     let request = &checked.sampling;
     let (grid, method) = match lattice {
         Some(known) => known,
@@ -119,14 +119,14 @@ pub fn measure(
     sampling: &Sampling,
     origin: Origin,
     surfacing: &Surfacing,
-) -> Result<Measured, FrameError> {
+) -> Result<FrameMeasurements, FrameError> {
     sampling.refuse_unfit(surfacing)?;
     let given = sampling.grid;
     let lattice = origin_for_lattice(particles, sampling);
     let sound =
         lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let grid = if origin == Origin::Free { sound.grid } else { given };
-    let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
+    let nothing = FrameMeasurements { grid, calibration: None, trust: Trust::Sound };
     if sound.method.indicator().is_none() {
         return Ok(nothing);
     }
@@ -136,9 +136,10 @@ pub fn measure(
         &mut Timings::default(),
     )?;
     match frame.dif() {
-        Some(sampled) => {
-            Ok(Measured { grid, ..measure_sampled(sampled, surfacing, lattice.is_some())? })
-        }
+        Some(sampled) => Ok(FrameMeasurements {
+            grid,
+            ..measure_sampled(sampled, surfacing, lattice.is_some())?
+        }),
         None => {
             let measured = frame.calibrate(surfacing, None, &mut Timings::default())?.measured();
             Ok(measured.map_or(nothing, |measured| measured_of(grid, &measured, false)))
@@ -152,19 +153,19 @@ pub fn measure_sampled(
     frame: &SampledDif,
     surfacing: &Surfacing,
     lattice: bool,
-) -> Result<Measured, TooFine> {
+) -> Result<FrameMeasurements, TooFine> {
     let lattice = lattice && frame.indicator.kind() == IndicatorKind::Counting;
     Ok(measured_of(frame.facts.grid, &surfacing.calibrate(frame)?, lattice))
 }
 
 /// A measurement on a grid, by whether counts on a lattice tell it.
-fn measured_of(grid: Grid, measured: &Calibrated, lattice: bool) -> Measured {
+fn measured_of(grid: Grid, measured: &MeasuredCalibration, lattice: bool) -> FrameMeasurements {
     let trust = match measured.plateau {
         Plateau::Shallow { .. } => Trust::Shallow,
         Plateau::Interior { .. } if lattice => Trust::Lattice,
         Plateau::Interior { .. } => Trust::Sound,
     };
-    Measured { grid, calibration: Some(measured.calibration), trust }
+    FrameMeasurements { grid, calibration: Some(measured.calibration), trust }
 }
 
 impl SharedCalibration {

@@ -7,7 +7,7 @@ use crate::error::SimulationError;
 use crate::settings::Settings;
 
 use super::frame_file::FrameFile;
-use super::pattern::{Numbers, Pattern};
+use super::pattern::{NumberKind, Pattern};
 
 /// The names of solids.
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ impl SolidNames {
         for path in settings.solid_files().iter().map(PathBuf::from) {
             match Pattern::parse(&path)? {
                 None => names.same.push(path),
-                Some(pattern) if pattern.has_pieces() || pattern.numbers == Numbers::Times => {
+                Some(pattern) if pattern.has_pieces() || pattern.numbers == NumberKind::Times => {
                     let what = "a solid has one file a frame, with {} for the frame's number";
                     return Err(SimulationError::Names(format!("{}: {what}", path.display())));
                 }

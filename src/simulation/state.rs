@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::io::whole::{make_folder, replace_small};
-use crate::settings::{Kept, differing};
+use crate::settings::{StoredSettings, differing};
 
 use super::records::Log;
 use super::shared_calibration::SharedCalibration;
@@ -20,14 +20,14 @@ pub struct State {
     /// The version of this library.
     pub meniscus: String,
     /// The settings of the request.
-    pub settings: Kept,
+    pub settings: StoredSettings,
     /// The shared calibration.
     pub shared: SharedCalibration,
 }
 
 impl State {
     /// A state of this version.
-    pub fn new(settings: Kept, shared: SharedCalibration) -> Self {
+    pub fn new(settings: StoredSettings, shared: SharedCalibration) -> Self {
         Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, shared }
     }
 
@@ -37,14 +37,14 @@ impl State {
     }
 
     /// The names of the settings that differ from `wanted`, as text; empty if there are none.
-    pub fn differing(&self, wanted: &Kept) -> String {
+    pub fn differing(&self, wanted: &StoredSettings) -> String {
         differing(&self.meniscus, &self.settings, wanted)
     }
 }
 
 /// The result of a search for a state.
 #[derive(Debug)]
-pub enum Found {
+pub enum StateLookup {
     /// No state.
     Nothing,
     /// A state of this request, and the bytes of its file.
@@ -58,7 +58,7 @@ pub enum Found {
     },
 }
 
-impl Found {
+impl StateLookup {
     /// The state, if it is kept.
     #[must_use]
     pub fn kept(self) -> Option<State> {
@@ -71,7 +71,7 @@ impl Found {
 
 /// The folder of the state and the records.
 #[derive(Debug)]
-pub struct Store {
+pub struct StateFolder {
     /// The records of this process.
     pub log: Log,
     /// The bytes of a state that will be replaced, and whether it has other settings.
@@ -80,7 +80,7 @@ pub struct Store {
     at_work: bool,
 }
 
-impl Store {
+impl StateFolder {
     /// Beside the outputs of a simulation; nothing is created yet.
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
@@ -138,15 +138,19 @@ impl Store {
     ///
     /// # Errors
     /// [`SimulationError::Busy`] and [`SimulationError::Io`].
-    pub fn begin(&mut self, found: Found, at_work: bool) -> Result<Option<State>, SimulationError> {
+    pub fn begin(
+        &mut self,
+        found: StateLookup,
+        at_work: bool,
+    ) -> Result<Option<State>, SimulationError> {
         self.at_work = at_work;
         match found {
-            Found::Nothing => Ok(None),
-            Found::Stale { text, of_others } => {
+            StateLookup::Nothing => Ok(None),
+            StateLookup::Stale { text, of_others } => {
                 self.stale = Some((text, of_others));
                 Ok(None)
             }
-            Found::Kept(state, text) => {
+            StateLookup::Kept(state, text) => {
                 let settings = state.settings.clone();
                 let _alone = self.locked();
                 let state = if self.text()? == Some(text) { Some(*state) } else { self.load()? };
@@ -258,14 +262,14 @@ mod tests {
     #[test]
     fn a_state_comes_back_to_the_last_bit() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::beside(&folder.path().join("fluid.ply"));
+        let store = StateFolder::beside(&folder.path().join("fluid.ply"));
         assert_eq!(store.load().unwrap(), None);
         for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
             let (mean, iso) = (MeanCount::new(7.0 / 3.0).ok(), Isovalue::of_plateau(theta));
             for calibration in
                 [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
-                let state = State::new(Kept::new(), shared(calibration));
+                let state = State::new(StoredSettings::new(), shared(calibration));
                 assert_eq!(store.add(&state).unwrap(), state);
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
@@ -277,17 +281,17 @@ mod tests {
                 };
                 assert_eq!(store.add(&late).unwrap(), state);
                 let other = State {
-                    settings: Kept::from_iter([("cell".to_owned(), 1.into())]),
+                    settings: StoredSettings::from_iter([("cell".to_owned(), 1.into())]),
                     ..late.clone()
                 };
                 assert!(matches!(store.add(&other), Err(SimulationError::Settings { .. })));
                 assert_eq!(store.load().unwrap(), Some(state));
                 // A stale state can be replaced if no process works with its settings.
-                let busy = Store::beside(&folder.path().join("fluid.ply"));
+                let busy = StateFolder::beside(&folder.path().join("fluid.ply"));
                 busy.log.open().unwrap();
                 let text = store.text().unwrap().unwrap();
-                let mut anew = Store::beside(&folder.path().join("fluid.ply"));
-                let stale = |of_others| Found::Stale { text: text.clone(), of_others };
+                let mut anew = StateFolder::beside(&folder.path().join("fluid.ply"));
+                let stale = |of_others| StateLookup::Stale { text: text.clone(), of_others };
                 assert_eq!(anew.begin(stale(true), false).unwrap(), None);
                 assert_eq!(anew.load().unwrap(), store.load().unwrap(), "it stays until then");
                 assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));

@@ -16,8 +16,10 @@ use crate::io::{WriteError, WriteFault};
 use rayon::prelude::*;
 
 use super::conversion::Conversion;
-use super::event::{Event, FrameCounts, FrameDone, FrameFailed, LeftOut, Missing, Summary};
-use super::one_frame::Done;
+use super::event::{
+    Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary,
+};
+use super::one_frame::ConvertedFrame;
 use super::setup::Setup;
 
 /// Minimum time between two writes of the list of all frames.
@@ -34,7 +36,7 @@ pub(super) struct Tally<'a> {
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
-    left_out: LeftOut,
+    left_out: OmittedCounts,
     begun: Instant,
     /// The time of the last write of the series.
     series_written: Instant,
@@ -51,7 +53,7 @@ impl<'a> Tally<'a> {
             fatal: None,
             done: 0,
             total: 0,
-            left_out: LeftOut::default(),
+            left_out: OmittedCounts::default(),
             begun,
             series_written: begun,
         }
@@ -97,7 +99,7 @@ impl<'a> Tally<'a> {
     pub(super) fn take(
         &mut self,
         frame: &FrameFile,
-        result: Result<Done, Error>,
+        result: Result<ConvertedFrame, Error>,
     ) -> Result<bool, Error> {
         let setup = self.conversion.setup;
         let result = match result {
@@ -109,7 +111,7 @@ impl<'a> Tally<'a> {
         };
         self.done += 1;
         match result {
-            Ok(Done { mesh, time, report, left_out, warnings, seconds }) => {
+            Ok(ConvertedFrame { mesh, time, report, left_out, warnings, seconds }) => {
                 self.left_out.add(&left_out);
                 self.failed.remove(&frame.number);
                 let done = FrameDone {
@@ -181,7 +183,7 @@ impl<'a> Tally<'a> {
         let each = |&(first, last): &(i64, i64)| {
             let paths =
                 [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
-            Missing { first, last, step: missing.step, paths }
+            MissingFrames { first, last, step: missing.step, paths }
         };
         let indicator = checked.sampling.method.indicator();
         let summary = Summary {

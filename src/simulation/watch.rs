@@ -15,11 +15,11 @@ pub(super) struct Watch {
     /// Seconds without a new frame after which the simulation is over.
     idle: f64,
     selection: Selection,
-    seen: BTreeMap<i64, Seen>,
+    seen: BTreeMap<i64, WatchedFile>,
     last_news: Instant,
 }
 
-struct Seen {
+struct WatchedFile {
     stamp: Stamp,
     since: Instant,
     /// The file's stamp when the frame was reported.
@@ -28,7 +28,7 @@ struct Seen {
 }
 
 /// A frame that appears to be complete.
-pub(super) struct Ready {
+pub(super) struct CompleteFrame {
     pub(super) frame: FrameFile,
     /// Whether it was reported before, and has changed since.
     pub(super) again: bool,
@@ -41,7 +41,7 @@ impl Watch {
 
     /// The existing frames that have become complete since the last call. A frame is in progress
     /// until [`done`](Self::done) is called.
-    pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<Ready> {
+    pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<CompleteFrame> {
         let now = Instant::now();
         let mut ready = Vec::new();
         for frame in frames {
@@ -49,7 +49,7 @@ impl Watch {
             let Ok(stamp) = frame.stamp() else { continue };
             let seen = self.seen.entry(frame.number).or_insert_with(|| {
                 self.last_news = now;
-                Seen { stamp, since: now, given: None, under_way: false }
+                WatchedFile { stamp, since: now, given: None, under_way: false }
             });
             if seen.stamp != stamp {
                 self.last_news = now;
@@ -57,7 +57,7 @@ impl Watch {
             } else if seen.given != Some(stamp) && !seen.under_way && now - seen.since >= SETTLED {
                 let again = seen.given.replace(stamp).is_some();
                 seen.under_way = true;
-                ready.push(Ready { frame: frame.clone(), again });
+                ready.push(CompleteFrame { frame: frame.clone(), again });
             }
         }
         ready

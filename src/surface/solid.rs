@@ -16,7 +16,7 @@ use crate::grid::units::SolidOffset;
 use crate::grid::{CellBox, Grid, TILE};
 
 use super::mesh::Mesh;
-use super::mesh::compare::{CompareError, Surface};
+use super::mesh::compare::{CompareError, SearchableSurface};
 use super::mesh::measure::measure;
 
 /// Bytes of memory of a solid per triangle, including its share of the vertices.
@@ -52,7 +52,7 @@ pub enum SolidFault {
 /// Closed meshes at which a fluid ends.
 #[derive(Debug)]
 pub struct Solid {
-    meshes: Vec<Surface>,
+    meshes: Vec<SearchableSurface>,
     offset: SolidOffset,
     triangles: u64,
     turned: Vec<usize>,
@@ -74,7 +74,8 @@ impl Solid {
         };
         for (number, mesh) in meshes.into_iter().enumerate() {
             let mesh = joined(mesh);
-            let surface = Surface::reference(&mesh).map_err(|fault| (number, fault.into()))?;
+            let surface =
+                SearchableSurface::reference(&mesh).map_err(|fault| (number, fault.into()))?;
             refuse_unclosed(&mesh).map_err(|fault| (number, fault))?;
             let measures = measure(&mesh);
             let volume = measures.volume.unwrap_or(f64::INFINITY);
@@ -151,13 +152,13 @@ fn width(level: u32) -> f64 {
 }
 
 /// Whether a mesh winds around a place.
-fn winds(mesh: &Surface, place: DVec3) -> bool {
+fn winds(mesh: &SearchableSurface, place: DVec3) -> bool {
     let passed = mesh.crossings([place.y, place.z], place.x);
     passed.iter().filter(|(x, _)| *x > place.x).map(|(_, sign)| sign).sum::<i32>() != 0
 }
 
 fn distances_from(
-    mesh: &Surface,
+    mesh: &SearchableSurface,
     grid: &Grid,
     level: u32,
     cells: CellBox,

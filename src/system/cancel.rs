@@ -19,7 +19,7 @@ use thiserror::Error;
 /// assert_eq!(error.cause(), Cause::Cancelled);
 /// ```
 #[derive(Debug, Clone, Default)]
-pub struct Cancel(Arc<Shared>);
+pub struct Cancel(Arc<CancelState>);
 
 /// The error of cancelled work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
@@ -33,7 +33,7 @@ impl From<Cancelled> for io::Error {
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct CancelState {
     asked: AtomicBool,
     /// The temporary files of outputs in progress, followed by the folders that were created for
     /// them.
@@ -107,12 +107,12 @@ impl Cancel {
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
         temporary: impl Fn(&T) -> Vec<PathBuf>,
-    ) -> Result<(T, Unfinished), E> {
+    ) -> Result<(T, UnfinishedOutput), E> {
         let _held = self.hold();
         let output = prepare()?;
         let paths = temporary(&output);
         self.unfinished().extend(paths.clone());
-        Ok((output, Unfinished { of: self.clone(), paths }))
+        Ok((output, UnfinishedOutput { of: self.clone(), paths }))
     }
 }
 
@@ -135,19 +135,19 @@ pub(crate) fn remove_belongings(temporary: &Path) {
 
 /// An output in progress. Until this is dropped, [`Cancel::abandon`] removes its temporary files.
 #[derive(Debug)]
-pub(crate) struct Unfinished {
+pub(crate) struct UnfinishedOutput {
     of: Cancel,
     paths: Vec<PathBuf>,
 }
 
-impl Unfinished {
+impl UnfinishedOutput {
     /// Whether the work was cancelled.
     pub(crate) fn is_cancelled(&self) -> bool {
         self.of.is_cancelled()
     }
 }
 
-impl Drop for Unfinished {
+impl Drop for UnfinishedOutput {
     fn drop(&mut self) {
         let _held = self.of.hold();
         let mut unfinished = self.of.unfinished();

@@ -24,11 +24,11 @@ struct Page([u8; PAGE]);
 /// A file that is written in order, and complete after [`finish`](Self::finish).
 pub struct PastCache<'a> {
     file: &'a File,
-    way: Way,
+    way: WriteMode,
 }
 
 /// How the next bytes are written.
-enum Way {
+enum WriteMode {
     /// Through the cache, at most this many bytes.
     Cached(u64),
     /// Without the cache, in pieces. The current piece has `filled` bytes.
@@ -43,7 +43,7 @@ impl<'a> PastCache<'a> {
 
     /// Writes the first `cached` bytes, in whole pages, through the cache.
     fn after(cached: u64, file: &'a File) -> Self {
-        Self { file, way: Way::Cached(cached) }
+        Self { file, way: WriteMode::Cached(cached) }
     }
 
     /// Writes the rest of the last piece.
@@ -52,22 +52,23 @@ impl<'a> PastCache<'a> {
     /// Errors of the system, such as a full disk.
     pub fn finish(mut self) -> io::Result<()> {
         match &self.way {
-            Way::Cached(_) => Ok(()),
-            Way::Past { .. } => self.keep_to_cache(0),
+            WriteMode::Cached(_) => Ok(()),
+            WriteMode::Past { .. } => self.keep_to_cache(0),
         }
     }
 
     /// Starts the first uncached piece, or stays with the cache if the file system requires it.
     fn leave_cache(&mut self) {
         self.way = match past_cache(self.file, true) {
-            Ok(()) => Way::Past { piece: vec![Page::zeroed(); PIECE / PAGE], filled: 0 },
-            Err(_) => Way::Cached(u64::MAX),
+            Ok(()) => WriteMode::Past { piece: vec![Page::zeroed(); PIECE / PAGE], filled: 0 },
+            Err(_) => WriteMode::Cached(u64::MAX),
         };
     }
 
     /// Writes through the cache from byte `from` of the piece on.
     fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
-        let Way::Past { piece, filled } = std::mem::replace(&mut self.way, Way::Cached(u64::MAX))
+        let WriteMode::Past { piece, filled } =
+            std::mem::replace(&mut self.way, WriteMode::Cached(u64::MAX))
         else {
             return Ok(());
         };
@@ -78,17 +79,17 @@ impl<'a> PastCache<'a> {
 
 impl Write for PastCache<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if let Way::Cached(0) = self.way {
+        if let WriteMode::Cached(0) = self.way {
             self.leave_cache();
         }
         match &mut self.way {
-            Way::Cached(left) => {
+            WriteMode::Cached(left) => {
                 let most = usize::try_from(*left).map_or(bytes.len(), |left| bytes.len().min(left));
                 let count = self.file.write(&bytes[..most])?;
                 *left -= count as u64;
                 Ok(count)
             }
-            Way::Past { piece, filled } => {
+            WriteMode::Past { piece, filled } => {
                 let room = &mut cast_slice_mut(piece)[*filled..];
                 let count = bytes.len().min(room.len());
                 room[..count].copy_from_slice(&bytes[..count]);

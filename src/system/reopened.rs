@@ -60,23 +60,23 @@ impl FileStamp {
 
 /// An error of reading a file that should be unchanged.
 #[derive(Debug)]
-pub enum Lost {
+pub enum ReopenedError {
     /// The file was changed or replaced.
     Changed,
     /// The system's error.
     Io(io::Error),
 }
 
-impl From<Lost> for io::Error {
-    fn from(lost: Lost) -> Self {
+impl From<ReopenedError> for io::Error {
+    fn from(lost: ReopenedError) -> Self {
         match lost {
-            Lost::Changed => Self::other("changed while it was read"),
-            Lost::Io(fault) => fault,
+            ReopenedError::Changed => Self::other("changed while it was read"),
+            ReopenedError::Io(fault) => fault,
         }
     }
 }
 
-impl From<io::Error> for Lost {
+impl From<io::Error> for ReopenedError {
     fn from(fault: io::Error) -> Self {
         Self::Io(fault)
     }
@@ -115,14 +115,14 @@ impl ReopenedFile {
     /// The open file.
     ///
     /// # Errors
-    /// [`Lost::Changed`] if the file must be reopened and has changed, and errors of the system.
-    pub fn file(&self) -> Result<Arc<File>, Lost> {
+    /// [`ReopenedError::Changed`] if the file must be reopened and has changed; errors of the system.
+    pub fn file(&self) -> Result<Arc<File>, ReopenedError> {
         OPEN.get_or_insert_with(&self.number, || {
             let file = File::open(&self.path)?;
             if FileStamp::of(&file.metadata()?) == self.stamp {
                 Ok(Arc::new(file))
             } else {
-                Err(Lost::Changed)
+                Err(ReopenedError::Changed)
             }
         })
     }
@@ -131,18 +131,18 @@ impl ReopenedFile {
     ///
     /// # Errors
     /// Those of [`file`](Self::file), and [`io::ErrorKind::UnexpectedEof`] past the file's end.
-    pub fn read_exact_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), Lost> {
+    pub fn read_exact_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), ReopenedError> {
         Ok(read_exact_at(&*self.file()?, at, bytes)?)
     }
 
     /// Checks that the file is unchanged. While it is open, a different file with the same name
     /// does not matter.
-    pub fn check(&self) -> Result<(), Lost> {
+    pub fn check(&self) -> Result<(), ReopenedError> {
         let metadata = match OPEN.get(&self.number) {
             Some(file) => file.metadata()?,
             None => self.path.metadata()?,
         };
-        if FileStamp::of(&metadata) == self.stamp { Ok(()) } else { Err(Lost::Changed) }
+        if FileStamp::of(&metadata) == self.stamp { Ok(()) } else { Err(ReopenedError::Changed) }
     }
 }
 
@@ -251,19 +251,19 @@ mod tests {
         };
         fs::remove_file(path(gone)).unwrap();
         assert!(
-            matches!(taken[gone].check(), Err(Lost::Io(_)))
-                && matches!(read(gone), Err(Lost::Io(_)))
+            matches!(taken[gone].check(), Err(ReopenedError::Io(_)))
+                && matches!(read(gone), Err(ReopenedError::Io(_)))
         );
         fs::write(path(longer), "12345").unwrap();
-        assert!(matches!(taken[longer].check(), Err(Lost::Changed)));
-        assert!(matches!(read(longer), Err(Lost::Changed)));
+        assert!(matches!(taken[longer].check(), Err(ReopenedError::Changed)));
+        assert!(matches!(read(longer), Err(ReopenedError::Changed)));
         let modified = path(other).metadata().unwrap().modified().unwrap();
         let later = folder.path().join("later");
         fs::write(&later, "abcd").unwrap();
         File::options().write(true).open(&later).unwrap().set_modified(modified).unwrap();
         fs::rename(&later, path(other)).unwrap();
         if cfg!(unix) {
-            assert!(matches!(read(other), Err(Lost::Changed)));
+            assert!(matches!(read(other), Err(ReopenedError::Changed)));
         }
     }
 }

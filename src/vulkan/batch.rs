@@ -8,9 +8,9 @@ use std::sync::atomic::Ordering;
 use ash::vk;
 use bytemuck::Pod;
 
-use super::device::{QueueState, Shared};
+use super::device::{QueueState, SharedDevice};
 use super::{
-    Buffer, ComputePipeline, Device, Faults, MOST_BUFFERS, Place, Queue, View, VulkanError,
+    Buffer, BufferKind, ComputePipeline, Device, Faults, MOST_BUFFERS, Queue, View, VulkanError,
 };
 
 /// Dispatches that a batch holds at the most.
@@ -27,7 +27,7 @@ pub struct Ticket {
 
 /// A semaphore of the caller's, and the value that it has to have, or gets, if it is a timeline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Moment {
+pub struct SemaphorePoint {
     /// Made with the same device.
     pub semaphore: vk::Semaphore,
     /// The value of a timeline semaphore; of no matter for a binary one.
@@ -39,7 +39,7 @@ pub struct Moment {
 /// Every command sees the results of those before it. What the commands use is held until they are
 /// done.
 pub struct Batch {
-    device: Arc<Shared>,
+    device: Arc<SharedDevice>,
     queue: Queue,
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
@@ -74,7 +74,7 @@ impl Device {
             commands: vk::CommandBuffer::null(),
             sets: vk::DescriptorPool::null(),
             queries: vk::QueryPool::null(),
-            stamp: self.buffer(Place::Download, 4)?,
+            stamp: self.buffer(BufferKind::Download, 4)?,
             buffers: Vec::new(),
             pipelines: Vec::new(),
             stages: Vec::new(),
@@ -402,8 +402,8 @@ impl Batch {
     pub unsafe fn submit_between(
         &mut self,
         after: &[Ticket],
-        wait: &[Moment],
-        signal: &[Moment],
+        wait: &[SemaphorePoint],
+        signal: &[SemaphorePoint],
     ) -> Result<Ticket, VulkanError> {
         self.timestamp();
         if Faults::strikes(&self.device.faults.submission) {
@@ -429,11 +429,11 @@ impl Batch {
             );
             raw.end_command_buffer(self.commands)
                 .map_err(self.device.noting("vkEndCommandBuffer"))?;
-            let moment = |ticket: &Ticket| Moment {
+            let moment = |ticket: &Ticket| SemaphorePoint {
                 semaphore: self.device.queue(ticket.queue).timeline,
                 value: ticket.value,
             };
-            let own = Moment { semaphore: state.timeline, value };
+            let own = SemaphorePoint { semaphore: state.timeline, value };
             let (waits, wait_values) = parts(after.iter().map(moment).chain(wait.iter().copied()));
             let (signals, signal_values) =
                 parts(std::iter::once(own).chain(signal.iter().copied()));
@@ -487,7 +487,7 @@ impl Batch {
     pub fn store<T: Pod>(&mut self, values: &[T]) -> Result<View, VulkanError> {
         let device = Device { shared: Arc::clone(&self.device) };
         let staged = device.uploaded(values)?;
-        let stored = device.buffer(Place::Device, staged.bytes())?.whole();
+        let stored = device.buffer(BufferKind::Device, staged.bytes())?.whole();
         self.copy(&staged, &stored);
         Ok(stored)
     }
@@ -521,8 +521,8 @@ impl Batch {
 }
 
 /// Semaphores and their values.
-fn parts(moments: impl Iterator<Item = Moment>) -> (Vec<vk::Semaphore>, Vec<u64>) {
-    moments.map(|Moment { semaphore, value }| (semaphore, value)).unzip()
+fn parts(moments: impl Iterator<Item = SemaphorePoint>) -> (Vec<vk::Semaphore>, Vec<u64>) {
+    moments.map(|SemaphorePoint { semaphore, value }| (semaphore, value)).unzip()
 }
 
 impl Drop for Batch {

@@ -9,7 +9,7 @@ use bytemuck::Pod;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 
-use super::device::Shared;
+use super::device::SharedDevice;
 use super::{Device, Faults, VulkanError};
 
 #[cfg(unix)]
@@ -35,7 +35,7 @@ const HANDLE: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFl
 
 /// Where a buffer is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
+pub enum BufferKind {
     /// Where shaders are fastest; the host cannot see it.
     Device,
     /// Written by the host, read by the device.
@@ -46,14 +46,14 @@ pub enum Place {
 
 /// A piece of memory that shaders and copies work on.
 pub struct Buffer {
-    pub(super) device: Arc<Shared>,
+    pub(super) device: Arc<SharedDevice>,
     raw: vk::Buffer,
-    memory: Memory,
+    memory: BufferMemory,
     bytes: u64,
 }
 
 /// The memory that a buffer is bound to.
-enum Memory {
+enum BufferMemory {
     /// Nothing yet.
     None,
     /// A part of what all buffers share.
@@ -79,12 +79,12 @@ impl Device {
     /// # Errors
     /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do
     /// not allow it.
-    pub fn buffer(&self, place: Place, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
+    pub fn buffer(&self, place: BufferKind, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         let location = match place {
-            Place::Device => MemoryLocation::GpuOnly,
+            BufferKind::Device => MemoryLocation::GpuOnly,
             // What is staged is the host's, in either direction: the allocator's place for uploads
             // is a window into the device's memory, which is small, and slow to write.
-            Place::Upload | Place::Download => MemoryLocation::GpuToCpu,
+            BufferKind::Upload | BufferKind::Download => MemoryLocation::GpuToCpu,
         };
         let shared = &self.shared;
         let mut buffer = self.unbound(bytes, vk::ExternalMemoryHandleTypeFlags::empty())?;
@@ -108,7 +108,7 @@ impl Device {
         // SAFETY: the allocation is kept as long as the buffer.
         unsafe {
             let (memory, offset) = (allocation.memory(), allocation.offset());
-            buffer.memory = Memory::Part(allocation);
+            buffer.memory = BufferMemory::Part(allocation);
             shared
                 .raw
                 .bind_buffer_memory(buffer.raw, memory, offset)
@@ -191,7 +191,7 @@ impl Device {
                 .map_err(shared.noting("vkAllocateMemory"))?;
             // The driver has taken the descriptor.
             std::mem::forget(import);
-            buffer.memory = Memory::Own(memory);
+            buffer.memory = BufferMemory::Own(memory);
             shared
                 .raw
                 .bind_buffer_memory(buffer.raw, memory, 0)
@@ -216,7 +216,7 @@ impl Device {
         let mut buffer = Buffer {
             device: Arc::clone(shared),
             raw: vk::Buffer::null(),
-            memory: Memory::None,
+            memory: BufferMemory::None,
             bytes,
         };
         if before.saturating_add(bytes) > limit
@@ -252,7 +252,7 @@ impl Device {
     /// # Errors
     /// Those of [`buffer`](Self::buffer).
     pub fn uploaded<T: Pod>(&self, values: &[T]) -> Result<View, VulkanError> {
-        let buffer = self.buffer(Place::Upload, size_of_val(values) as u64)?;
+        let buffer = self.buffer(BufferKind::Upload, size_of_val(values) as u64)?;
         // SAFETY: nobody else has the buffer yet.
         unsafe { buffer.write(0, values) };
         Ok(buffer.whole())
@@ -268,7 +268,12 @@ impl Device {
     /// compute shaders and transfers.
     #[must_use]
     pub unsafe fn external_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
-        Arc::new(Buffer { device: Arc::clone(&self.shared), raw, memory: Memory::External, bytes })
+        Arc::new(Buffer {
+            device: Arc::clone(&self.shared),
+            raw,
+            memory: BufferMemory::External,
+            bytes,
+        })
     }
 }
 
@@ -297,7 +302,8 @@ impl Buffer {
     #[cfg(unix)]
     pub fn export(&self) -> Result<std::os::fd::OwnedFd, VulkanError> {
         use std::os::fd::FromRawFd;
-        let (Memory::Own(memory), Some(exports)) = (&self.memory, &self.device.exports) else {
+        let (BufferMemory::Own(memory), Some(exports)) = (&self.memory, &self.device.exports)
+        else {
             panic!("the buffer was made to be exported");
         };
         let info = vk::MemoryGetFdInfoKHR::default().memory(*memory).handle_type(HANDLE);
@@ -371,7 +377,7 @@ impl Buffer {
     fn mapped(&self, offset: u64, len: usize) -> *mut u8 {
         assert!(within(offset, len as u64, self.bytes), "{offset} + {len} of {}", self.bytes);
         let mapped = match &self.memory {
-            Memory::Part(allocation) => allocation.mapped_ptr(),
+            BufferMemory::Part(allocation) => allocation.mapped_ptr(),
             _ => None,
         };
         let base = mapped.expect("the buffer is visible to the host").as_ptr().cast::<u8>();
@@ -405,7 +411,7 @@ impl View {
     pub fn address(&self) -> Option<vk::DeviceAddress> {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
         let info = vk::BufferDeviceAddressInfo::default().buffer(*raw);
-        let known = device.addresses && !matches!(memory, Memory::External);
+        let known = device.addresses && !matches!(memory, BufferMemory::External);
         // SAFETY: the buffer is the device's, and was made to have one.
         known.then(|| unsafe { device.raw.get_buffer_device_address(&info) } + self.offset)
     }
@@ -464,21 +470,21 @@ impl View {
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        if matches!(self.memory, Memory::External) {
+        if matches!(self.memory, BufferMemory::External) {
             return;
         }
         self.device.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
         // SAFETY: batches in flight hold their buffers, so nothing uses it.
         unsafe { self.device.raw.destroy_buffer(self.raw, None) };
-        match std::mem::replace(&mut self.memory, Memory::None) {
-            Memory::Part(allocation) => {
+        match std::mem::replace(&mut self.memory, BufferMemory::None) {
+            BufferMemory::Part(allocation) => {
                 let mut allocator =
                     self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
                 allocator.free(allocation).expect("the allocation is this allocator's");
             }
             // SAFETY: it was bound to this buffer alone.
-            Memory::Own(memory) => unsafe { self.device.raw.free_memory(memory, None) },
-            Memory::None | Memory::External => {}
+            BufferMemory::Own(memory) => unsafe { self.device.raw.free_memory(memory, None) },
+            BufferMemory::None | BufferMemory::External => {}
         }
     }
 }

@@ -134,10 +134,10 @@ pub struct ExternalDevice {
 /// An open device. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Device {
-    pub(super) shared: Arc<Shared>,
+    pub(super) shared: Arc<SharedDevice>,
 }
 
-pub(super) struct Shared {
+pub(super) struct SharedDevice {
     pub(super) raw: ash::Device,
     /// `None` where the device is a caller's, who destroys it.
     instance: Option<Arc<Instance>>,
@@ -334,7 +334,7 @@ impl Device {
         });
         // From here on everything that is made is dropped with `shared` if a later step fails.
         let exports = options.exports.then(|| khr::external_memory_fd::Device::new(instance, &raw));
-        let mut shared = Shared {
+        let mut shared = SharedDevice {
             raw,
             instance: owner,
             name: properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned(),
@@ -452,7 +452,7 @@ impl Limits {
     }
 }
 
-impl Shared {
+impl SharedDevice {
     /// The pipelines of earlier runs, or none.
     fn load_cache(&self) -> Result<vk::PipelineCache, VulkanError> {
         let known = self.cache_file.as_deref().and_then(read_cache).unwrap_or_default();
@@ -569,7 +569,7 @@ fn read_cache(file: &Path) -> Option<Vec<u8>> {
     (u32::from_le_bytes(*checksum) == crc32fast::hash(data)).then(|| data.to_vec())
 }
 
-impl Drop for Shared {
+impl Drop for SharedDevice {
     fn drop(&mut self) {
         // A cache that cannot be kept costs time in the next run, and nothing else.
         let _ = self.save_cache();
@@ -588,7 +588,7 @@ impl Drop for Shared {
     }
 }
 
-impl fmt::Debug for Shared {
+impl fmt::Debug for SharedDevice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Device").field("name", &self.name).finish_non_exhaustive()
     }

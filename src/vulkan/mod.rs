@@ -11,8 +11,8 @@ mod faults;
 mod instance;
 mod shader;
 
-pub use batch::{Batch, Moment, Ticket};
-pub use buffer::{Buffer, Place, View};
+pub use batch::{Batch, SemaphorePoint, Ticket};
+pub use buffer::{Buffer, BufferKind, View};
 pub use device::{
     Counters, Device, DeviceOptions, ExternalDevice, Limits, PIECE, Queue, Queues, Timing,
 };

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ash::{util::read_spv, vk};
 use rayon::prelude::*;
 
-use super::device::Shared;
+use super::device::SharedDevice;
 use super::{Device, VulkanError};
 
 /// A compute shader and its interface.
@@ -26,7 +26,7 @@ pub struct Shader {
 
 /// A shader ready to run on a device.
 pub struct ComputePipeline {
-    pub(super) device: Arc<Shared>,
+    pub(super) device: Arc<SharedDevice>,
     pub(super) shader: &'static Shader,
     pub(super) sets: vk::DescriptorSetLayout,
     pub(super) layout: vk::PipelineLayout,

@@ -15,15 +15,15 @@ use meniscus::internals::grid::units::Isovalue;
 use meniscus::internals::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::dual_mc::contour;
-use meniscus::internals::surface::dual_mc::vulkan::Tally;
+use meniscus::internals::surface::dual_mc::vulkan::BlockTally;
 use meniscus::internals::surface::mesh::BlockMesh;
 use meniscus::internals::surface::mesh::spool::Spool;
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::surface::stitch::vulkan::{
     MeshLayout, StitchBuffers, StitchPipelines, stitch, table,
 };
 use meniscus::internals::vulkan::{
-    Buffer, Device, DeviceOptions, Place, Queue, Shader, ValidationLog, VulkanError,
+    Buffer, BufferKind, Device, DeviceOptions, Queue, Shader, ValidationLog, VulkanError,
 };
 
 use crate::common::device;
@@ -45,7 +45,7 @@ fn assert_valid(log: &ValidationLog) {
 }
 
 fn upload<T: Pod>(device: &Device, values: &[T]) -> Arc<Buffer> {
-    let buffer = device.buffer(Place::Upload, size_of_val(values) as u64).unwrap();
+    let buffer = device.buffer(BufferKind::Upload, size_of_val(values) as u64).unwrap();
     // SAFETY: nobody else has the buffer yet.
     unsafe { buffer.write(0, values) };
     buffer
@@ -53,7 +53,7 @@ fn upload<T: Pod>(device: &Device, values: &[T]) -> Arc<Buffer> {
 
 fn download<T: Pod>(device: &Device, buffer: &Arc<Buffer>, count: usize) -> Vec<T> {
     let bytes = (count * size_of::<T>()) as u64;
-    let read = device.buffer(Place::Download, bytes).unwrap();
+    let read = device.buffer(BufferKind::Download, bytes).unwrap();
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     batch.copy(&buffer.part(0, bytes), &read.whole());
@@ -179,7 +179,7 @@ fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
             }
         })
         .collect();
-    let answers = device.buffer(Place::Device, (count * size_of::<Answer>()) as u64).unwrap();
+    let answers = device.buffer(BufferKind::Device, (count * size_of::<Answer>()) as u64).unwrap();
     let pipeline = Arc::new(device.pipeline(shader).unwrap());
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
@@ -554,7 +554,7 @@ fn stitched(
     iso: Isovalue,
 ) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
     let tally = |mesh: &BlockMesh| {
-        let mut tally = Tally::default();
+        let mut tally = BlockTally::default();
         tally.tiles = mesh.tiles.len() as u32;
         tally.vertices = mesh.ends.len() as u32;
         tally.triangles = mesh.triangle_count as u32;
@@ -566,7 +566,7 @@ fn stitched(
     let ends: Vec<_> = meshes.iter().flat_map(|mesh| mesh.ends.iter().copied()).collect();
     let (vertices, triangles) = (layout.vertices() as usize, layout.triangles() as usize);
     assert_eq!((tiles.len(), ends.len()), (layout.tiles() as usize, vertices));
-    let empty = |bytes: usize| device.buffer(Place::Device, bytes as u64).unwrap();
+    let empty = |bytes: usize| device.buffer(BufferKind::Device, bytes as u64).unwrap();
     let (positions, indices) = (empty(12 * vertices), empty(12 * triangles));
     let buffers = StitchBuffers {
         grid: upload(device, &[DeviceGrid::new(grid, domain)]).whole(),
@@ -612,7 +612,8 @@ fn the_mesh_made_on_a_device_is_that_of_the_host_to_the_bit() {
             let (positions, triangles) = stitched(&device, &meshes, &grid, domain.as_ref(), iso);
             let mut spool = Spool::in_memory(false, Vec::new());
             meshes.into_iter().try_for_each(|mesh| spool.push(mesh)).unwrap();
-            let host = Stitched::new(spool, grid, domain, iso, Vec::new()).to_mesh().unwrap();
+            let host =
+                StitchedSurface::new(spool, grid, domain, iso, Vec::new()).to_mesh().unwrap();
             assert!(host.triangles.len() > 5000, "{}", host.triangles.len());
             assert!(triangles == host.triangles, "scene {seed}");
             for (at, (found, expected)) in positions.iter().zip(&host.positions).enumerate() {

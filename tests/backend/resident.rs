@@ -12,7 +12,7 @@ use meniscus::internals::frame::{FrameError, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::vulkan::{
-    Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError,
+    BufferKind, Device, DeviceOptions, Queue, Queues, ValidationLog, VulkanError,
 };
 
 use crate::common::scene::Random;
@@ -32,7 +32,7 @@ fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32;
     let mut batch = device.batch(Queue::Transfer).unwrap();
     batch.begin().unwrap();
     let [vertices, indices] = [&surface.positions, &surface.indices].map(|buffer| {
-        let read = device.buffer(Place::Download, buffer.bytes()).unwrap().whole();
+        let read = device.buffer(BufferKind::Download, buffer.bytes()).unwrap().whole();
         batch.copy(buffer, &read);
         read
     });
@@ -265,7 +265,7 @@ fn another_device_sees_the_surface_in_exported_memory() {
         // SAFETY: there is no semaphore.
         unsafe { pipeline.surface_between(&input, &settings, exchange) }
     };
-    let small = [1, 2].map(|_| device.buffer(Place::Device, 4).unwrap().whole());
+    let small = [1, 2].map(|_| device.buffer(BufferKind::Device, 4).unwrap().whole());
     let refused = between(&Exchange { into: Some(small.each_ref()), ..Exchange::default() });
     let Err(FrameError::NoSpace { vertices, triangles }) = refused else { panic!("{refused:?}") };
     let rows = [vertices, triangles].map(|rows| 12 * u64::from(rows));
@@ -283,7 +283,7 @@ fn another_device_sees_the_surface_in_exported_memory() {
     let mut batch = other.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     let read = imported.each_ref().map(|view| {
-        let read = other.buffer(Place::Download, view.bytes()).unwrap().whole();
+        let read = other.buffer(BufferKind::Download, view.bytes()).unwrap().whole();
         batch.copy(view, &read);
         read
     });

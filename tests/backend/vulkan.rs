@@ -23,8 +23,8 @@ use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::{
-    Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog,
-    VulkanError,
+    BufferKind, Device, DeviceChoice, DeviceOptions, Faults, Instance, Queue, Queues,
+    ValidationLog, VulkanError,
 };
 
 use crate::common::device::{self, contoured, watched};
@@ -111,8 +111,8 @@ fn blurred_on(
     }
     let field = device.uploaded(padded.samples()).unwrap();
     let uploaded = device.uploaded(weights.half()).unwrap();
-    let through = device.buffer(Place::Device, field.bytes()).unwrap().whole();
-    let to = device.buffer(Place::Download, field.bytes()).unwrap().whole();
+    let through = device.buffer(BufferKind::Device, field.bytes()).unwrap().whole();
+    let to = device.buffer(BufferKind::Download, field.bytes()).unwrap().whole();
     let blocks = DeviceBlocks::new(device.uploaded(&[block]).unwrap(), &[block]);
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
@@ -496,7 +496,7 @@ fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
     device.faults().submission.store(1, Ordering::Relaxed);
     assert_eq!(batch.submit(&[]), Err(VulkanError::Lost));
     for _ in 0..2 {
-        assert_eq!(device.buffer(Place::Device, 4).unwrap_err(), VulkanError::Lost);
+        assert_eq!(device.buffer(BufferKind::Device, 4).unwrap_err(), VulkanError::Lost);
         assert_eq!(batch.submit(&[]), Err(VulkanError::Lost));
     }
 }

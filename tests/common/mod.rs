@@ -18,7 +18,7 @@ pub mod watertight;
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
-use meniscus::internals::field::calibration::Calibrated;
+use meniscus::internals::field::calibration::MeasuredCalibration;
 use meniscus::internals::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use meniscus::internals::field::recipe::Recipe;
 use meniscus::internals::frame::{Engine, Resources, Sampling, Surfacing};
@@ -75,7 +75,7 @@ pub fn sampled(dif: DifField) -> SampledDif {
 }
 
 /// The recipe of a frame, and its calibration.
-pub fn recipe(frame: &Engine, surfacing: &Surfacing) -> (Recipe, Calibrated) {
+pub fn recipe(frame: &Engine, surfacing: &Surfacing) -> (Recipe, MeasuredCalibration) {
     let measured = surfacing.calibrate(dif(frame)).unwrap();
     (surfacing.recipe(dif(frame), &measured.calibration), measured)
 }

@@ -17,7 +17,7 @@ use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma};
 use meniscus::internals::grid::{CellBox, Domain, Grid};
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::source::MeshSource;
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
@@ -93,7 +93,7 @@ fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Engine {
     Engine::sample(particles, sampling, &mut Timings::default()).unwrap()
 }
 
-fn draw(frame: &Engine, surfacing: &Surfacing) -> Stitched {
+fn draw(frame: &Engine, surfacing: &Surfacing) -> StitchedSurface {
     frame.surface(surfacing, &mut Timings::default()).unwrap()
 }
 
@@ -185,7 +185,7 @@ fn the_plateau_is_that_which_a_dense_oracle_finds_in_cells_of_any_size() {
 }
 
 /// The vertices of a surface, by their cells.
-fn places(surface: &Stitched) -> HashMap<IVec3, Vec<DVec3>> {
+fn places(surface: &StitchedSurface) -> HashMap<IVec3, Vec<DVec3>> {
     let mut places: HashMap<IVec3, Vec<DVec3>> = HashMap::new();
     for piece in 0..surface.pieces() {
         for (_, place) in surface.places(piece).unwrap() {
@@ -197,7 +197,7 @@ fn places(surface: &Stitched) -> HashMap<IVec3, Vec<DVec3>> {
 
 /// The distances from the vertices of `one`, at least this far from a place, to the nearest
 /// vertices of `other`, sorted; infinite if there is none within a cell.
-fn moved(one: &Stitched, other: &Stitched, (place, away): (DVec3, f64)) -> Vec<f64> {
+fn moved(one: &StitchedSurface, other: &StitchedSurface, (place, away): (DVec3, f64)) -> Vec<f64> {
     let others = places(other);
     let next = |p: DVec3| {
         let cells = (0..27).map(|i| p.floor().as_ivec3() + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1);
@@ -376,7 +376,7 @@ fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
 #[test]
 fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
     let ball = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 15.0);
-    let close = |surface: &Stitched, within: f64, what: &str| {
+    let close = |surface: &StitchedSurface, within: f64, what: &str| {
         let mesh = measure(&surface.to_mesh().unwrap()).volume.unwrap();
         let ratio = surface.volume().unwrap() / mesh;
         assert!((ratio - 1.0).abs() < within, "{what}: {ratio}");

@@ -1,14 +1,14 @@
 //! Checks of a mesh: defects by name and place, measures, and distances.
 
 use meniscus::internals::surface::mesh::Mesh;
-use meniscus::internals::surface::mesh::check::{Found, check};
-use meniscus::internals::surface::mesh::compare::{CompareError, Side, Surface, compare};
+use meniscus::internals::surface::mesh::check::{Defects, check};
+use meniscus::internals::surface::mesh::compare::{CompareError, SearchableSurface, Side, compare};
 use meniscus::internals::surface::mesh::measure::measure;
 
 use crate::common::shapes::{cone, cuboid, moved, sphere, torus, union};
 
-fn once<T>(place: T) -> Found<T> {
-    Found { count: 1, first: Some(place) }
+fn once<T>(place: T) -> Defects<T> {
+    Defects { count: 1, first: Some(place) }
 }
 
 /// Two cones that share their tip: closed if their ghost layers are ignored.
@@ -36,7 +36,7 @@ fn a_hole_is_found_by_its_three_edges() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     assert_eq!(mesh.triangles.remove(3), [4, 7, 6]);
     let report = check(&mesh);
-    assert_eq!(report.topology.boundary_edges, Found { count: 3, first: Some([4, 6]) });
+    assert_eq!(report.topology.boundary_edges, Defects { count: 3, first: Some([4, 6]) });
     assert!(
         !report.topology.is_closed()
             && report.topology.is_oriented()
@@ -49,7 +49,7 @@ fn a_flipped_triangle_is_found_by_its_three_edges() {
     let mut mesh = cuboid([0.; 3], [1.; 3]);
     mesh.triangles[3].swap(1, 2);
     let report = check(&mesh);
-    assert_eq!(report.topology.misoriented_edges, Found { count: 3, first: Some([4, 6]) });
+    assert_eq!(report.topology.misoriented_edges, Defects { count: 3, first: Some([4, 6]) });
     assert!(
         report.topology.is_closed()
             && !report.topology.is_oriented()
@@ -65,7 +65,7 @@ fn a_triangle_given_twice_is_found_whichever_way_round() {
         mesh.triangles.push([[6, 4, 7], [7, 4, 6]][turn]);
         let report = check(&mesh);
         assert_eq!(report.topology.twin_triangles, once([4, 6, 7]));
-        assert_eq!(report.topology.crowded_edges, Found { count: 3, first: Some([4, 6]) });
+        assert_eq!(report.topology.crowded_edges, Defects { count: 3, first: Some([4, 6]) });
         assert!(!report.topology.is_manifold());
     }
 }
@@ -119,7 +119,7 @@ fn unsound_triangles_are_named_and_hide_nothing_else() {
     mesh.triangles.push([0, 1, u32::MAX]);
     let report = check(&mesh);
     assert_eq!(report.topology.degenerate_triangles, once(2));
-    assert_eq!(report.topology.out_of_range, Found { count: 2, first: Some(13) });
+    assert_eq!(report.topology.out_of_range, Defects { count: 2, first: Some(13) });
     assert!(
         report.topology.is_closed()
             && report.topology.is_oriented()
@@ -138,9 +138,9 @@ fn positions_that_are_no_points_and_those_given_twice_are_named() {
     mesh.positions.push(mesh.positions[1]);
     mesh.positions.push([-0.0, 0., 0.]);
     let report = check(&mesh);
-    assert_eq!(report.non_finite_positions, Found { count: 2, first: Some(3) });
-    assert_eq!(report.duplicate_positions, Found { count: 2, first: Some(8) });
-    assert_eq!(report.topology.unreferenced_vertices, Found { count: 3, first: Some(8) });
+    assert_eq!(report.non_finite_positions, Defects { count: 2, first: Some(3) });
+    assert_eq!(report.duplicate_positions, Defects { count: 2, first: Some(8) });
+    assert_eq!(report.topology.unreferenced_vertices, Defects { count: 3, first: Some(8) });
     assert!(report.topology.is_closed_oriented_manifold() && !report.is_closed_oriented_manifold());
 }
 
@@ -379,7 +379,7 @@ fn a_vertex_of_many_triangles_costs_no_more_than_others() {
         .map(|angle| [angle.cos(), angle.sin(), -1.0])
         .collect();
     let cone = cone(&ghost_layer, [0.0; 3]);
-    let surface = Surface::reference(&cone).unwrap();
+    let surface = SearchableSurface::reference(&cone).unwrap();
     // The tip is the nearest point to all of these.
     let places: Vec<_> = (0..100_000).map(|i| [0.0, 0.0, 1.0 + f64::from(i)]).collect();
     let begun = std::time::Instant::now();

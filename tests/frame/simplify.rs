@@ -12,15 +12,15 @@ use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::compare::compare;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::source::MeshSource;
-use meniscus::internals::surface::simplify::{Reduction, Room, simplify};
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::simplify::{Reduction, TriangleSpace, simplify};
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::control::Control;
 use meniscus::internals::system::timings::Timings;
 
 use crate::common::scene::Random;
 use crate::common::{INDICATORS, fill, sampling, splashes, surfacing};
 
-fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
+fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> StitchedSurface {
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
     let frame = Engine::sample(particles, sampling, &mut Timings::default()).unwrap();
     frame.surface(&surfacing, &mut Timings::default()).unwrap()
@@ -51,7 +51,7 @@ fn collected(source: &dyn MeshSource) -> Mesh {
 fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction) -> (Mesh, u64) {
     let particle = sampling.spacing.unwrap_or(1.0).powi(3);
     let surface = surface(particles, sampling);
-    let room = Room { bytes: u64::MAX, folder: &std::env::temp_dir() };
+    let room = TriangleSpace { bytes: u64::MAX, folder: &std::env::temp_dir() };
     let result = simplify(surface, reduction, particle, room, &Control::default()).unwrap();
     (collected(&result), result.too_small().total())
 }
@@ -133,7 +133,7 @@ fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
         let scratch = std::env::temp_dir();
         pool.install(|| {
             let (surface, room) =
-                (surface(&particles, &sampling()), Room { bytes, folder: &scratch });
+                (surface(&particles, &sampling()), TriangleSpace { bytes, folder: &scratch });
             collected(&simplify(surface, &reduction, 1.0, room, &Control::default()).unwrap())
         })
     };

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
-use meniscus::internals::io::wanted::Wanted;
+use meniscus::internals::io::wanted::WantedParticles;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
 
 use crate::common::files;
@@ -35,8 +35,13 @@ fn file_of_steps(kind: &str) -> (String, Vec<u8>) {
 
 fn read(bytes: &[u8], step: impl Into<Option<u64>>) -> Result<ParticleFile, ReadFault> {
     let (path, unpacking) = (Path::new("a.vtkhdf"), Unpacking::in_memory());
-    let read =
-        h5::open_particles(path, bytes.to_vec().into(), step.into(), Wanted::default(), unpacking);
+    let read = h5::open_particles(
+        path,
+        bytes.to_vec().into(),
+        step.into(),
+        WantedParticles::default(),
+        unpacking,
+    );
     read.map_err(|error| error.fault)
 }
 

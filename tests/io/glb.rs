@@ -4,7 +4,7 @@ use std::io;
 
 use meniscus::internals::io::CoordinateWidth;
 use meniscus::internals::io::UpAxis;
-use meniscus::internals::io::glb::{Compression, Layout, grid_step};
+use meniscus::internals::io::glb::{GlbCompression, GlbLayout, grid_step};
 use meniscus::internals::io::output::MeshFormat;
 use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use crate::common::shapes::{dressed, moved, sphere};
 
-fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u8>) {
+fn written(mesh: &Mesh, width: CoordinateWidth, layout: GlbLayout) -> (Value, Vec<u8>) {
     let mut bytes = Vec::new();
     MeshFormat::Glb(layout).write(&mut bytes, mesh, width).unwrap();
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
@@ -27,8 +27,8 @@ fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u
     (serde_json::from_slice(&bytes[20..20 + json]).unwrap(), bytes[28 + json..].to_vec())
 }
 
-fn meshopt(up: UpAxis) -> Layout {
-    Layout { up, compression: Compression::Meshopt }
+fn meshopt(up: UpAxis) -> GlbLayout {
+    GlbLayout { up, compression: GlbCompression::Meshopt }
 }
 
 fn number(value: &Value) -> usize {
@@ -90,7 +90,7 @@ fn soup<T: PartialOrd + Copy>(positions: &[[T; 3]], triangles: &[[u32; 3]]) -> V
 #[test]
 fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of_the_format() {
     let mesh = dressed(moved(&sphere(0.7, 4), [1e-3, -3.0, 1.0 / 3.0]));
-    let (json, binary) = written(&mesh, CoordinateWidth::F32, Layout::PLAIN);
+    let (json, binary) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
     let attributes = &json["meshes"][0]["primitives"][0]["attributes"];
     let named = |name: &str| floats(&elements(&json, &binary, number(&attributes[name])));
     let narrow: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.map(|x| x as f32)).collect();
@@ -131,11 +131,11 @@ fn the_colour_of_bytes_is_shares_from_0_to_1() {
     let values: Vec<f32> = (0..3 * mesh.positions.len()).map(|i| (i % 256) as f32).collect();
     let kind = AttributeKind::ByteColour;
     mesh.attributes = vec![VertexAttribute { kind, ..VertexAttribute::new("rgb", 3, values) }];
-    for layout in [Layout::PLAIN, meshopt(UpAxis::Y)] {
+    for layout in [GlbLayout::PLAIN, meshopt(UpAxis::Y)] {
         let (json, binary) = written(&mesh, CoordinateWidth::F32, layout);
         let accessor = number(&json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]);
         assert_eq!(json["accessors"][accessor]["type"], "VEC3");
-        if layout == Layout::PLAIN {
+        if layout == GlbLayout::PLAIN {
             let shares = floats(&elements(&json, &binary, accessor));
             let sum: f32 = shares.iter().flatten().sum();
             let stored: f32 = mesh.attributes[0].values.iter().sum();
@@ -146,7 +146,7 @@ fn the_colour_of_bytes_is_shares_from_0_to_1() {
 
 #[test]
 fn vertices_come_in_the_order_in_which_triangles_use_them() {
-    let (json, binary) = written(&sphere(1.0, 5), CoordinateWidth::F32, Layout::PLAIN);
+    let (json, binary) = written(&sphere(1.0, 5), CoordinateWidth::F32, GlbLayout::PLAIN);
     let mut next = 0;
     for &vertex in triangles(&json, &binary).as_flattened() {
         assert!(vertex <= next, "{vertex} is used before {next}");
@@ -169,7 +169,7 @@ fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
     let node = &json["nodes"][0];
     assert_eq!(node["scale"], serde_json::json!([step, step, step]));
     assert_eq!(json["asset"]["extras"]["positionError"], serde_json::json!(step / 2.0));
-    let (plain_json, plain_binary) = written(&mesh, CoordinateWidth::F32, Layout::PLAIN);
+    let (plain_json, plain_binary) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
     // The order is the same except for the codec, which rotates triangles.
     let positions = floats(&elements(&plain_json, &plain_binary, 0));
     let packed: Vec<u16> = elements(&json, &binary, 0)
@@ -201,7 +201,7 @@ fn the_grid_of_positions_spans_the_mesh_in_powers_of_two() {
 #[test]
 fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() {
     let mesh = moved(&sphere(1.0, 2), [1e6, 2e6, 3e6]);
-    let layout = Layout { up: UpAxis::Z, ..Layout::PLAIN };
+    let layout = GlbLayout { up: UpAxis::Z, ..GlbLayout::PLAIN };
     let (json, binary) = written(&mesh, CoordinateWidth::F64, layout);
     let half = std::f64::consts::FRAC_1_SQRT_2;
     assert_eq!(json["nodes"][0]["rotation"], serde_json::json!([-half, 0.0, 0.0, half]));
@@ -245,7 +245,7 @@ impl MeshSource for Huge {
 
 #[test]
 fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
-    for layout in [Layout::PLAIN, meshopt(UpAxis::Y)] {
+    for layout in [GlbLayout::PLAIN, meshopt(UpAxis::Y)] {
         let mut out = Vec::new();
         let fault = MeshFormat::Glb(layout)
             .write(&mut out, &Huge(1 << 29), CoordinateWidth::F32)
@@ -257,7 +257,7 @@ fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
 
 #[test]
 fn an_empty_mesh_is_a_scene_without_one_for_nothing_may_be_of_no_bytes() {
-    for layout in [Layout::PLAIN, meshopt(UpAxis::Z)] {
+    for layout in [GlbLayout::PLAIN, meshopt(UpAxis::Z)] {
         let empty = Mesh { normals: Some(Vec::new()), ..Mesh::default() };
         let mut bytes = Vec::new();
         MeshFormat::Glb(layout).write(&mut bytes, &empty, CoordinateWidth::F32).unwrap();

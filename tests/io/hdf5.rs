@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::{open_particles, open_wanted, steps};
-use meniscus::internals::io::wanted::Wanted;
+use meniscus::internals::io::wanted::WantedParticles;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
 use meniscus::internals::particles::Particles;
 
@@ -117,7 +117,7 @@ fn frames_of_h5md_have_the_particles_that_are_there_and_what_was_stored_with_the
 fn of_several_groups_of_particles_one_has_to_be_named() {
     assert_eq!(steps(&data("groups.h5")).unwrap(), [3, 20]);
     let open = |particle_type| {
-        let wanted = Wanted { particle_type, ..Wanted::default() };
+        let wanted = WantedParticles { particle_type, ..WantedParticles::default() };
         open_wanted(&data("groups.h5#20"), wanted, Unpacking::in_memory())
     };
     let error = open(None).unwrap_err();
@@ -147,7 +147,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic() {
                 Path::new(name),
                 bytes.into(),
                 Some(2).filter(|_| matches!(name, "steps.h5part" | "h5md.h5")),
-                Wanted::default(),
+                WantedParticles::default(),
                 Unpacking::in_memory(),
             )
         };

@@ -5,10 +5,10 @@ use std::path::Path;
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input;
 use meniscus::internals::io::output::MeshFormat;
-use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
-use meniscus::internals::io::{CoordinateWidth, LeftOut, ParticleFile, ReadFault, houdini};
+use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
+use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, UnreadPart, houdini};
 use meniscus::internals::particles::sizes::SizeChoice;
-use meniscus::internals::particles::{AttributeKind, Particles, Unread};
+use meniscus::internals::particles::{AttributeKind, Particles, RereadError};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 use crate::build::houdini::{
@@ -243,7 +243,7 @@ fn points_of_primitives_are_left_out_and_counted_by_kind() {
         let all = tuples(10);
         assert_eq!(positions(&file), [all[4], all[6], all[7], all[8], all[9]]);
         let kinds = vec![("Sphere".to_owned(), 1), ("polygons".to_owned(), 3)];
-        let [LeftOut::Primitives { kinds: found, points: 5 }] = &file.left_out[..] else {
+        let [UnreadPart::Primitives { kinds: found, points: 5 }] = &file.left_out[..] else {
             panic!("{:?}", file.left_out);
         };
         let mut found = found.clone();
@@ -303,7 +303,8 @@ fn the_extension_is_no_matter() {
         for extension in ["bgeo", "geo", "bgeo.sc", "BGEO", "bgeo.gz", "bhclassic"] {
             let path = folder.path().join(format!("frame.{extension}"));
             std::fs::write(&path, &bytes).unwrap();
-            let file = input::open_wanted(&path, Wanted::default(), Unpacking::in_memory());
+            let file =
+                input::open_wanted(&path, WantedParticles::default(), Unpacking::in_memory());
             assert_eq!(positions(&file.unwrap()), tuples(7), "{extension}");
         }
     }
@@ -429,7 +430,7 @@ fn a_file_that_changes_is_found_out() {
             file.set_len(left as u64).unwrap();
             match houdini::read_particles(opened, WantedAttributes::All, Unpacking::in_memory()) {
                 Err(ReadFault::Changed) => {}
-                Ok(file) => assert_eq!(file.particles.check(), Err(Unread::Changed)),
+                Ok(file) => assert_eq!(file.particles.check(), Err(RereadError::Changed)),
                 Err(fault) => panic!("{number} cut to {left}: {fault}"),
             }
         }

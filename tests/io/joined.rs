@@ -5,7 +5,7 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_joined;
-use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
+use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{ColourScale, ParticleFile, ReadError, ReadFault};
 use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::particles::sizes::SizeChoice;
@@ -32,7 +32,11 @@ fn join(paths: &[&Path]) -> Result<ParticleFile, ReadError> {
         conditions: &[],
         sizes: &SizeChoice::Ignored,
     };
-    open_joined(paths, Wanted { attributes, ..Wanted::default() }, Unpacking::in_memory())
+    open_joined(
+        paths,
+        WantedParticles { attributes, ..WantedParticles::default() },
+        Unpacking::in_memory(),
+    )
 }
 
 #[test]

@@ -10,7 +10,7 @@ use meniscus::internals::io::input::{holds_mesh, open_particles};
 use meniscus::internals::io::output::{MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
 use meniscus::internals::io::{
-    CoordinateWidth, LeftOut, ParticleFile, ReadError, ReadFault, WriteFault,
+    CoordinateWidth, ParticleFile, ReadError, ReadFault, UnreadPart, WriteFault,
 };
 use meniscus::internals::particles::{AttributeInfo, Particles};
 use tempfile::TempDir;
@@ -165,7 +165,7 @@ fn attributes_that_not_all_pieces_have_are_left_out_by_name_and_flags_need_not_b
         assert_eq!(attribute(&file, "id"), [0.0, 1.0, 2.0, 4.0, 5.0], "{name}");
         assert_eq!((file.particles.attributes().len(), file.ghosts), (1, 1), "{name}");
         let info = |name: &str| AttributeInfo::new(name, 1);
-        assert_eq!(file.left_out, ["mass", "T"].map(info).map(LeftOut::Attribute), "{name}");
+        assert_eq!(file.left_out, ["mass", "T"].map(info).map(UnreadPart::Attribute), "{name}");
     }
 }
 
@@ -219,10 +219,10 @@ fn a_list_of_blocks_gives_its_particles_and_names_what_else_it_holds() {
     );
     let file = open(&set.path("a.vtm")).unwrap();
     assert_eq!(positions(&file), (0..6).map(at).collect::<Vec<_>>());
-    let named = |left_out: &LeftOut| match left_out {
-        LeftOut::Block { name, .. } => name.clone(),
-        LeftOut::Attribute(info) => info.name.clone(),
-        LeftOut::Primitives { .. } => panic!("{left_out}"),
+    let named = |left_out: &UnreadPart| match left_out {
+        UnreadPart::Block { name, .. } => name.clone(),
+        UnreadPart::Attribute(info) => info.name.clone(),
+        UnreadPart::Primitives { .. } => panic!("{left_out}"),
     };
     assert_eq!(file.left_out.iter().map(named).collect::<Vec<_>>(), ["solid", "p/i.vti"]);
     set.write("a.vtm", &list(solid));

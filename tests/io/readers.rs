@@ -7,12 +7,12 @@ use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input::{self, InputFormat};
 use meniscus::internals::io::scene::spacing_beside;
 use meniscus::internals::io::text_format::TextHint;
-use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
+use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{
     ParticleFile, ReadError, ReadFault, bgeo, bi4, json, npy, npz, text_format, vtk, vtp,
 };
 use meniscus::internals::particles::sizes::SizeChoice;
-use meniscus::internals::particles::{Particles, Unread, velocity_attribute};
+use meniscus::internals::particles::{Particles, RereadError, velocity_attribute};
 use zip::CompressionMethod;
 
 use crate::build::{self, Bi4, Compressor, VtkXml, gzip, tuples, xz};
@@ -368,7 +368,7 @@ fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_
             match reader(opened) {
                 Err(ReadFault::Changed) => {}
                 // Columns that begin after the cut have not been read yet.
-                Ok(file) => assert_eq!(file.particles.check(), Err(Unread::Changed), "{name}"),
+                Ok(file) => assert_eq!(file.particles.check(), Err(RereadError::Changed), "{name}"),
                 Err(fault) => panic!("{name}: {fault}"),
             }
         }
@@ -1250,7 +1250,7 @@ fn a_format_that_is_named_is_not_looked_for() {
     let open = |text: &str, format| {
         let path = folder.path().join("sim.out");
         std::fs::write(&path, text).unwrap();
-        let wanted = Wanted { format: Some(format), ..Wanted::default() };
+        let wanted = WantedParticles { format: Some(format), ..WantedParticles::default() };
         input::open_wanted(&path, wanted, Unpacking::in_memory()).map(|file| file.format)
     };
     let xyz = "2\nwater\nO 1 2 3\nH 4 5 6\n";
@@ -1329,7 +1329,7 @@ fn a_condition_on_text_of_vtk_is_refused_by_the_name_of_its_array() {
         let path = folder.path().join(name);
         std::fs::write(&path, content).unwrap();
         input::open_particles(&path, Unpacking::in_memory()).expect(name);
-        let wanted = Wanted { conditions: &conditions, ..Wanted::default() };
+        let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
         match input::open_wanted(&path, wanted, Unpacking::in_memory()).map_err(|e| e.fault) {
             Err(ReadFault::Unsupported(what)) => assert!(what.contains("phase"), "{what}"),
             other => panic!("{name}: {other:?}"),

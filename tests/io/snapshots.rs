@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::frame_files::snapshot_pieces;
 use meniscus::internals::io::input::{holds_mesh, open_particles, open_wanted, steps};
-use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
+use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault};
 use meniscus::internals::particles::Particles;
 use meniscus::internals::particles::sizes::SizeChoice;
@@ -40,7 +40,7 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 }
 
 fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<ParticleFile, ReadError> {
-    let wanted = Wanted { particle_type: name.into(), ..Wanted::default() };
+    let wanted = WantedParticles { particle_type: name.into(), ..WantedParticles::default() };
     open_wanted(path, wanted, Unpacking::in_memory())
 }
 
@@ -263,7 +263,7 @@ fn only_wanted_attributes_are_read_and_all_where_one_is_not_there() {
         (only(Some(&[]), &conditions), vec!["ParticleIDs"], vec!["Velocities"]),
         (WantedAttributes::All, vec!["ParticleIDs", "Velocities"], vec![]),
     ] {
-        let wanted = Wanted { attributes, ..Wanted::default() };
+        let wanted = WantedParticles { attributes, ..WantedParticles::default() };
         let file = open_wanted(&data(GADGET[0]), wanted, unpacking).unwrap();
         assert_eq!(
             (names(file.particles.attributes()), names(&file.unread)),
@@ -285,7 +285,7 @@ fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
     let nowhere = Unpacking { in_memory: 0, scratch: Path::new("nowhere"), control: None };
     let attributes =
         WantedAttributes::Only { names: None, conditions: &[], sizes: &SizeChoice::Ignored };
-    let wanted = Wanted { attributes, ..Wanted::default() };
+    let wanted = WantedParticles { attributes, ..WantedParticles::default() };
     for name in ["steps.vtkhdf#2", "steps.vtkhdf#1"] {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");

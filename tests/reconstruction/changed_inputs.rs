@@ -8,7 +8,7 @@ use std::process::{Child, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use meniscus::error::{Cause, Error, FrameError, Unread};
+use meniscus::error::{Cause, Error, FrameError, RereadError};
 use meniscus::{MemoryBudget, Particles, Reconstruction};
 use tempfile::TempDir;
 
@@ -39,7 +39,7 @@ fn after(change: impl FnOnce(&Path)) -> Error {
 }
 
 fn is_changed(error: &Error) -> bool {
-    matches!(error, Error::Frame { fault: FrameError::Unread(Unread::Changed), .. })
+    matches!(error, Error::Frame { fault: FrameError::Unread(RereadError::Changed), .. })
 }
 
 #[test]

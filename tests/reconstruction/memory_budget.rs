@@ -8,9 +8,9 @@ use std::time::Duration;
 use meniscus::error::{Cause, Error};
 use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::internals::field::indicator::{PageRule, indicate};
-use meniscus::internals::frame::estimate::{Drawing, Estimate, Plan};
+use meniscus::internals::frame::estimate::{Drawing, MemoryEstimate, MemoryPlan};
 use meniscus::internals::frame::{
-    Counted, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
+    CountedFrame, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::system::timings::Timings;
@@ -54,11 +54,11 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
                 let sampling = Sampling { resources, ..sampling.clone() };
                 let what =
                     format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);
-                let plan = Counted::of(&particles, &sampling)
+                let plan = CountedFrame::of(&particles, &sampling)
                     .unwrap()
                     .estimate()
                     .plan(MemoryBudget(budget));
-                assert!(matches!(plan, Plan::OutOfCore(_)), "{what}: nothing is spilled");
+                assert!(matches!(plan, MemoryPlan::OutOfCore(_)), "{what}: nothing is spilled");
                 let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                 assert_eq!(surface.iso, expected.iso, "{what}");
                 assert!(surface.mesh.positions == expected.mesh.positions, "{what}: positions");
@@ -90,7 +90,10 @@ fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_littl
     // attributes does.
     let meshing = |carried| {
         let sampling = carrying(carried);
-        Counted::for_surface(&particles, &sampling, &surfacing(), None).unwrap().estimate().meshing
+        CountedFrame::for_surface(&particles, &sampling, &surfacing(), None)
+            .unwrap()
+            .estimate()
+            .meshing
     };
     let threads = rayon::current_num_threads() as u64;
     assert!(meshing(vec![2]) - meshing(vec![0]) < threads * (256 << 20));
@@ -101,7 +104,7 @@ fn attributes_too_wide_for_the_budget_are_refused_before_the_work_with_what_they
     let particles = Attributed::new(splashes(33)).with::<20_000>("wide", |_, _| [0.5; 20_000]);
     let small = Resources::new(MemoryBudget(16 << 20), std::env::temp_dir());
     let sampling = Sampling { carried: vec![0], resources: small, ..sampling() };
-    let refused = Counted::for_surface(&particles, &sampling, &surfacing(), None).map(drop);
+    let refused = CountedFrame::for_surface(&particles, &sampling, &surfacing(), None).map(drop);
     let Err(FrameError::WideAttributes { components, needed, budget }) = refused else {
         panic!("{refused:?}")
     };
@@ -139,7 +142,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
                 components: Vec::new(),
             };
             let counted = plan.keys().iter().copied().zip(plan.counts());
-            let estimate = Estimate::of(counted, Some(rule.shape()), &drawing, 0, |_| true);
+            let estimate = MemoryEstimate::of(counted, Some(rule.shape()), &drawing, 0, |_| true);
             let bins = plan.fill(&particles[..], &[]).unwrap();
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);

@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use meniscus::error::{Cause, Error, FrameError, Unread};
+use meniscus::error::{Cause, Error, FrameError, RereadError};
 use meniscus::{MemoryBudget, Reconstruction};
 use tempfile::TempDir;
 
@@ -115,7 +115,7 @@ fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
 #[test]
 fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
     let is_changed = |error: &Error| {
-        matches!(error, Error::Frame { fault: FrameError::Unread(Unread::Changed), .. })
+        matches!(error, Error::Frame { fault: FrameError::Unread(RereadError::Changed), .. })
     };
     let shorter =
         |path: &Path| OpenOptions::new().write(true).open(path).unwrap().set_len(200).unwrap();
@@ -145,7 +145,10 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
     };
     assert!(is_changed(&after(many.clone(), replaced).unwrap_err()));
     let removed = after(many, |path| fs::remove_file(path).unwrap());
-    assert!(matches!(removed, Err(Error::Frame { fault: FrameError::Unread(Unread::Io(_)), .. })));
+    assert!(matches!(
+        removed,
+        Err(Error::Frame { fault: FrameError::Unread(RereadError::Io(_)), .. })
+    ));
 }
 
 #[test]

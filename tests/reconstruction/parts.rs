@@ -11,7 +11,7 @@ use meniscus::internals::field::blur::Filter;
 use meniscus::internals::field::calibration::Calibration;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::{Detail, Filters, Recipe};
-use meniscus::internals::frame::{Counted, Engine, Method, Normals, Sampling, Surfacing};
+use meniscus::internals::frame::{CountedFrame, Engine, Method, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::stretch::{Stretch, WantedBins};
 use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Grid, MortonKey};
@@ -642,7 +642,7 @@ fn a_part_counts_what_is_wanted_and_no_more() {
     let sampling =
         Sampling { grid, method: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
     let surfacing = surfacing();
-    let whole = Counted::for_surface(&particles[..], &sampling, &surfacing, None).unwrap();
+    let whole = CountedFrame::for_surface(&particles[..], &sampling, &surfacing, None).unwrap();
     let all: Vec<_> = whole.bins().collect();
     let middle = all[all.len() / 2].0;
     let first = MortonKey::of(middle.coord().div_euclid(IVec3::splat(2)));
@@ -651,7 +651,7 @@ fn a_part_counts_what_is_wanted_and_no_more() {
     {
         let wanted =
             WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing) };
-        let part = Counted::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
+        let part = CountedFrame::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
         let expected: Vec<_> =
             all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();
         assert!(!expected.is_empty() && expected.len() < all.len());

@@ -6,9 +6,9 @@ use glam::DVec3;
 use meniscus::error::{Error, FrameError};
 use meniscus::internals::baselines::KernelMethod;
 use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::estimate::Plan;
+use meniscus::internals::frame::estimate::MemoryPlan;
 use meniscus::internals::frame::{
-    Counted, Engine, Method, Normals, Resources, Sampling, Surfacing,
+    CountedFrame, Engine, Method, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget};
 use meniscus::internals::grid::{Grid, Periodic};
@@ -140,11 +140,15 @@ fn neither_order_nor_threads_nor_memory_change_a_byte() {
             let sampling = Sampling { resources, ..sampling.clone() };
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                let plan = Counted::of(&shuffled, &sampling)
+                let plan = CountedFrame::of(&shuffled, &sampling)
                     .unwrap()
                     .estimate()
                     .plan(MemoryBudget(budget));
-                assert_eq!(matches!(plan, Plan::OutOfCore(_)), budget < 1 << 30, "{budget} bytes");
+                assert_eq!(
+                    matches!(plan, MemoryPlan::OutOfCore(_)),
+                    budget < 1 << 30,
+                    "{budget} bytes"
+                );
                 let (_, mesh) = drawn(&shuffled, &sampling, &surfacing);
                 assert!(mesh == expected, "{kind:?}, {budget} bytes, {threads} threads");
             });

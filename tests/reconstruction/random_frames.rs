@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::DVec3;
 use meniscus::files::Replace;
 use meniscus::internals::brick::BrickSide;
-use meniscus::internals::frame::{Engine as Sampled, FrameError, Sampling};
+use meniscus::internals::frame::{Engine, FrameError, Sampling};
 use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::system::timings::Timings;
 use meniscus::mesh::Mesh;
@@ -457,7 +457,7 @@ fn in_bricks(frame: &Frame) {
     };
     let mesh = |side| {
         let timings = &mut Timings::default();
-        let sampled = Sampled::sample(&frame.water, &sampling(side), timings)?;
+        let sampled = Engine::sample(&frame.water, &sampling(side), timings)?;
         Ok::<_, FrameError>(
             sampled.surface(&crate::common::surfacing(), timings)?.to_mesh().unwrap(),
         )

@@ -22,7 +22,7 @@ use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::surface::mesh::source::MeshSource;
 use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::{
-    Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError,
+    BufferKind, Device, DeviceChoice, DeviceOptions, Instance, Queue, Timing, VulkanError,
 };
 
 /// Bytes of the copies that measure the device's bandwidth: more than caches hold, or as many as
@@ -185,8 +185,8 @@ fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
 
 /// Bytes per second that the device reads and writes in copies of this size within its memory.
 fn bandwidth(device: &Device, bytes: u64) -> Result<f64, VulkanError> {
-    let from = device.buffer(Place::Device, bytes)?.whole();
-    let to = device.buffer(Place::Device, bytes)?.whole();
+    let from = device.buffer(BufferKind::Device, bytes)?.whole();
+    let to = device.buffer(BufferKind::Device, bytes)?.whole();
     let mut batch = device.batch(Queue::Compute)?;
     let mut best: f64 = 0.0;
     for _ in 0..5 {

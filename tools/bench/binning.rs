@@ -17,12 +17,12 @@ use meniscus::internals::brick::vulkan::{
     bin,
 };
 use meniscus::internals::brick::{BrickSide, InvalidParticles};
-use meniscus::internals::field::indicator::vulkan::{BinEntry, Pipelines, indicate};
+use meniscus::internals::field::indicator::vulkan::{BinEntry, IndicatorPipelines, indicate};
 use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::grid::{BIN, Grid, MortonKey};
 use meniscus::internals::shaders::{CLOUDS, INDICATE};
 use meniscus::internals::vulkan::{
-    Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Shader, View,
+    Batch, Buffer, BufferKind, Device, DeviceChoice, DeviceOptions, Instance, Queue, Shader, View,
     VulkanError,
 };
 
@@ -46,7 +46,7 @@ fn row(what: &str, particles: usize, seconds: f64) {
 fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, VulkanError> {
     let bytes = size_of_val(values) as u64;
     let (staged, buffer) =
-        (device.buffer(Place::Upload, bytes)?, device.buffer(Place::Device, bytes)?);
+        (device.buffer(BufferKind::Upload, bytes)?, device.buffer(BufferKind::Device, bytes)?);
     // SAFETY: nobody else has the buffer yet.
     unsafe { staged.write(0, values) };
     run(device, |batch| {
@@ -140,11 +140,12 @@ fn main() -> Result<(), compile::Fault> {
     };
     let entries: Vec<BinEntry> = bins.keys.iter().zip(bins.first.windows(2)).map(entry).collect();
     let entries_view = upload(&device, &entries)?;
-    let pages =
-        device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
+    let pages = device
+        .buffer(BufferKind::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?
+        .whole();
     let [indicate_pipeline, clouds] =
         [&INDICATE, &CLOUDS].map(|shader| device.pipeline(shader).map(Arc::new));
-    let pipelines = Pipelines { indicate: indicate_pipeline?, clouds: clouds? };
+    let pipelines = IndicatorPipelines { indicate: indicate_pipeline?, clouds: clouds? };
     let (indicator, side) = (IndicatorKind::Symmetry, BrickSide::default());
     let rule = PageRule { indicator, spacing_cells: 1.0, side, walls: None };
     let [(_, records)] = &bins.runs[..] else {
@@ -168,7 +169,7 @@ fn main() -> Result<(), compile::Fault> {
     let pipeline = Arc::new(device.pipeline(direct)?);
     let (slots, numbers) = table(&bins);
     let sums: Arc<Buffer> =
-        device.buffer(Place::Device, 28 * BIN.pow(3) as u64 * entries.len() as u64)?;
+        device.buffer(BufferKind::Device, 28 * BIN.pow(3) as u64 * entries.len() as u64)?;
     let grid = upload(&device, &[DeviceGrid::new(&grid, None)])?;
     let mask = slots.len() as u32 - 1;
     let (slots, numbers) = (upload(&device, &slots)?, upload(&device, &numbers)?);

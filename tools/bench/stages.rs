@@ -19,7 +19,7 @@ use meniscus::internals::grid::{CellBox, Grid};
 use meniscus::internals::surface::dual_mc::contour;
 use meniscus::internals::surface::mesh::source::MeshSource;
 use meniscus::internals::surface::mesh::spool::Spool;
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
@@ -135,7 +135,7 @@ fn main() {
             .into_iter()
             .try_for_each(|surface| spool.push(surface))
             .expect("nothing is written");
-        Stitched::new(spool, grid, None, recipe.iso, Vec::new())
+        StitchedSurface::new(spool, grid, None, recipe.iso, Vec::new())
             .to_mesh()
             .expect("few enough vertices")
     });

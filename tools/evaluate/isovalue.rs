@@ -6,7 +6,7 @@
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::internals::backend::field;
-use meniscus::internals::field::calibration::Calibrated;
+use meniscus::internals::field::calibration::MeasuredCalibration;
 use meniscus::internals::field::indicator::{IndicatorKind, SampledDif};
 use meniscus::internals::field::recipe::Recipe;
 use meniscus::internals::frame::{Engine, FrameError};
@@ -158,7 +158,7 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
     let frame = sample(grid(cell)?)?;
     let (asked, sampled) =
         (surfacing(None, None), frame.dif().ok_or("an indicator makes the field")?);
-    let Ok(Calibrated { calibration, plateau, .. }) = asked.calibrate(sampled) else {
+    let Ok(MeasuredCalibration { calibration, plateau, .. }) = asked.calibrate(sampled) else {
         return Ok(Found { plateau: f64::NAN, errors: vec![None; RULES.len()] });
     };
     let median = f64::from(plateau.value()) / f64::from(FULL);

@@ -10,7 +10,7 @@ use meniscus::internals::frame::{
 use meniscus::internals::grid::Grid;
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma};
 use meniscus::internals::particles::Particles;
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 
 use crate::Outcome;
@@ -139,7 +139,7 @@ impl Method {
         spacing: f64,
         normals: Normals,
         timings: &mut Timings,
-    ) -> Result<Stitched, FrameError> {
+    ) -> Result<StitchedSurface, FrameError> {
         let (method, surfacing): (frame::Method, _) = match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
                 (indicator.into(), Surfacing { detail, ..surfacing(sigma.value(), iso.value()) })
@@ -171,7 +171,7 @@ impl Iso {
 
 /// Volume inside a surface relative to the volume of its particles. A timed surface must contain at
 /// least half.
-pub fn held(surface: &Stitched, particles: usize, spacing: f64) -> Outcome<f64> {
+pub fn held(surface: &StitchedSurface, particles: usize, spacing: f64) -> Outcome<f64> {
     match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
         Some(shortfall) => {

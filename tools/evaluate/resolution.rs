@@ -10,7 +10,7 @@ use meniscus::internals::surface::dual_mc::contour;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::source::MeshSource;
 use meniscus::internals::surface::mesh::spool::Spool;
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
 use rayon::prelude::*;
@@ -113,7 +113,7 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
         .collect();
     let mut spool = Spool::in_memory(false, Vec::new());
     blocks.into_iter().try_for_each(|block| spool.push(block))?;
-    let mesh = Stitched::new(spool, grid(cell)?, None, recipe.iso, Vec::new()).to_mesh()?;
+    let mesh = StitchedSurface::new(spool, grid(cell)?, None, recipe.iso, Vec::new()).to_mesh()?;
     let isosurface = start.elapsed().as_secs_f64();
     assert_eq!(mesh.triangles.len(), surface.triangles.len());
     Ok((

@@ -5,7 +5,7 @@ use glam::{DVec3, IVec3};
 use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{Engine, Method, Sampling};
-use meniscus::internals::simulation::shared_calibration::{Measured, Origin, measure};
+use meniscus::internals::simulation::shared_calibration::{FrameMeasurements, Origin, measure};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::system::timings::Timings;
 
@@ -56,7 +56,8 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
 
     let asked = surfacing(None, None);
     let free = sampling(grid(cell)?, 1.0, indicator);
-    let Measured { grid, calibration, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
+    let FrameMeasurements { grid, calibration, .. } =
+        measure(&raised(0)[..], &free, Origin::Free, &asked)?;
     let mean = calibration.and_then(|known| known.mean());
     let frozen = Sampling { grid, method: Method::Indicator { kind: indicator, mean }, ..free };
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::files::open_particles;
 use meniscus::internals::field::spacing::evidence;
-use meniscus::internals::reconstruction::{Cells, SamplingRequest, Source};
+use meniscus::internals::reconstruction::{Cells, SamplingRequest, SpacingHints};
 use meniscus::{Particles, Reconstruction, Settings, SpacingMistake, SpacingWarning};
 
 use crate::scene::Random;
@@ -79,7 +79,7 @@ fn estimate(name: &str, particles: &[[f64; 3]], truth: f64) -> [String; 5] {
     let over =
         |spacing: Option<f64>| spacing.map_or("none".into(), |spacing| figure(spacing / truth));
     let request = SamplingRequest::default();
-    let (estimate, said) = match request.cells(particles, Source::default()) {
+    let (estimate, said) = match request.cells(particles, SpacingHints::default()) {
         Ok(cells) => (cells.spacing(), words(&cells)),
         Err(error) => (None, error.to_string()),
     };
@@ -117,7 +117,7 @@ fn words(cells: &Cells) -> String {
 fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {
     let request = SamplingRequest { spacing: Some(spacing), ..SamplingRequest::default() };
     request
-        .cells(particles, Source::default())
+        .cells(particles, SpacingHints::default())
         .map_or_else(|error| error.to_string(), |cells| words(&cells))
 }
 
@@ -134,7 +134,7 @@ fn cost_of(name: &str, particles: &[[f64; 3]]) -> Outcome<[String; 4]> {
         Ok(took[3])
     };
     let spacing = SamplingRequest::default()
-        .cells(particles, Source::default())
+        .cells(particles, SpacingHints::default())
         .ok()
         .and_then(|cells| cells.spacing());
     let Some(spacing) = spacing else {

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use meniscus::internals::frame::Normals;
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -128,7 +128,7 @@ fn seconds(
     for frame in frames.iter().take(1).chain(frames) {
         let (cell, spacing) = (longest_side(frame) / f64::from(cells), 1.0);
         let start = Instant::now();
-        let surface = pool.install(|| -> Outcome<Stitched> {
+        let surface = pool.install(|| -> Outcome<StitchedSurface> {
             let timings = &mut Timings::default();
             let surface =
                 method.surface(&frame[..], grid(cell)?, spacing, Normals::None, timings)?;

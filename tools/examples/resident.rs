@@ -11,7 +11,7 @@ use std::error::Error;
 use ash::vk;
 use meniscus::devices::{
     Coordinate, Device, DeviceOptions, DevicePositions, DeviceRequest, Exchange, ExternalDevice,
-    InvalidParticles, Moment, Pipeline, Surfacing,
+    InvalidParticles, Pipeline, SemaphorePoint, Surfacing,
 };
 use meniscus::error::FrameError;
 use meniscus::{Grid, IndicatorKind};
@@ -235,7 +235,7 @@ unsafe fn simulate_and_draw(
             surfacing: Surfacing::PLAIN,
             calibration: None,
         };
-        let moment = |value| Moment { semaphore: timeline, value };
+        let moment = |value| SemaphorePoint { semaphore: timeline, value };
         // The renderer has its own buffers, and makes larger ones if a surface has grown.
         let mut rows = [1_u64, 1];
         let (outputs, [vertices, triangles]) = loop {

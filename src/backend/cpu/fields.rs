@@ -6,15 +6,15 @@ use crate::brick::Block;
 use crate::field::blur::{Weights, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
-    Bulk, Depths, Distances, Drops, Gate, Inside, NONE, UNITS, depths, joined, mixed, outlying,
-    outlying_part, quotient, refined, spread, wide_cells,
+    Bulk, Depths, DistanceFilters, Drops, InsideBricks, NONE, Ramp, UNITS, depths, joined, mixed,
+    outlying, outlying_part, quotient, refined, spread, wide_cells,
 };
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
     Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at,
 };
-use crate::field::sheets::{Sheeted, Sheets, blend, holds_any, sheets};
-use crate::field::solid::{FARTHEST, Fill, STEPS, WHOLE, cut, outside};
+use crate::field::sheets::{SheetFields, Sheets, blend, holds_any, sheets};
+use crate::field::solid::{FARTHEST, STEPS, SolidFill, WHOLE, cut, outside};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::surface::solid::Solid;
@@ -36,7 +36,7 @@ fn minimum(samples: &[u16]) -> u16 {
 /// The final field on `cells` of a frame.
 #[must_use]
 pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
-    let field = recipe.apply(&mut Blocks::new(recipe, sampled, cells, Looking::Away)).ok();
+    let field = recipe.apply(&mut Blocks::new(recipe, sampled, cells, FieldUse::Everywhere)).ok();
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
@@ -52,48 +52,48 @@ pub(super) fn cut_fields<'a>(
     most_bytes: u64,
 ) -> Box<dyn Iterator<Item = Option<Block>> + 'a> {
     let boxes = boxes.iter().map(|&(cells, away_from_walls)| {
-        (cells, Looking::For { iso: recipe.iso, away_from_walls })
+        (cells, FieldUse::NearSurface { iso: recipe.iso, away_from_walls })
     });
     let blocks =
-        move |cells, looking| Blocks { solid, ..Blocks::new(recipe, sampled, cells, looking) };
-    let block = move |field: Result<Field, Stopped>| {
+        move |cells, field_use| Blocks { solid, ..Blocks::new(recipe, sampled, cells, field_use) };
+    let block = move |field: Result<BlockField, StopSignal>| {
         let mut block = Rc::unwrap_or_clone(field.ok()?.block);
         solid.into_iter().for_each(|solid| cut_by(solid, sampled, &mut block));
         Some(block)
     };
     let Filters::Distances(distances) = &recipe.filters else {
         return Box::new(
-            boxes.map(move |(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))),
+            boxes.map(move |(cells, field_use)| block(recipe.apply(&mut blocks(cells, field_use)))),
         );
     };
-    let volume = |cells: CellBox| looked_at(distances, cells);
+    let volume = |cells: CellBox| wide_volume(distances, cells);
     let all =
         boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
     let filled = |_: &Solid| {
         let fill = fill(sampled, distances.level);
         let around = distances.wide_halo() + fill.reach();
-        Fill::bytes(distances.wide_cells(all).grown(around, around))
+        SolidFill::bytes(distances.wide_cells(all).grown(around, around))
     };
     let bytes = distances.bulk_bytes(distances.wide_cells(all)) + solid.map_or(0, filled);
     let fits = bytes <= most_bytes;
     let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let together = fits && volume(all) <= apart;
-    let made = move |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
+    let made = move |cells, field_use| bulk(distances, &mut blocks(cells, field_use)).ok();
     let of_all = if together {
-        made(all, Looking::For { iso: recipe.iso, away_from_walls: solid.is_none() })
+        made(all, FieldUse::NearSurface { iso: recipe.iso, away_from_walls: solid.is_none() })
     } else {
         None
     };
-    let field = move |(cells, looking)| {
-        let wide = if together { of_all.clone() } else { made(cells, looking) };
-        block(joined_fields(distances, &mut blocks(cells, looking), wide?))
+    let field = move |(cells, field_use)| {
+        let wide = if together { of_all.clone() } else { made(cells, field_use) };
+        block(joined_fields(distances, &mut blocks(cells, field_use), wide?))
     };
     Box::new(boxes.map(field))
 }
 
 /// The filters that continue clouds in cells 2^`level` times as wide into solids.
-fn fill(sampled: &SampledDif, level: u32) -> Fill {
-    Fill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
+fn fill(sampled: &SampledDif, level: u32) -> SolidFill {
+    SolidFill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
 }
 
 /// Cuts the field on some cells by a solid.
@@ -109,25 +109,25 @@ fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
 }
 
 /// Wide cells that the field on a box of cells is made of.
-pub(super) fn looked_at(distances: &Distances, cells: CellBox) -> usize {
+pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize {
     let halo = distances.wide_halo();
     distances.wide_cells(cells).grown(halo, halo).volume()
 }
 
 /// Whether a field is only wanted where the surface passes.
 #[derive(Clone, Copy)]
-pub(super) enum Looking {
+pub(super) enum FieldUse {
     /// The field is wanted in any case.
-    Away,
+    Everywhere,
     /// Where it can be cut at this isovalue.
-    For { iso: Isovalue, away_from_walls: bool },
+    NearSurface { iso: Isovalue, away_from_walls: bool },
 }
 
-impl Looking {
+impl FieldUse {
     /// Whether a surface can pass between cells whose field is, at its greatest, such means of
     /// these samples.
     fn may_cut(self, block: &Block) -> bool {
-        let Self::For { iso, away_from_walls } = self else { return true };
+        let Self::NearSurface { iso, away_from_walls } = self else { return true };
         // A weighted mean lies on the same side as all that it is made of. All inside is no surface
         // only away from walls.
         let threshold = iso.threshold();
@@ -138,13 +138,14 @@ impl Looking {
 
     /// Whether a surface can pass whatever the filters are: samples that are all 0 show none.
     fn may_show_any(self, block: &Block) -> bool {
-        matches!(self, Self::Away) || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
+        matches!(self, Self::Everywhere)
+            || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
     }
 
     /// Whether a surface can pass by the distances in wide cells; with `drops`, drops can add to
     /// the inside.
     fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
-        let Self::For { away_from_walls, iso } = self else { return true };
+        let Self::NearSurface { away_from_walls, iso } = self else { return true };
         let threshold = iso.threshold();
         let any = |is: fn(u16, u16) -> bool| {
             bulk.rows(cells).any(|(_, row)| row.iter().any(|&sample| is(sample, threshold)))
@@ -170,7 +171,7 @@ pub(super) struct Blocks<'a> {
     cells: CellBox,
     /// The part of `cells` that samples are taken for.
     pub(super) wanted: CellBox,
-    looking: Looking,
+    field_use: FieldUse,
     /// Whether blurred samples tell of all that follows.
     decides: bool,
     /// Whether next to all samples are 0.
@@ -186,10 +187,10 @@ impl<'a> Blocks<'a> {
         cells: CellBox,
     ) -> Self {
         let density = Some(density);
-        Self { density, ..Self::new(recipe, sampled, cells, Looking::Away) }
+        Self { density, ..Self::new(recipe, sampled, cells, FieldUse::Everywhere) }
     }
 
-    fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, looking: Looking) -> Self {
+    fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
         // The paper's smoothing is a mean of the DIF, and decides where nothing brings details
         // back.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
@@ -201,7 +202,7 @@ impl<'a> Blocks<'a> {
             outside,
             cells,
             wanted: cells,
-            looking,
+            field_use,
             decides,
             few: false,
         }
@@ -212,54 +213,54 @@ impl<'a> Blocks<'a> {
         recipe: &Recipe,
         sampled: &'a SampledDif,
         cells: CellBox,
-        looking: Looking,
+        field_use: FieldUse,
     ) -> Self {
-        Self { few: true, ..Self::new(recipe, sampled, cells, looking) }
+        Self { few: true, ..Self::new(recipe, sampled, cells, field_use) }
     }
 }
 
 /// A field, and how wide its cells are.
 #[derive(Clone)]
-pub(super) struct Field {
+pub(super) struct BlockField {
     pub(super) block: Rc<Block>,
     pub(super) level: u32,
 }
 
 /// The signal to stop early, for there is no surface.
-pub(super) struct Stopped;
+pub(super) struct StopSignal;
 
 impl Blocks<'_> {
     fn walls(&self, level: u32) -> Option<CellBox> {
         walls_at(level, self.sampled.facts.walls())
     }
 
-    fn field(&self, mut block: Block, level: u32) -> Field {
+    fn field(&self, mut block: Block, level: u32) -> BlockField {
         if let Some(walls) = self.walls(level) {
             block.repeat_edges(walls);
         }
-        Field { block: Rc::new(block), level }
+        BlockField { block: Rc::new(block), level }
     }
 }
 
 impl Fields for Blocks<'_> {
-    type Field = Field;
-    type Error = Stopped;
+    type Field = BlockField;
+    type Error = StopSignal;
 
-    fn samples(&mut self, level: u32, halo: i32) -> Result<Field, Stopped> {
+    fn samples(&mut self, level: u32, halo: i32) -> Result<BlockField, StopSignal> {
         let cells = wide_cells(level, self.wanted).grown(halo, halo);
         let block = match self.density {
             Some(density) => density(level, cells),
             None => self.sampled.wide(level).gather_within(cells, self.walls(level)),
         };
         let goes_on = if self.decides {
-            self.looking.may_cut(&block)
+            self.field_use.may_cut(&block)
         } else {
-            self.looking.may_show_any(&block)
+            self.field_use.may_show_any(&block)
         };
-        if goes_on { Ok(Field { block: Rc::new(block), level }) } else { Err(Stopped) }
+        if goes_on { Ok(BlockField { block: Rc::new(block), level }) } else { Err(StopSignal) }
     }
 
-    fn filled(&mut self, clouds: &Field) -> Result<Field, Stopped> {
+    fn filled(&mut self, clouds: &BlockField) -> Result<BlockField, StopSignal> {
         let (level, cells) = (clouds.level, clouds.block.cells());
         let grid = &self.sampled.facts.grid;
         // A cell's cloud reaches beyond it.
@@ -274,52 +275,74 @@ impl Fields for Blocks<'_> {
         let clouds = self.sampled.wide(level).gather_within(around, walls);
         let filled = fill.filled(&clouds, &shares, cells, walls);
         self.outside = Some(Rc::new(shares));
-        Ok(Field { block: Rc::new(filled), level })
+        Ok(BlockField { block: Rc::new(filled), level })
     }
 
-    fn blur(&mut self, Field { block, level }: Field, weights: &Weights) -> Result<Field, Stopped> {
+    fn blur(
+        &mut self,
+        BlockField { block, level }: BlockField,
+        weights: &Weights,
+    ) -> Result<BlockField, StopSignal> {
         let most = block.samples().len() / FEW;
         if let Some(full) = self.few.then(|| block.full_cells(most)).flatten() {
             let block = blur_of_few(&block, &full, weights, self.walls(level));
-            return Ok(Field { block: Rc::new(block), level });
+            return Ok(BlockField { block: Rc::new(block), level });
         }
-        let goes_on = |smooth: &Block| !self.decides || self.looking.may_cut(smooth);
+        let goes_on = |smooth: &Block| !self.decides || self.field_use.may_cut(smooth);
         let block = blur_while(Rc::unwrap_or_clone(block), weights, self.walls(level), goes_on);
-        block.map(|block| Field { block: Rc::new(block), level }).ok_or(Stopped)
+        block.map(|block| BlockField { block: Rc::new(block), level }).ok_or(StopSignal)
     }
 
-    fn lost(&mut self, dif: Field, smooth: &Field, iso: Isovalue) -> Result<Field, Stopped> {
-        Ok(Field { block: Rc::new(lost(&dif.block, &smooth.block, iso)), level: dif.level })
+    fn lost(
+        &mut self,
+        dif: BlockField,
+        smooth: &BlockField,
+        iso: Isovalue,
+    ) -> Result<BlockField, StopSignal> {
+        Ok(BlockField { block: Rc::new(lost(&dif.block, &smooth.block, iso)), level: dif.level })
     }
 
-    fn greater(&mut self, mut field: Field, other: Field) -> Result<Field, Stopped> {
+    fn greater(
+        &mut self,
+        mut field: BlockField,
+        other: BlockField,
+    ) -> Result<BlockField, StopSignal> {
         raise(Rc::make_mut(&mut field.block), &other.block);
         Ok(field)
     }
 
-    fn depths(&mut self, by: &Bulk, shares: [Field; 3]) -> Result<Depths<Field>, Stopped> {
+    fn depths(
+        &mut self,
+        by: &Bulk,
+        shares: [BlockField; 3],
+    ) -> Result<Depths<BlockField>, StopSignal> {
         let level = shares[0].level;
         let Depths { calm, fine, apart } = depths(by, [0, 1, 2].map(|i: usize| &*shares[i].block));
         let [calm, fine, apart] =
-            [calm, fine, apart].map(|block| Field { block: Rc::new(block), level });
+            [calm, fine, apart].map(|block| BlockField { block: Rc::new(block), level });
         Ok(Depths { calm, fine, apart })
     }
 
     fn mixed(
         &mut self,
         by: &Bulk,
-        inside: &Inside,
-        Depths { calm, fine, apart }: Depths<Field>,
-        near: &Field,
-    ) -> Result<Field, Stopped> {
+        inside: &InsideBricks,
+        Depths { calm, fine, apart }: Depths<BlockField>,
+        near: &BlockField,
+    ) -> Result<BlockField, StopSignal> {
         let level = calm.level;
         let depths = Depths { calm: calm.block, fine: fine.block, apart: apart.block };
         let mut block = mixed(by, &depths, &near.block);
         inside.raise(&mut block);
-        Ok(Field { block: Rc::new(block), level })
+        Ok(BlockField { block: Rc::new(block), level })
     }
 
-    fn outlying(&mut self, calm: &Field, clouds: Field, least: u16) -> Result<Field, Stopped> {
+    fn outlying(
+        &mut self,
+        calm: &BlockField,
+        clouds: BlockField,
+        least: u16,
+    ) -> Result<BlockField, StopSignal> {
         let mut block = outlying(&calm.block, &clouds.block, least);
         // In a solid the surface goes on, and nothing stands out.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
@@ -329,26 +352,39 @@ impl Fields for Blocks<'_> {
         {
             *sample = (*sample).max(NONE + 1);
         }
-        Ok(Field { block: Rc::new(block), level: calm.level })
+        Ok(BlockField { block: Rc::new(block), level: calm.level })
     }
 
-    fn spread(&mut self, Field { block, level }: Field, reach: i32) -> Result<Field, Stopped> {
+    fn spread(
+        &mut self,
+        BlockField { block, level }: BlockField,
+        reach: i32,
+    ) -> Result<BlockField, StopSignal> {
         Ok(self.field(spread(Rc::unwrap_or_clone(block), reach), level))
     }
 
-    fn look(&mut self, wide: &WideFields<Field>, level: u32, gate: &Gate) -> Result<(), Stopped> {
+    fn probe(
+        &mut self,
+        wide: &WideFields<BlockField>,
+        level: u32,
+        ramp: &Ramp,
+    ) -> Result<(), StopSignal> {
         // Cells are weighted means of wide ones.
         let cells = wide_cells(level, self.cells);
-        let drops = !outlying_part(&wide.outlying.block, cells, gate).is_empty();
-        if self.looking.may_show(&wide.bulk.block, cells, drops) { Ok(()) } else { Err(Stopped) }
+        let drops = !outlying_part(&wide.outlying.block, cells, ramp).is_empty();
+        if self.field_use.may_show(&wide.bulk.block, cells, drops) {
+            Ok(())
+        } else {
+            Err(StopSignal)
+        }
     }
 
-    fn refined(&mut self, wide: Field, level: u32) -> Result<Field, Stopped> {
+    fn refined(&mut self, wide: BlockField, level: u32) -> Result<BlockField, StopSignal> {
         Ok(self.field(refined(&wide.block, level, self.wanted), 0))
     }
 
-    fn narrowed(&mut self, near: &Field, level: u32, gate: &Gate) -> bool {
-        let part = outlying_part(&near.block, wide_cells(level, self.wanted), gate);
+    fn narrowed(&mut self, near: &BlockField, level: u32, ramp: &Ramp) -> bool {
+        let part = outlying_part(&near.block, wide_cells(level, self.wanted), ramp);
         // A wide cell tells of those of its neighbours, too.
         let further = i32::from(level > 0);
         let CellBox { lo, hi } = part.grown(further, further);
@@ -356,48 +392,61 @@ impl Fields for Blocks<'_> {
         !part.is_empty()
     }
 
-    fn quotient(&mut self, clouds: Field, around: Field, bits: u32) -> Result<Field, Stopped> {
-        Ok(Field {
+    fn quotient(
+        &mut self,
+        clouds: BlockField,
+        around: BlockField,
+        bits: u32,
+    ) -> Result<BlockField, StopSignal> {
+        Ok(BlockField {
             block: Rc::new(quotient(&clouds.block, &around.block, bits)),
             level: clouds.level,
         })
     }
 
-    fn may_hold(&mut self, sheets: &Sheets, clouds: &Field) -> bool {
+    fn may_hold(&mut self, sheets: &Sheets, clouds: &BlockField) -> bool {
         holds_any(sheets, &clouds.block)
     }
 
-    fn nearer(&mut self, field: Field, level: u32, halo: i32) -> Field {
+    fn nearer(&mut self, field: BlockField, level: u32, halo: i32) -> BlockField {
         let cells = wide_cells(level, self.wanted).grown(halo, halo);
         if cells == field.block.cells() {
             return field;
         }
-        Field { block: Rc::new(field.block.part(cells)), level: field.level }
+        BlockField { block: Rc::new(field.block.part(cells)), level: field.level }
     }
 
-    fn sheets(&mut self, by: &Sheets, density: Field) -> Result<Option<Sheeted<Field>>, Stopped> {
+    fn sheets(
+        &mut self,
+        by: &Sheets,
+        density: BlockField,
+    ) -> Result<Option<SheetFields<BlockField>>, StopSignal> {
         let found = sheets(&by.numbers, &density.block);
-        Ok(found.map(|Sheeted { shares, certainty }| Sheeted {
+        Ok(found.map(|SheetFields { shares, certainty }| SheetFields {
             shares: self.field(shares, density.level),
             certainty: self.field(certainty, density.level),
         }))
     }
 
-    fn blended(&mut self, drops: Field, sheets: Sheeted<Field>) -> Result<Field, Stopped> {
-        let Sheeted { shares, certainty } = &sheets;
-        let sheets = Sheeted { shares: &*shares.block, certainty: &*certainty.block };
+    fn blended(
+        &mut self,
+        drops: BlockField,
+        sheets: SheetFields<BlockField>,
+    ) -> Result<BlockField, StopSignal> {
+        let SheetFields { shares, certainty } = &sheets;
+        let sheets = SheetFields { shares: &*shares.block, certainty: &*certainty.block };
         Ok(self.field(blend(&drops.block, sheets), drops.level))
     }
 
     fn joined(
         &mut self,
-        bulk: Field,
-        near: Field,
-        shares: Field,
-        (drops, gate): (&Drops, &Gate),
-    ) -> Result<Field, Stopped> {
+        bulk: BlockField,
+        near: BlockField,
+        shares: BlockField,
+        (drops, ramp): (&Drops, &Ramp),
+    ) -> Result<BlockField, StopSignal> {
         let block =
-            joined(Rc::unwrap_or_clone(bulk.block), &near.block, &shares.block, drops, gate);
-        Ok(Field { block: Rc::new(block), level: bulk.level })
+            joined(Rc::unwrap_or_clone(bulk.block), &near.block, &shares.block, drops, ramp);
+        Ok(BlockField { block: Rc::new(block), level: bulk.level })
     }
 }

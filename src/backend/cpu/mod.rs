@@ -95,7 +95,7 @@ impl Stages for CpuStages {
         meter: &Meter<'_>,
         take: &mut Take<'_>,
     ) -> io::Result<()> {
-        let of_group = |Group { regions, spray }: Group<'_>| match spray {
+        let of_group = |RegionGroup { regions, spray }: RegionGroup<'_>| match spray {
             Some(parts) => meshes_of_spray(surfaces, regions, &parts, meter),
             None => meshes(surfaces, regions, meter, self.together),
         };
@@ -115,7 +115,7 @@ impl Stages for CpuStages {
 }
 
 /// Regions that are meshed together.
-struct Group<'a> {
+struct RegionGroup<'a> {
     regions: &'a [CellBox],
     /// The boxes that hold all surfaces, if these are spray.
     spray: Option<Vec<CellBox>>,
@@ -123,7 +123,7 @@ struct Group<'a> {
 
 impl CpuStages {
     /// Splits regions into groups of neighbours, which are smaller where they are no spray.
-    fn groups<'a>(&self, surfaces: &Surfaces<'_>, regions: &'a [CellBox]) -> Vec<Group<'a>> {
+    fn groups<'a>(&self, surfaces: &Surfaces<'_>, regions: &'a [CellBox]) -> Vec<RegionGroup<'a>> {
         // Neighbours follow one another along the Morton curve.
         let cubes = |blocks: i32| {
             let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
@@ -134,7 +134,7 @@ impl CpuStages {
             let cells = cells.fold(CellBox::EMPTY, |all, cells| all.union(&cells));
             let parts = spray::parts(surfaces.recipe, surfaces.sampled, cells, self.together)?;
             let at_solid = regions.iter().any(|&region| surfaces.is_at_solid(region));
-            (!at_solid).then_some(Group { regions, spray: Some(parts) })
+            (!at_solid).then_some(RegionGroup { regions, spray: Some(parts) })
         };
         let cubes_of_spray: Vec<_> = regions.chunk_by(cubes(BLOCKS_OF_SPRAY)).collect();
         let groups = cubes_of_spray.into_par_iter().flat_map_iter(|regions| match spray(regions) {
@@ -142,7 +142,7 @@ impl CpuStages {
             None => {
                 let cubes = regions.chunk_by(cubes(BLOCKS_OF_FLUID));
                 cubes
-                    .map(|regions| spray(regions).unwrap_or(Group { regions, spray: None }))
+                    .map(|regions| spray(regions).unwrap_or(RegionGroup { regions, spray: None }))
                     .collect()
             }
         });

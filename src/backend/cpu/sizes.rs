@@ -2,7 +2,7 @@
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
-use crate::field::distance::{Distances, away, outlying, refined, spread, wide_cells};
+use crate::field::distance::{DistanceFilters, away, outlying, refined, spread, wide_cells};
 use crate::field::recipe::{Recipe, WideFields, calm_and_bulk, thin_shares, walls_at};
 use crate::field::sizes::{
     OctaveDrops, SizedClouds, averaging, finer_spacings, growth, mixed, share,
@@ -17,7 +17,7 @@ use super::fields::Blocks;
 pub struct SizedField<'a> {
     clouds: &'a SizedClouds,
     /// The recipes of the finest octave, and of the others, whose drops are refined.
-    recipes: [(Recipe, Distances); 2],
+    recipes: [(Recipe, DistanceFilters); 2],
     /// Averages sizes, in wide cells of an octave.
     averaging: Weights,
     /// By how much the radius of drops grows within an octave.
@@ -25,7 +25,7 @@ pub struct SizedField<'a> {
 }
 
 /// The surface in the wide cells of an octave and in its spacings.
-struct Surface {
+struct OctaveSurface {
     /// The calm one, which drops stand out of.
     calm: Block,
     /// The bulk's.
@@ -51,7 +51,7 @@ impl<'a> SizedField<'a> {
         plateau: u16,
     ) -> Self {
         let spacing = clouds.octave(0).facts.spacing_cells_or_one();
-        let finest = Distances::new(smooth, sheets, spacing);
+        let finest = DistanceFilters::new(smooth, sheets, spacing);
         let coarser = finest.clone().refining(sheets, spacing);
         let recipes = [finest, coarser].map(|distances| {
             let distances = distances.of_half_amounts().with_plateau(plateau / 2);
@@ -85,7 +85,7 @@ impl<'a> SizedField<'a> {
         2 * self.distances(0).near
     }
 
-    fn distances(&self, octave: usize) -> &Distances {
+    fn distances(&self, octave: usize) -> &DistanceFilters {
         &self.recipes[octave.min(1)].1
     }
 
@@ -110,7 +110,8 @@ impl<'a> SizedField<'a> {
     /// far as the bulk tells, by whether it is away from walls. A sample does not depend on the box.
     #[must_use]
     pub fn on(&self, cells: CellBox, away_from_walls: bool) -> Option<Block> {
-        let mut surfaces: Vec<Option<Surface>> = (0..self.clouds.octaves()).map(|_| None).collect();
+        let mut surfaces: Vec<Option<OctaveSurface>> =
+            (0..self.clouds.octaves()).map(|_| None).collect();
         self.make(&mut surfaces, 0, cells);
         let bulk = surfaces[0].as_ref().map(|surface| surface.bulk.clone())?;
         // Drops only add to what is inside.
@@ -135,7 +136,7 @@ impl<'a> SizedField<'a> {
     }
 
     /// Makes the surface of an octave, mixed with those of the coarser ones.
-    fn make(&self, surfaces: &mut [Option<Surface>], octave: usize, cells: CellBox) {
+    fn make(&self, surfaces: &mut [Option<OctaveSurface>], octave: usize, cells: CellBox) {
         if surfaces[octave].is_some() {
             return;
         }
@@ -152,18 +153,18 @@ impl<'a> SizedField<'a> {
             .then(|| self.own_surface(octave, cells));
         let next = any(|share| share > 0).then(|| {
             self.make(surfaces, octave + 1, cells);
-            let Surface { calm, bulk } = surfaces[octave + 1].as_ref().expect("it was made");
+            let OctaveSurface { calm, bulk } = surfaces[octave + 1].as_ref().expect("it was made");
             [calm, bulk].map(|field| finer_spacings(refined(field, 1, wide)))
         });
         surfaces[octave] = Some(match (own, next) {
             (Some(own), Some([calm, bulk])) => {
                 let shares = shares.expect("an octave has a share of its own");
                 let mixed = |own: Block, next: &Block| mixed(own, next, &shares);
-                Surface { calm: mixed(own.calm, &calm), bulk: mixed(own.bulk, &bulk) }
+                OctaveSurface { calm: mixed(own.calm, &calm), bulk: mixed(own.bulk, &bulk) }
             }
-            (None, Some([calm, bulk])) => Surface { calm, bulk },
+            (None, Some([calm, bulk])) => OctaveSurface { calm, bulk },
             (Some(own), None) => own,
-            (None, None) => Surface { calm: Block::zero(wide), bulk: Block::zero(wide) },
+            (None, None) => OctaveSurface { calm: Block::zero(wide), bulk: Block::zero(wide) },
         });
     }
 
@@ -189,7 +190,7 @@ impl<'a> SizedField<'a> {
     }
 
     /// The surface by the filters of an octave, in its wide cells.
-    fn own_surface(&self, octave: usize, cells: CellBox) -> Surface {
+    fn own_surface(&self, octave: usize, cells: CellBox) -> OctaveSurface {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
         // The wide cells of these are those that are wanted.
@@ -209,9 +210,9 @@ impl<'a> SizedField<'a> {
         };
         match calm_and_bulk(distances, &mut blocks) {
             Ok((calm, WideFields { bulk, .. })) => {
-                Surface { calm: on_wide(&calm.block), bulk: on_wide(&bulk.block) }
+                OctaveSurface { calm: on_wide(&calm.block), bulk: on_wide(&bulk.block) }
             }
-            Err(_) => Surface { calm: Block::zero(wide), bulk: Block::zero(wide) },
+            Err(_) => OctaveSurface { calm: Block::zero(wide), bulk: Block::zero(wide) },
         }
     }
 
@@ -219,11 +220,11 @@ impl<'a> SizedField<'a> {
     fn drops(
         &self,
         octave: usize,
-        surfaces: &mut [Option<Surface>],
+        surfaces: &mut [Option<OctaveSurface>],
         cells: CellBox,
     ) -> Option<OctaveShares> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
-        let Distances { level, least, gate, .. } = distances;
+        let DistanceFilters { level, least, ramp, .. } = distances;
         let sampled = self.clouds.octave(octave);
         // Particles of the octave that lie outside of the calm surface.
         let walls = self.walls(octave as u32 + level);
@@ -234,7 +235,7 @@ impl<'a> SizedField<'a> {
         self.make(surfaces, octave, cells);
         let calm = &surfaces[octave].as_ref()?.calm;
         let mut outlying = spread(outlying(calm, &clouds, *least), self.near());
-        if outlying.samples().iter().all(|&sample| sample <= gate.begin) {
+        if outlying.samples().iter().all(|&sample| sample <= ramp.begin) {
             return None;
         }
         walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
@@ -257,13 +258,13 @@ impl<'a> SizedField<'a> {
     /// A field in the finest spacings, with drops.
     fn with_drops(&self, field: Block, made: &OctaveShares) -> Block {
         let OctaveShares { octave, outlying, shares } = made;
-        let Distances { level, drops_level, gate, drops, .. } = self.distances(*octave);
+        let DistanceFilters { level, drops_level, ramp, drops, .. } = self.distances(*octave);
         let (cells, of) = (field.cells(), *octave as u32);
         let near = &refined(outlying, of + level, cells);
         let shares = &refined(shares, of + drops_level, cells);
         let (sizes, growth) = (self.sizes(*octave, cells), self.growth);
         let sizes = sizes.as_ref();
-        OctaveDrops { octave: of, near, shares, sizes, drops, growth, gate }.joined(field)
+        OctaveDrops { octave: of, near, shares, sizes, drops, growth, ramp }.joined(field)
     }
 
     /// The mean logarithm of the sizes of an octave's particles around some of the finest cells;

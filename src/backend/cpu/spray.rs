@@ -5,12 +5,12 @@ use std::rc::Rc;
 use glam::IVec3;
 
 use crate::brick::Block;
-use crate::field::distance::Distances;
+use crate::field::distance::DistanceFilters;
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{Fields, Filters, Recipe, WideFields, bulk, thin_shares, walls_at};
 use crate::grid::{CellBox, TILE};
 
-use super::fields::{Blocks, Field, Looking, looked_at};
+use super::fields::{BlockField, Blocks, FieldUse, wide_volume};
 
 /// Spray has particles in at most one of this many cells.
 const FEW: usize = 16;
@@ -22,7 +22,7 @@ const CHEAPER: usize = 4;
 const AROUND: i32 = 2;
 
 /// The field around the surface of some particles of a bin. They may be several drops.
-pub(super) struct Drop {
+pub(super) struct DropField {
     /// A box around the cells that are inside.
     inside: CellBox,
     /// The field on the cells around these.
@@ -45,16 +45,16 @@ pub(super) fn parts(
     let parts = sampled.dif.parts_near_groups(cells, reach);
     let cost = |part: &CellBox| {
         let full = distances.wide_cells(part.grown(-reach, -reach));
-        let volume = looked_at(distances, *part);
+        let volume = wide_volume(distances, *part);
         if FEW * full.volume() <= volume { volume / CHEAPER } else { volume }
     };
     let bytes = parts.iter().map(|part| part.volume() * size_of::<u16>()).sum::<usize>() as u64;
-    let pays = parts.iter().map(cost).sum::<usize>() <= looked_at(distances, cells);
+    let pays = parts.iter().map(cost).sum::<usize>() <= wide_volume(distances, cells);
     (pays && bytes <= most_bytes).then_some(parts)
 }
 
 /// The drops in some [parts](parts).
-pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) -> Vec<Drop> {
+pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) -> Vec<DropField> {
     let Filters::Distances(distances) = &recipe.filters else { return Vec::new() };
     let least_share = distances.drops.least_share();
     let drop = |&part: &CellBox| drop_in(recipe, distances, least_share, sampled, part);
@@ -64,7 +64,7 @@ pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) ->
 /// The field on some of the `cells` that a region needs, whose other dual cells are not mixed;
 /// `None` where no surface is. It is made of whole tiles as `cells` are, or of all of them if
 /// `walls` do not cover these.
-pub(super) fn field(drops: &[Drop], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
+pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>) -> Option<Block> {
     let inside = drops.iter().map(|drop| drop.inside.intersection(&cells));
     let inside = inside.filter(|inside| !inside.is_empty());
     let inside = inside.fold(CellBox::EMPTY, |all, inside| all.union(&inside));
@@ -79,7 +79,7 @@ pub(super) fn field(drops: &[Drop], cells: CellBox, walls: Option<CellBox>) -> O
     };
     let covered = walls.is_none_or(|walls| walls.covers(&cells));
     let mut field = Block::zero(if covered { part } else { cells });
-    for Drop { field: drop, .. } in drops {
+    for DropField { field: drop, .. } in drops {
         let part = drop.cells().intersection(&field.cells());
         if !part.is_empty() {
             field.put_part(part, drop.cells(), drop.samples(), |_, sample| sample);
@@ -101,12 +101,12 @@ fn refined_from(level: u32, wide: CellBox) -> CellBox {
 /// The drops in a box of cells, `None` where no surface is.
 fn drop_in(
     recipe: &Recipe,
-    distances: &Distances,
+    distances: &DistanceFilters,
     least_share: u16,
     sampled: &SampledDif,
     cells: CellBox,
-) -> Option<Drop> {
-    let Distances { level, near, least, ref gate, drops_level, ref drops, .. } = *distances;
+) -> Option<DropField> {
+    let DistanceFilters { level, near, least, ref ramp, drops_level, ref drops, .. } = *distances;
     let wide = distances.wide_cells(cells);
     let wide_walls = walls_at(level, sampled.facts.walls());
     let clouds = sampled.wide(level).gather_within(wide.grown(near, near), wide_walls);
@@ -118,23 +118,23 @@ fn drop_in(
     let further = i32::from(level > 0);
     let between =
         CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
-    let mut blocks = Blocks::of_few(recipe, sampled, between, Looking::Away);
+    let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
     let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
     // Further away no particle is near.
-    let padded = |Field { block, level }: Field| {
+    let padded = |BlockField { block, level }: BlockField| {
         let mut all = Block::zero(wide);
         all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
         wide_walls.into_iter().for_each(|walls| all.repeat_edges(walls));
-        Field { block: Rc::new(all), level }
+        BlockField { block: Rc::new(all), level }
     };
     let (bulk, outlying) = (padded(bulk), padded(outlying));
 
-    let looking = Looking::For { iso: recipe.iso, away_from_walls: false };
-    let mut blocks = Blocks::of_few(recipe, sampled, cells, looking);
+    let field_use = FieldUse::NearSurface { iso: recipe.iso, away_from_walls: false };
+    let mut blocks = Blocks::of_few(recipe, sampled, cells, field_use);
     let threshold = recipe.iso.threshold();
     let mut inside = refined_from(level, bulk.block.box_of(|sample| sample > threshold));
     let mut shares = None;
-    if blocks.narrowed(&outlying, level, gate) {
+    if blocks.narrowed(&outlying, level, ramp) {
         let thin = thin_shares(distances, &mut blocks).ok()?;
         let drawn = thin.block.box_of(|share| share >= least_share);
         inside = inside.union(&refined_from(drops_level, drawn));
@@ -154,8 +154,8 @@ fn drop_in(
         if !blocks.wanted.is_empty() {
             let near = blocks.refined(outlying, level).ok()?;
             let shares = blocks.refined(shares, drops_level).ok()?;
-            field = blocks.joined(field, near, shares, (drops, gate)).ok()?;
+            field = blocks.joined(field, near, shares, (drops, ramp)).ok()?;
         }
     }
-    Some(Drop { inside, field: Rc::unwrap_or_clone(field.block) })
+    Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
 }

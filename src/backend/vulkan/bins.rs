@@ -6,18 +6,18 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::brick::vulkan::{DeviceBins, FullCells, full_cells};
+use crate::brick::vulkan::{DeviceBins, DeviceFullCells, full_cells};
 use crate::brick::{Bins, PageInfo, PageShape, Pages};
 use crate::field::indicator::PageRule;
 use crate::field::indicator::vulkan::{BinEntry, indicate};
 use crate::grid::MortonKey;
 use crate::system::control::Meter;
-use crate::vulkan::{Place, View, VulkanError};
+use crate::vulkan::{BufferKind, View, VulkanError};
 
-use super::frame::{DeviceFrame, State};
-use super::lane::{Lane, Layout, fly, part};
+use super::frame::{DeviceFrame, DeviceState};
+use super::lane::{BufferLayout, Lane, fly, part};
 use super::pipelines::page_bytes;
-use super::resident::Resident;
+use super::resident::ResidentPages;
 
 /// Bins of a batch at the most.
 const BIN_BATCH: usize = 4096;
@@ -26,13 +26,13 @@ const BIN_BATCH: usize = 4096;
 const PARTICLE_BATCH: usize = 4 << 20;
 
 /// An error on the way: of the device, or of a scratch file on the host.
-pub(super) enum Fault {
+pub(super) enum DeviceFrameError {
     Device(VulkanError),
     /// A scratch file that particles come from, or surfaces go to.
     Host(io::Error),
 }
 
-impl From<VulkanError> for Fault {
+impl From<VulkanError> for DeviceFrameError {
     fn from(error: VulkanError) -> Self {
         Self::Device(error)
     }
@@ -47,7 +47,7 @@ struct BinBatch {
 
 /// The data that is read back of pages that were made.
 #[derive(Clone, Copy, PartialEq)]
-enum Read {
+enum ReadBack {
     /// The pages themselves.
     Pages,
     /// The masks of full cells only: the pages stay on the device.
@@ -55,31 +55,31 @@ enum Read {
 }
 
 /// The settings for the batches of some bins.
-struct Making<'a> {
+struct BatchSettings<'a> {
     rule: &'a PageRule,
     /// Where the pages of all bins stay.
-    resident: Option<Arc<Resident>>,
-    read: Read,
+    resident: Option<Arc<ResidentPages>>,
+    read: ReadBack,
 }
 
 impl DeviceFrame {
     /// Adds the pages of a range of bins to `done`, as far as nothing fails.
     pub(super) fn indicate_batches(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         bins: &Bins,
         range: Range<usize>,
         rule: &PageRule,
         meter: &Meter<'_>,
         done: &mut Pages,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), DeviceFrameError> {
         let shape = rule.shape();
         self.make_resident(state, bins.keys(), shape);
-        let making = Making { rule, resident: self.resident(0), read: Read::Pages };
+        let making = BatchSettings { rule, resident: self.resident(0), read: ReadBack::Pages };
         self.make_bins(state, bins, range, &making, |lane, batch| {
             meter.add(batch.bins.len());
             done.extend(read_pages(lane, batch, bins.keys(), shape)?);
-            meter.go_on().map_err(|cancelled| Fault::Host(cancelled.into()))
+            meter.go_on().map_err(|cancelled| DeviceFrameError::Host(cancelled.into()))
         })
     }
 
@@ -88,11 +88,11 @@ impl DeviceFrame {
     /// large for a batch.
     pub(super) fn indicate_there(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         bins: &Bins,
         rule: &PageRule,
         meter: &Meter<'_>,
-    ) -> Result<Option<Vec<PageInfo>>, Fault> {
+    ) -> Result<Option<Vec<PageInfo>>, DeviceFrameError> {
         let (keys, shape) = (bins.keys(), rule.shape());
         let room = state.batch_bytes.min(self.device.limits().storage_range);
         if state.on_cpu
@@ -103,12 +103,12 @@ impl DeviceFrame {
         }
         self.make_resident(state, keys, shape);
         let Some(resident) = self.resident(0) else { return Ok(None) };
-        let making = Making { rule, resident: Some(resident), read: Read::FullCells };
+        let making = BatchSettings { rule, resident: Some(resident), read: ReadBack::FullCells };
         let mut infos = Vec::with_capacity(keys.len());
         self.make_bins(state, bins, 0..keys.len(), &making, |lane, batch| {
             meter.add(batch.bins.len());
             infos.extend(read_infos(lane, &batch, keys)?);
-            meter.go_on().map_err(|cancelled| Fault::Host(cancelled.into()))
+            meter.go_on().map_err(|cancelled| DeviceFrameError::Host(cancelled.into()))
         })?;
         state.done.pages += infos.len();
         Ok(Some(infos))
@@ -117,12 +117,12 @@ impl DeviceFrame {
     /// Has the pages of a range of bins made, and `finish` take them batch by batch.
     fn make_bins(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         bins: &Bins,
         range: Range<usize>,
-        making: &Making<'_>,
-        finish: impl FnMut(&mut Lane, BinBatch) -> Result<(), Fault>,
-    ) -> Result<(), Fault> {
+        making: &BatchSettings<'_>,
+        finish: impl FnMut(&mut Lane, BinBatch) -> Result<(), DeviceFrameError>,
+    ) -> Result<(), DeviceFrameError> {
         let room = state.batch_bytes;
         self.make_lanes(state)?;
         let mut next = range.start;
@@ -144,8 +144,8 @@ impl DeviceFrame {
         lane: &mut Lane,
         bins: &Bins,
         range: Range<usize>,
-        making: &Making<'_>,
-    ) -> Result<BinBatch, Fault> {
+        making: &BatchSettings<'_>,
+    ) -> Result<BinBatch, DeviceFrameError> {
         let mut entries = Vec::with_capacity(range.len());
         let mut first = 0;
         for bin in range.clone() {
@@ -153,23 +153,23 @@ impl DeviceFrame {
             entries.push(BinEntry { first, count, coord: bins.keys()[bin].coord().to_array() });
             first += count;
         }
-        let mut layout = Layout::default();
+        let mut layout = BufferLayout::default();
         let entries_at = layout.place(size_of_val(&entries[..]) as u64);
         let records_at = layout.place(8 * u64::from(first));
         lane.begin()?;
         let device = &self.device;
-        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
-        let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
+        let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "inputs", BufferKind::Device, layout.bytes)?;
         // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's
         // own.
         unsafe { staged.write(entries_at.start, &entries) };
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
-            let contents = bins.contents(bin).map_err(Fault::Host)?;
+            let contents = bins.contents(bin).map_err(DeviceFrameError::Host)?;
             // SAFETY: as above, and every bin's records have a place of their own.
             unsafe {
                 staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed())
             };
-            Ok::<_, Fault>(())
+            Ok::<_, DeviceFrameError>(())
         })?;
 
         lane.send(&staged, &inputs)?;
@@ -184,22 +184,22 @@ impl DeviceFrame {
         bins: Range<usize>,
         entries: &View,
         records: &View,
-        making: &Making<'_>,
+        making: &BatchSettings<'_>,
     ) -> Result<BinBatch, VulkanError> {
-        let Making { rule, resident, read } = making;
+        let BatchSettings { rule, resident, read } = making;
         let (device, pipelines, shape) = (&self.device, &self.pipelines, rule.shape());
         let page_bytes = page_bytes(shape);
         let bytes = bins.len() as u64 * page_bytes;
         let pages = match resident {
             Some(resident) => resident.pages.part(bins.start as u64 * page_bytes, bytes),
-            None => lane.buffer(device, "pages", Place::Device, bytes)?,
+            None => lane.buffer(device, "pages", BufferKind::Device, bytes)?,
         };
         lane.compute.stage("indicate", records.bytes() + bytes);
         let (views, count) = ([entries, records, &pages], bins.len() as u32);
         indicate(&mut lane.compute, &pipelines.indicate, count, rule, views)?;
         let read = match read {
-            Read::Pages => lane.buffer(device, "pages read", Place::Download, bytes)?,
-            Read::FullCells => self.tell_full_cells(lane, &pages, bins.len(), shape)?,
+            ReadBack::Pages => lane.buffer(device, "pages read", BufferKind::Download, bytes)?,
+            ReadBack::FullCells => self.tell_full_cells(lane, &pages, bins.len(), shape)?,
         };
         lane.compute.submit(lane.upload.last())?;
         Ok(BinBatch { bins, pages, read })
@@ -213,9 +213,9 @@ impl DeviceFrame {
         count: usize,
         shape: PageShape,
     ) -> Result<View, VulkanError> {
-        let bytes = (count * size_of::<FullCells>()) as u64;
-        let found = lane.buffer(&self.device, "full cells", Place::Device, bytes)?;
-        let read = lane.buffer(&self.device, "full cells read", Place::Download, bytes)?;
+        let bytes = (count * size_of::<DeviceFullCells>()) as u64;
+        let found = lane.buffer(&self.device, "full cells", BufferKind::Device, bytes)?;
+        let read = lane.buffer(&self.device, "full cells read", BufferKind::Download, bytes)?;
         lane.compute.stage("full cells", pages.bytes());
         full_cells(
             &mut lane.compute,
@@ -232,17 +232,17 @@ impl DeviceFrame {
     /// them where they stay there.
     pub(super) fn indicate_resident(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         bins: &DeviceBins,
         rule: &PageRule,
-    ) -> Result<Made, VulkanError> {
+    ) -> Result<PlacedPages, VulkanError> {
         let shape = rule.shape();
         self.make_resident(state, &bins.keys, shape);
         self.make_lanes(state)?;
         let resident = self.resident(0);
         let stays = resident.is_some() && !self.device.shares_host_memory();
-        let read = if stays { Read::FullCells } else { Read::Pages };
-        let making = Making { rule, resident, read };
+        let read = if stays { ReadBack::FullCells } else { ReadBack::Pages };
+        let making = BatchSettings { rule, resident, read };
         let most = BIN_BATCH.min((state.batch_bytes / (2 * page_bytes(shape))) as usize).max(1);
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
             bins.parts(run.clone(), most, PARTICLE_BATCH)
@@ -262,8 +262,8 @@ impl DeviceFrame {
                 let entries: Vec<BinEntry> = range.clone().map(entry).collect();
                 lane.begin()?;
                 let bytes = size_of_val(&entries[..]) as u64;
-                let staged = lane.buffer(&self.device, "staged", Place::Upload, bytes)?;
-                let inputs = lane.buffer(&self.device, "inputs", Place::Device, bytes)?;
+                let staged = lane.buffer(&self.device, "staged", BufferKind::Upload, bytes)?;
+                let inputs = lane.buffer(&self.device, "inputs", BufferKind::Device, bytes)?;
                 // SAFETY: `begin` waited for what the lane did before, and what is staged is the
                 // lane's own.
                 unsafe { staged.write(0, &entries) };
@@ -274,18 +274,22 @@ impl DeviceFrame {
             |_, _| Ok(()),
             |lane, batch| {
                 match read {
-                    Read::Pages => pages.extend(read_pages(lane, batch, &bins.keys, shape)?),
-                    Read::FullCells => infos.extend(read_infos(lane, &batch, &bins.keys)?),
+                    ReadBack::Pages => pages.extend(read_pages(lane, batch, &bins.keys, shape)?),
+                    ReadBack::FullCells => infos.extend(read_infos(lane, &batch, &bins.keys)?),
                 }
                 Ok::<_, VulkanError>(())
             },
         )?;
-        Ok(if read == Read::Pages { Made::Here(pages) } else { Made::There(infos) })
+        Ok(if read == ReadBack::Pages {
+            PlacedPages::Here(pages)
+        } else {
+            PlacedPages::There(infos)
+        })
     }
 }
 
 /// Where pages are.
-pub(super) enum Made {
+pub(super) enum PlacedPages {
     /// On the host.
     Here(Pages),
     /// On the device.
@@ -300,7 +304,7 @@ fn read_infos(
 ) -> Result<Vec<PageInfo>, VulkanError> {
     lane.compute.wait()?;
     // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
-    let found: Vec<FullCells> = unsafe { batch.read.read(0, batch.bins.len()) };
+    let found: Vec<DeviceFullCells> = unsafe { batch.read.read(0, batch.bins.len()) };
     let keys = &keys[batch.bins.clone()];
     Ok(found
         .iter()

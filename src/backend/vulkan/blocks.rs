@@ -8,18 +8,18 @@ use rayon::prelude::*;
 use crate::backend::{Surfaces, Take};
 use crate::field::recipe::Filters;
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
-use crate::surface::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour};
+use crate::surface::dual_mc::vulkan::{BlockTally, Falls, Outputs, SIGN_TILES, TileSlot, contour};
 use crate::surface::dual_mc::{Crossings, normal};
 use crate::surface::mesh::{BlockMesh, Tile};
 use crate::system::control::Meter;
-use crate::vulkan::{Batch, Buffer, Device, Place, Ticket, View, VulkanError};
+use crate::vulkan::{Batch, Buffer, BufferKind, Device, Ticket, View, VulkanError};
 
-use super::bins::Fault;
-use super::contouring::{BlockBatch, Contouring, Fielded};
+use super::bins::DeviceFrameError;
+use super::contouring::{BatchField, BlockBatch, Contouring};
 use super::fields::PaddedBlocks;
-use super::frame::{DeviceFrame, State};
-use super::grids::Grid;
-use super::lane::{Lane, Layout, fly};
+use super::frame::{DeviceFrame, DeviceState};
+use super::grids::LevelBlocks;
+use super::lane::{BufferLayout, Lane, fly};
 use super::pipelines::page_bytes;
 
 impl DeviceFrame {
@@ -27,27 +27,27 @@ impl DeviceFrame {
     /// on.
     pub(super) fn contour_batches(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
         meter: &Meter<'_>,
         take: &mut Take<'_>,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), DeviceFrameError> {
         let goes_on = || meter.goes_on();
         self.each_batch(state, surfaces, regions, &goes_on, &mut |work, lane, batch, begins| {
             let meshes = work.read(lane, batch, begins)?;
-            take(meshes).map_err(Fault::Host)
+            take(meshes).map_err(DeviceFrameError::Host)
         })
     }
 
     /// The surfaces through some regions, which stay on the device.
     pub(super) fn collect_batches(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
     ) -> Result<DeviceSurfaces, VulkanError> {
-        let (mut tiles, mut ends) = (Growing::default(), Growing::default());
+        let (mut tiles, mut ends) = (GrowingBuffer::default(), GrowingBuffer::default());
         let (mut blocks, mut written) = (Vec::new(), None);
         self.each_batch(state, surfaces, regions, &|| true, &mut |_, lane, batch, begins| {
             let totals = begins[batch.drawn.len()];
@@ -80,7 +80,7 @@ impl DeviceFrame {
     /// order, as long as it goes on.
     fn each_batch<E: From<VulkanError>>(
         &self,
-        state: &mut State,
+        state: &mut DeviceState,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
         goes_on: &dyn Fn() -> bool,
@@ -88,7 +88,7 @@ impl DeviceFrame {
     ) -> Result<(), E> {
         self.make_lanes(state)?;
         let constants = self.kept().constants.of(surfaces, &mut state.lanes[0].compute)?;
-        let State { lanes, batch_bytes, .. } = state;
+        let DeviceState { lanes, batch_bytes, .. } = state;
         let residents = self.residents().clone();
         let work = Contouring { frame: self, surfaces, constants, residents, bytes: *batch_bytes };
         let mut next = 0;
@@ -106,14 +106,14 @@ impl DeviceFrame {
 /// A callback that takes a batch, given where each of its blocks begins in it, and where the last
 /// one ends.
 type TakeBatch<'a, E> =
-    dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), E> + 'a;
+    dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[BlockTally]) -> Result<(), E> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
 #[derive(Debug)]
 pub struct DeviceSurfaces {
     /// The blocks that the surface passes through, in Morton order, counted in blocks, and what
     /// each has.
-    pub blocks: Vec<(IVec3, Tally)>,
+    pub blocks: Vec<(IVec3, BlockTally)>,
     /// A [`Tile`] each.
     pub tiles: View,
     /// For every vertex the field at the lower and the upper end of its edge.
@@ -131,12 +131,12 @@ impl DeviceSurfaces {
 
 /// A buffer that grows.
 #[derive(Default)]
-struct Growing {
+struct GrowingBuffer {
     buffer: Option<Arc<Buffer>>,
     used: u64,
 }
 
-impl Growing {
+impl GrowingBuffer {
     /// Records the copy of `from` to the end.
     fn append(
         &mut self,
@@ -146,8 +146,8 @@ impl Growing {
     ) -> Result<(), VulkanError> {
         let end = self.used + from.bytes();
         if self.buffer.as_ref().is_none_or(|buffer| buffer.bytes() < end) {
-            let doubled = device.buffer(Place::Device, end.max(2 * self.used));
-            let larger = doubled.or_else(|_| device.buffer(Place::Device, end))?;
+            let doubled = device.buffer(BufferKind::Device, end.max(2 * self.used));
+            let larger = doubled.or_else(|_| device.buffer(BufferKind::Device, end))?;
             if let Some(buffer) = self.buffer.replace(Arc::clone(&larger)) {
                 commands.copy(&buffer.part(0, self.used), &larger.whole());
             }
@@ -161,7 +161,7 @@ impl Growing {
 
     /// Returns a view of the bytes that are used.
     fn view(self, device: &Device) -> Result<View, VulkanError> {
-        let buffer = self.buffer.map_or_else(|| device.buffer(Place::Device, 4), Ok)?;
+        let buffer = self.buffer.map_or_else(|| device.buffer(BufferKind::Device, 4), Ok)?;
         Ok(buffer.part(0, self.used.max(4)))
     }
 }
@@ -212,16 +212,16 @@ impl Contouring<'_> {
         let read = lane.buffer(
             &self.frame.device,
             "tallies read",
-            Place::Download,
+            BufferKind::Download,
             outputs.tallies.bytes(),
         )?;
-        let Fielded { blocks, field, uploaded } = match (&self.surfaces.recipe.filters, &batch.wide)
-        {
-            (Filters::Distances(distances), Some(wide)) => {
-                self.join_wide(lane, batch, distances, wide)?
-            }
-            _ => self.filter(lane, batch)?,
-        };
+        let BatchField { blocks, field, uploaded } =
+            match (&self.surfaces.recipe.filters, &batch.wide) {
+                (Filters::Distances(distances), Some(wide)) => {
+                    self.join_wide(lane, batch, distances, wide)?
+                }
+                _ => self.filter(lane, batch)?,
+            };
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.mesh_walls());
         let (commands, pipelines) = (&mut lane.compute, &self.frame.pipelines.dual_mc);
         commands.stage("dual marching cubes", field.bytes());
@@ -232,13 +232,13 @@ impl Contouring<'_> {
     }
 
     /// The field on the regions that are drawn, by the paper's filters.
-    fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<Fielded, VulkanError> {
+    fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let [source] = &self.sources()[..] else {
             unreachable!("the paper's filters are of one width of cells")
         };
         let from = self.samples(source.level);
-        let mut grid = Grid::default();
+        let mut grid = LevelBlocks::default();
         for region in batch.drawn() {
             grid.push_sampled(
                 source.cells(self.surfaces.normals.cells(region)),
@@ -247,10 +247,10 @@ impl Contouring<'_> {
                 None,
             );
         }
-        let mut layout = Layout::default();
+        let mut layout = BufferLayout::default();
         let places = grid.place(&mut layout, page_bytes(from.shape()));
-        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
-        let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
+        let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "inputs", BufferKind::Device, layout.bytes)?;
         let free = lane.fields(device, "cells", source.fields as usize, grid.field_bytes())?;
         // SAFETY: the lane waited for what it did before, and what is staged is its own.
         unsafe { grid.stage(&staged, &places, from) };
@@ -267,7 +267,7 @@ impl Contouring<'_> {
         let mut fields = self.fields(&mut lane.compute, vec![cells]);
         fields.gather(0, &places.pages(&inputs, from, Some(&self.constants)))?;
         let field = self.surfaces.recipe.apply(&mut fields)?.samples.clone();
-        Ok(Fielded { blocks, field, uploaded })
+        Ok(BatchField { blocks, field, uploaded })
     }
 
     fn outputs(&self, lane: &mut Lane, count: u64, room: u64) -> Result<Outputs, VulkanError> {
@@ -278,26 +278,36 @@ impl Contouring<'_> {
             signs: lane.buffer(
                 device,
                 "signs",
-                Place::Device,
+                BufferKind::Device,
                 count * 8 * u64::from(SIGN_TILES),
             )?,
             lengths: self.constants.tables.lengths.clone(),
-            slots: lane.buffer(device, "slots", Place::Device, tiles * size_of::<Slot>() as u64)?,
+            slots: lane.buffer(
+                device,
+                "slots",
+                BufferKind::Device,
+                tiles * size_of::<TileSlot>() as u64,
+            )?,
             tallies: lane.buffer(
                 device,
                 "tallies",
-                Place::Device,
-                (count + 1) * size_of::<Tally>() as u64,
+                BufferKind::Device,
+                (count + 1) * size_of::<BlockTally>() as u64,
             )?,
-            groups: lane.buffer(device, "groups", Place::Device, 12)?,
-            tiles: lane.buffer(device, "tiles", Place::Device, tiles * size_of::<Tile>() as u64)?,
+            groups: lane.buffer(device, "groups", BufferKind::Device, 12)?,
+            tiles: lane.buffer(
+                device,
+                "tiles",
+                BufferKind::Device,
+                tiles * size_of::<Tile>() as u64,
+            )?,
             ends: lane.buffer(
                 device,
                 "ends",
-                Place::Device,
+                BufferKind::Device,
                 room * size_of::<[u16; 2]>() as u64,
             )?,
-            falls: lane.buffer(device, "falls", Place::Device, falls)?,
+            falls: lane.buffer(device, "falls", BufferKind::Device, falls)?,
             room: room as u32,
         })
     }
@@ -312,12 +322,12 @@ impl Contouring<'_> {
     ) -> Result<(), E> {
         let count = batch.drawn.len();
         if count == 0 {
-            return take(self, lane, &batch, &[Tally::default()]);
+            return take(self, lane, &batch, &[BlockTally::default()]);
         }
         lane.compute.wait()?;
-        let read = lane.known("tallies read", ((count + 1) * size_of::<Tally>()) as u64);
+        let read = lane.known("tallies read", ((count + 1) * size_of::<BlockTally>()) as u64);
         // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
-        let begins: Vec<Tally> = unsafe { read.read(0, count + 1) };
+        let begins: Vec<BlockTally> = unsafe { read.read(0, count + 1) };
         let vertices = u64::from(begins[count].vertices);
         if vertices <= batch.room {
             return take(self, lane, &batch, &begins);
@@ -343,7 +353,7 @@ impl Contouring<'_> {
         &self,
         lane: &mut Lane,
         batch: &BlockBatch,
-        begins: &[Tally],
+        begins: &[BlockTally],
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
         let totals = begins[batch.drawn.len()];
@@ -358,9 +368,9 @@ impl Contouring<'_> {
         } else {
             0
         };
-        let tiles = lane.buffer(device, "tiles read", Place::Download, tile_bytes)?;
-        let ends = lane.buffer(device, "ends read", Place::Download, end_bytes)?;
-        let falls = lane.buffer(device, "falls read", Place::Download, fall_bytes)?;
+        let tiles = lane.buffer(device, "tiles read", BufferKind::Download, tile_bytes)?;
+        let ends = lane.buffer(device, "ends read", BufferKind::Download, end_bytes)?;
+        let falls = lane.buffer(device, "falls read", BufferKind::Download, fall_bytes)?;
         lane.download.stage("download", 2 * (tile_bytes + end_bytes + fall_bytes));
         for (name, bytes, to) in [
             ("tiles", tile_bytes, &tiles),

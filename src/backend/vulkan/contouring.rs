@@ -8,21 +8,21 @@ use hashbrown::HashSet;
 
 use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks};
-use crate::field::distance::vulkan::Look;
+use crate::field::distance::vulkan::RegionProbe;
 use crate::field::distance::wide_cells;
 use crate::field::recipe::{Filters, WideFields};
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::surface::dual_mc::Normals;
-use crate::surface::dual_mc::vulkan::{Falls, SIGN_TILES, Slot};
+use crate::surface::dual_mc::vulkan::{Falls, SIGN_TILES, TileSlot};
 use crate::surface::mesh::Tile;
 use crate::vulkan::{Batch, Ticket, View};
 
 use super::constants::FrameConstants;
 use super::fields::{PaddedBlocks, PaddedFields};
 use super::frame::DeviceFrame;
-use super::grids::Samples;
+use super::grids::SampleSource;
 use super::pipelines::page_bytes;
-use super::resident::Resident;
+use super::resident::ResidentPages;
 
 /// Blocks of a batch at the most.
 const BLOCK_BATCH: usize = 1024;
@@ -46,7 +46,7 @@ pub(super) struct BlockBatch {
     /// Vertices that there is room for.
     pub(super) room: u64,
     /// The bulk of the batch in wide cells, where distances are made of them.
-    pub(super) wide: Option<Wide>,
+    pub(super) wide: Option<WideBulk>,
     /// Numbers of the regions that are drawn: all that can show a surface, as far as is known.
     pub(super) drawn: Vec<usize>,
     /// The parts of some of them in which particles stand out, by their place among those.
@@ -107,14 +107,14 @@ impl BlockBatch {
 }
 
 /// The field on some blocks, and when what it is made of is there.
-pub(super) struct Fielded {
+pub(super) struct BatchField {
     pub(super) blocks: DeviceBlocks,
     pub(super) field: View,
     pub(super) uploaded: Ticket,
 }
 
 /// Cells in which a batch has fields.
-pub(super) struct Source {
+pub(super) struct FieldLevel {
     /// 2^`level` times as wide as those of the grid.
     pub(super) level: u32,
     /// How far beyond those that the field is asked for on.
@@ -125,7 +125,7 @@ pub(super) struct Source {
     pub(super) fields: u64,
 }
 
-impl Source {
+impl FieldLevel {
     /// The cells in which there are fields, for a field on `cells`.
     pub(super) fn cells(&self, cells: CellBox) -> CellBox {
         wide_cells(self.level, cells).grown(self.halo, self.halo)
@@ -133,11 +133,11 @@ impl Source {
 }
 
 /// The bulk of a batch in wide cells.
-pub(super) struct Wide {
+pub(super) struct WideBulk {
     pub(super) blocks: DeviceBlocks,
     /// For each region the number of its block.
     pub(super) of_regions: Vec<u32>,
-    pub(super) looks: Vec<Look>,
+    pub(super) probes: Vec<RegionProbe>,
     pub(super) fields: WideFields<View>,
 }
 
@@ -147,7 +147,7 @@ pub(super) struct Contouring<'a> {
     pub(super) surfaces: &'a Surfaces<'a>,
     pub(super) constants: FrameConstants,
     /// Fields on the device that samples are cut out of, by their level.
-    pub(super) residents: Vec<Arc<Resident>>,
+    pub(super) residents: Vec<Arc<ResidentPages>>,
     /// Bytes that a batch may take.
     pub(super) bytes: u64,
 }
@@ -164,17 +164,18 @@ impl<'a> Contouring<'a> {
     }
 
     /// Returns the samples that cells of a level are cut out of.
-    pub(super) fn samples(&self, level: u32) -> Samples<'_> {
+    pub(super) fn samples(&self, level: u32) -> SampleSource<'_> {
         let dif = self.surfaces.sampled.wide(level);
         let resident = self.residents.get(level as usize);
-        resident.map_or(Samples::Sent(dif), |resident| Samples::There(resident, dif.shape()))
+        resident
+            .map_or(SampleSource::Sent(dif), |resident| SampleSource::There(resident, dif.shape()))
     }
 
     /// All cells in which a region has fields.
-    pub(super) fn sources(&self) -> Vec<Source> {
+    pub(super) fn sources(&self) -> Vec<FieldLevel> {
         match &self.surfaces.recipe.filters {
             Filters::Paper(paper) => {
-                vec![Source {
+                vec![FieldLevel {
                     level: 0,
                     halo: paper.halo(),
                     sampled: true,
@@ -185,19 +186,24 @@ impl<'a> Contouring<'a> {
                 let wide = (distances.level, distances.wide_halo());
                 let drops = (distances.drops_level, distances.drops_halo());
                 vec![
-                    Source {
+                    FieldLevel {
                         level: wide.0,
                         halo: wide.1,
                         sampled: true,
                         fields: WIDE_FIELDS as u64,
                     },
-                    Source {
+                    FieldLevel {
                         level: drops.0,
                         halo: drops.1,
                         sampled: true,
                         fields: DROPS_FIELDS as u64,
                     },
-                    Source { level: 0, halo: 0, sampled: false, fields: 1 + PART_FIELDS as u64 },
+                    FieldLevel {
+                        level: 0,
+                        halo: 0,
+                        sampled: false,
+                        fields: 1 + PART_FIELDS as u64,
+                    },
                 ]
             }
         }
@@ -205,7 +211,7 @@ impl<'a> Contouring<'a> {
 
     /// Bytes of a region besides its fields, on the device and staged.
     pub(super) fn region_bytes(&self) -> u64 {
-        let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<Slot>()) as u64;
+        let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<TileSlot>()) as u64;
         tiles + 8 * u64::from(SIGN_TILES) + 2 * BLOCK_ROOM * self.vertex_bytes()
     }
 

@@ -6,21 +6,21 @@ use std::sync::Arc;
 use bytemuck::Pod;
 use glam::IVec3;
 
-use crate::brick::vulkan::{DeviceBlocks, FullCells, gather, halve};
+use crate::brick::vulkan::{DeviceBlocks, DeviceFullCells, gather, halve};
 use crate::brick::{
-    Bins, DifField, Elsewhere, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource,
+    Bins, DifField, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource, RemotePages,
     halved_from,
 };
 use crate::field::distance::vulkan::{full_bricks, full_bricks_of};
 use crate::field::indicator::{PageRule, indicate};
 use crate::grid::{CellBox, MortonKey};
-use crate::vulkan::{Place, View, VulkanError};
+use crate::vulkan::{BufferKind, View, VulkanError};
 
-use super::frame::{DeviceFrame, State};
-use super::grids::{Grid, NO_TILES, Samples};
-use super::lane::{Lane, Layout, fly};
+use super::frame::{DeviceFrame, DeviceState};
+use super::grids::{LevelBlocks, NO_TILES, SampleSource};
+use super::lane::{BufferLayout, Lane, fly};
 use super::pipelines::page_bytes;
-use super::resident::Resident;
+use super::resident::ResidentPages;
 
 /// Blocks of a batch at the most.
 const BLOCK_BATCH: usize = 4096;
@@ -37,12 +37,12 @@ struct DeviceField {
 
 /// The pages of bins, made again on the processor.
 #[derive(Debug)]
-struct Again {
+struct RebuiltPages {
     bins: Arc<Bins>,
     rule: PageRule,
 }
 
-impl PageSource for Again {
+impl PageSource for RebuiltPages {
     fn samples(&self, page: usize) -> Vec<u16> {
         let pages = indicate(&self.bins, page..page + 1, &self.rule);
         let pages = pages.expect("particles in memory can be read");
@@ -52,9 +52,9 @@ impl PageSource for Again {
 
 /// Pages that nobody can make again.
 #[derive(Debug)]
-struct Gone(PageShape);
+struct LostPages(PageShape);
 
-impl PageSource for Gone {
+impl PageSource for LostPages {
     /// None are looked at: the failure is told instead.
     fn samples(&self, _: usize) -> Vec<u16> {
         vec![0; self.0.bin_samples()]
@@ -68,7 +68,7 @@ pub(super) fn of_bins(
     bins: &Arc<Bins>,
     rule: &PageRule,
 ) -> DifField {
-    let again = Again { bins: Arc::clone(bins), rule: *rule };
+    let again = RebuiltPages { bins: Arc::clone(bins), rule: *rule };
     field(frame, infos, rule.shape(), Box::new(again))
 }
 
@@ -78,7 +78,7 @@ pub(super) fn of_resident(
     infos: Vec<PageInfo>,
     shape: PageShape,
 ) -> DifField {
-    field(frame, infos, shape, Box::new(Gone(shape)))
+    field(frame, infos, shape, Box::new(LostPages(shape)))
 }
 
 fn field(
@@ -95,7 +95,7 @@ impl DeviceField {
     /// Has something made of its pages, unless they are no longer there; `None` where that fails.
     fn made<T>(
         &self,
-        make: impl FnOnce(&mut State, &Resident) -> Result<Option<T>, VulkanError>,
+        make: impl FnOnce(&mut DeviceState, &ResidentPages) -> Result<Option<T>, VulkanError>,
     ) -> Option<T> {
         let resident =
             self.frame.resident(self.level).filter(|_| self.frame.reader.failed().is_none())?;
@@ -105,7 +105,7 @@ impl DeviceField {
     }
 }
 
-impl Elsewhere for DeviceField {
+impl RemotePages for DeviceField {
     fn count(&self) -> usize {
         self.infos.len()
     }
@@ -120,7 +120,7 @@ impl Elsewhere for DeviceField {
         bins: &[IVec3],
         walls: Option<CellBox>,
         factor: Factor,
-    ) -> Option<(Vec<PageInfo>, Box<dyn Elsewhere>)> {
+    ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)> {
         let infos = self.made(|state, resident| {
             let stride = page_bytes(HALVED);
             let Some(pages) = self.frame.room(state, bins.len() as u64 * stride, state.wide_bytes)
@@ -128,9 +128,9 @@ impl Elsewhere for DeviceField {
                 return Ok(None);
             };
             let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
-            let from = Samples::There(resident, self.shape);
+            let from = SampleSource::There(resident, self.shape);
             let pipeline = &self.frame.pipelines.halve;
-            let found: Vec<FullCells> =
+            let found: Vec<DeviceFullCells> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
                     let count = range.len();
                     let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
@@ -142,7 +142,7 @@ impl Elsewhere for DeviceField {
             let infos: Vec<PageInfo> = infos.flatten().collect();
             state.wide_bytes -= pages.bytes().min(state.wide_bytes);
             let numbers = bins.iter().copied().zip(0..).collect();
-            self.frame.add_resident(self.level + 1, Resident { pages, numbers });
+            self.frame.add_resident(self.level + 1, ResidentPages { pages, numbers });
             Ok(Some(infos))
         })?;
         let frame = Arc::clone(&self.frame);
@@ -154,13 +154,14 @@ impl Elsewhere for DeviceField {
         let boxes = self.infos.iter().map(|info| full_bricks_of(info.key.coord(), width));
         let boxes: Vec<CellBox> = boxes.collect::<Option<_>>()?;
         self.made(|state, resident| {
-            let from = Samples::There(resident, self.shape);
+            let from = SampleSource::There(resident, self.shape);
             let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
             let full: Vec<[u32; 2]> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
                     let bytes = (range.len() * size_of::<[u32; 2]>()) as u64;
-                    let bricks = lane.buffer(device, "full bricks", Place::Device, bytes)?;
-                    let read = lane.buffer(device, "full bricks read", Place::Download, bytes)?;
+                    let bricks = lane.buffer(device, "full bricks", BufferKind::Device, bytes)?;
+                    let read =
+                        lane.buffer(device, "full bricks read", BufferKind::Download, bytes)?;
                     lane.compute.stage("inside", cells.bytes());
                     full_bricks(
                         &mut lane.compute,
@@ -184,8 +185,8 @@ impl DeviceFrame {
     /// is read from what that returns, and collects it.
     fn of_blocks<T: Pod>(
         &self,
-        state: &mut State,
-        from: Samples<'_>,
+        state: &mut DeviceState,
+        from: SampleSource<'_>,
         boxes: &[CellBox],
         make: impl Fn(&mut Lane, Range<usize>, &DeviceBlocks, &View) -> Result<View, VulkanError>,
     ) -> Result<Vec<T>, VulkanError> {
@@ -196,7 +197,7 @@ impl DeviceFrame {
             &mut state.lanes,
             |lane| {
                 let begin = next;
-                let mut grid = Grid::default();
+                let mut grid = LevelBlocks::default();
                 while next < boxes.len()
                     && grid.len() < BLOCK_BATCH
                     && grid.field_bytes() < most / 2
@@ -207,13 +208,15 @@ impl DeviceFrame {
                 if grid.len() == 0 {
                     return Ok(None);
                 }
-                let mut layout = Layout::default();
+                let mut layout = BufferLayout::default();
                 let places = grid.place(&mut layout, page_bytes(from.shape()));
                 lane.begin()?;
-                let staged = lane.buffer(&self.device, "staged", Place::Upload, layout.bytes)?;
-                let inputs = lane.buffer(&self.device, "inputs", Place::Device, layout.bytes)?;
+                let staged =
+                    lane.buffer(&self.device, "staged", BufferKind::Upload, layout.bytes)?;
+                let inputs =
+                    lane.buffer(&self.device, "inputs", BufferKind::Device, layout.bytes)?;
                 let cells =
-                    lane.buffer(&self.device, "cells", Place::Device, grid.field_bytes())?;
+                    lane.buffer(&self.device, "cells", BufferKind::Device, grid.field_bytes())?;
                 // SAFETY: `begin` waited for what the lane did before, and what is staged is the
                 // lane's own.
                 unsafe { grid.stage(&staged, &places, from) };

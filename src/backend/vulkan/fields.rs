@@ -3,15 +3,15 @@
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use crate::brick::vulkan::{DeviceBlocks, DevicePages, Window, gather};
+use crate::brick::vulkan::{DeviceBlocks, DevicePages, TapWindow, gather};
 use crate::field::blur::Weights;
 use crate::field::blur::vulkan::blur;
 use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
-use crate::field::distance::{Bulk, Depths, Drops, Gate, Inside};
+use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, Ramp};
 use crate::field::recipe::{Fields, WideFields, walls_at};
 use crate::field::sheets::vulkan::{blend, sheets as make_sheets};
-use crate::field::sheets::{Sheeted, Sheets};
+use crate::field::sheets::{SheetFields, Sheets};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
@@ -20,7 +20,7 @@ use super::constants::FrameConstants;
 use super::pipelines::Pipelines;
 
 /// The samples of a batch's blocks; those within `margin` of a block's faces are unknown.
-pub(super) struct Padded {
+pub(super) struct PaddedSamples {
     pub(super) samples: View,
     pub(super) margin: i32,
     /// Number of its [`PaddedBlocks`].
@@ -49,7 +49,7 @@ pub(super) struct PaddedFields<'a> {
     pub(super) commands: &'a mut Batch,
     pub(super) grids: Vec<PaddedBlocks>,
     /// Samples of the grids, in the order in which they are asked for.
-    pub(super) gathered: VecDeque<Rc<Padded>>,
+    pub(super) gathered: VecDeque<Rc<PaddedSamples>>,
     /// The blocks that fields are refined for, and the parts of them in which particles stand out,
     /// if there are such.
     pub(super) cells: usize,
@@ -62,7 +62,7 @@ impl PaddedFields<'_> {
         let samples = self.take(of);
         self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
         gather(self.commands, &self.pipelines.gather, &self.grids[of].blocks, pages, &samples)?;
-        self.gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
+        self.gathered.push_back(Rc::new(PaddedSamples { samples, margin: 0, of }));
         Ok(())
     }
 
@@ -71,7 +71,7 @@ impl PaddedFields<'_> {
     }
 
     /// Gives a buffer back, if nobody else refers to it.
-    fn give(&mut self, field: Rc<Padded>) {
+    fn give(&mut self, field: Rc<PaddedSamples>) {
         if let Some(field) = Rc::into_inner(field) {
             self.grids[field.of].free.push(field.samples);
         }
@@ -95,10 +95,10 @@ impl PaddedFields<'_> {
 }
 
 impl Fields for PaddedFields<'_> {
-    type Field = Rc<Padded>;
+    type Field = Rc<PaddedSamples>;
     type Error = VulkanError;
 
-    fn samples(&mut self, level: u32, _: i32) -> Result<Rc<Padded>, VulkanError> {
+    fn samples(&mut self, level: u32, _: i32) -> Result<Rc<PaddedSamples>, VulkanError> {
         let field = self
             .gathered
             .pop_front()
@@ -108,11 +108,15 @@ impl Fields for PaddedFields<'_> {
     }
 
     /// Regions near solids are made on the processor.
-    fn filled(&mut self, clouds: &Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
+    fn filled(&mut self, clouds: &Rc<PaddedSamples>) -> Result<Rc<PaddedSamples>, VulkanError> {
         Ok(Rc::clone(clouds))
     }
 
-    fn blur(&mut self, field: Rc<Padded>, weights: &Weights) -> Result<Rc<Padded>, VulkanError> {
+    fn blur(
+        &mut self,
+        field: Rc<PaddedSamples>,
+        weights: &Weights,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = field.of;
         self.stage("blur", 3, of);
         let to = self.take(of);
@@ -127,25 +131,29 @@ impl Fields for PaddedFields<'_> {
         let blocks = &self.grids[of].blocks;
         blur(self.commands, &self.pipelines.blur, blocks, filter, walls, margin, views)?;
         self.grids[of].free.push(through);
-        Ok(Rc::new(Padded { samples: to, margin: margin + weights.reach(), of }))
+        Ok(Rc::new(PaddedSamples { samples: to, margin: margin + weights.reach(), of }))
     }
 
     fn lost(
         &mut self,
-        dif: Rc<Padded>,
-        smooth: &Rc<Padded>,
+        dif: Rc<PaddedSamples>,
+        smooth: &Rc<PaddedSamples>,
         iso: Isovalue,
-    ) -> Result<Rc<Padded>, VulkanError> {
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = dif.of;
         self.stage("detail", 2, of);
         let kept = self.take(of);
         let views = [&dif.samples, &smooth.samples, &kept];
         lost(self.commands, &self.pipelines.lost, &self.grids[of].blocks, iso, views)?;
         self.give(dif);
-        Ok(Rc::new(Padded { samples: kept, margin: smooth.margin, of }))
+        Ok(Rc::new(PaddedSamples { samples: kept, margin: smooth.margin, of }))
     }
 
-    fn greater(&mut self, field: Rc<Padded>, other: Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
+    fn greater(
+        &mut self,
+        field: Rc<PaddedSamples>,
+        other: Rc<PaddedSamples>,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = field.of;
         self.stage("detail", 2, of);
         let blocks = &self.grids[of].blocks;
@@ -156,8 +164,8 @@ impl Fields for PaddedFields<'_> {
     fn depths(
         &mut self,
         by: &Bulk,
-        shares: [Rc<Padded>; 3],
-    ) -> Result<Depths<Rc<Padded>>, VulkanError> {
+        shares: [Rc<PaddedSamples>; 3],
+    ) -> Result<Depths<Rc<PaddedSamples>>, VulkanError> {
         let of = shares[0].of;
         self.stage("distances", 3, of);
         let margin = shares.iter().map(|share| share.margin).max().unwrap_or(0);
@@ -172,17 +180,17 @@ impl Fields for PaddedFields<'_> {
             &self.constants.tables.depths,
             views,
         )?;
-        let padded = |samples| Rc::new(Padded { samples, margin, of });
+        let padded = |samples| Rc::new(PaddedSamples { samples, margin, of });
         Ok(Depths { calm: padded(wide), fine: padded(narrow), apart: padded(middle) })
     }
 
     fn mixed(
         &mut self,
         by: &Bulk,
-        _: &Inside,
-        Depths { calm, fine, apart }: Depths<Rc<Padded>>,
-        near: &Rc<Padded>,
-    ) -> Result<Rc<Padded>, VulkanError> {
+        _: &InsideBricks,
+        Depths { calm, fine, apart }: Depths<Rc<PaddedSamples>>,
+        near: &Rc<PaddedSamples>,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = calm.of;
         self.stage("distances", 4, of);
         let views = [&calm.samples, &fine.samples, &apart.samples, &near.samples];
@@ -192,41 +200,54 @@ impl Fields for PaddedFields<'_> {
         let (samples, margin) = (calm.samples.clone(), apart.margin.max(near.margin));
         self.give(fine);
         self.give(apart);
-        Ok(Rc::new(Padded { samples, margin, of }))
+        Ok(Rc::new(PaddedSamples { samples, margin, of }))
     }
 
     fn outlying(
         &mut self,
-        calm: &Rc<Padded>,
-        clouds: Rc<Padded>,
+        calm: &Rc<PaddedSamples>,
+        clouds: Rc<PaddedSamples>,
         least: u16,
-    ) -> Result<Rc<Padded>, VulkanError> {
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = calm.of;
         self.stage("distances", 2, of);
         let views = [&calm.samples, &clouds.samples];
         outlying(self.commands, &self.pipelines.distance, &self.grids[of].blocks, least, views)?;
-        Ok(Rc::new(Padded { samples: clouds.samples.clone(), margin: calm.margin, of }))
+        Ok(Rc::new(PaddedSamples { samples: clouds.samples.clone(), margin: calm.margin, of }))
     }
 
-    fn spread(&mut self, field: Rc<Padded>, reach: i32) -> Result<Rc<Padded>, VulkanError> {
+    fn spread(
+        &mut self,
+        field: Rc<PaddedSamples>,
+        reach: i32,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = field.of;
         self.stage("distances", 3, of);
         let (to, through) = (self.take(of), self.take(of));
-        let window = Window { reach, walls: self.walls(of), margin: field.margin };
+        let window = TapWindow { reach, walls: self.walls(of), margin: field.margin };
         let views = [&field.samples, &through, &to];
         spread(self.commands, &self.pipelines.distance, &self.grids[of].blocks, window, views)?;
         self.grids[of].free.push(through);
         let margin = field.margin + reach;
         self.give(field);
-        Ok(Rc::new(Padded { samples: to, margin, of }))
+        Ok(Rc::new(PaddedSamples { samples: to, margin, of }))
     }
 
     /// The caller has looked before.
-    fn look(&mut self, _: &WideFields<Rc<Padded>>, _: u32, _: &Gate) -> Result<(), VulkanError> {
+    fn probe(
+        &mut self,
+        _: &WideFields<Rc<PaddedSamples>>,
+        _: u32,
+        _: &Ramp,
+    ) -> Result<(), VulkanError> {
         Ok(())
     }
 
-    fn refined(&mut self, wide: Rc<Padded>, level: u32) -> Result<Rc<Padded>, VulkanError> {
+    fn refined(
+        &mut self,
+        wide: Rc<PaddedSamples>,
+        level: u32,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = self.cells;
         self.stage("distances", 1, of);
         let to = self.take(of);
@@ -235,21 +256,21 @@ impl Fields for PaddedFields<'_> {
         let views = [&wide.samples, &to];
         refine(self.commands, &self.pipelines.distance, grids, &within, level, walls, views)?;
         self.give(wide);
-        Ok(Rc::new(Padded { samples: to, margin: 0, of }))
+        Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
     }
 
     /// Particles stand out in parts, if there are such: from here on fields are refined for those.
-    fn narrowed(&mut self, _: &Rc<Padded>, _: u32, _: &Gate) -> bool {
+    fn narrowed(&mut self, _: &Rc<PaddedSamples>, _: u32, _: &Ramp) -> bool {
         self.cells = self.parts.unwrap_or(self.cells);
         self.parts.is_some()
     }
 
     fn quotient(
         &mut self,
-        clouds: Rc<Padded>,
-        around: Rc<Padded>,
+        clouds: Rc<PaddedSamples>,
+        around: Rc<PaddedSamples>,
         bits: u32,
-    ) -> Result<Rc<Padded>, VulkanError> {
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = clouds.of;
         self.stage("drops", 2, of);
         let views = [&clouds.samples, &around.samples];
@@ -257,22 +278,22 @@ impl Fields for PaddedFields<'_> {
         let margin = around.margin;
         let samples = clouds.samples.clone();
         self.give(around);
-        Ok(Rc::new(Padded { samples, margin, of }))
+        Ok(Rc::new(PaddedSamples { samples, margin, of }))
     }
 
-    fn may_hold(&mut self, _: &Sheets, _: &Rc<Padded>) -> bool {
+    fn may_hold(&mut self, _: &Sheets, _: &Rc<PaddedSamples>) -> bool {
         true
     }
 
-    fn nearer(&mut self, field: Rc<Padded>, _: u32, _: i32) -> Rc<Padded> {
+    fn nearer(&mut self, field: Rc<PaddedSamples>, _: u32, _: i32) -> Rc<PaddedSamples> {
         field
     }
 
     fn sheets(
         &mut self,
         sheets: &Sheets,
-        density: Rc<Padded>,
-    ) -> Result<Option<Sheeted<Rc<Padded>>>, VulkanError> {
+        density: Rc<PaddedSamples>,
+    ) -> Result<Option<SheetFields<Rc<PaddedSamples>>>, VulkanError> {
         let of = density.of;
         self.stage("sheets", 3, of);
         let numbers = &sheets.numbers;
@@ -283,15 +304,15 @@ impl Fields for PaddedFields<'_> {
         make_sheets(self.commands, &self.pipelines.sheets, blocks, numbers, walls, views)?;
         let margin = density.margin + numbers.step;
         self.give(density);
-        let padded = |samples| Rc::new(Padded { samples, margin, of });
-        Ok(Some(Sheeted { shares: padded(shares), certainty: padded(certainty) }))
+        let padded = |samples| Rc::new(PaddedSamples { samples, margin, of });
+        Ok(Some(SheetFields { shares: padded(shares), certainty: padded(certainty) }))
     }
 
     fn blended(
         &mut self,
-        drops: Rc<Padded>,
-        Sheeted { shares, certainty }: Sheeted<Rc<Padded>>,
-    ) -> Result<Rc<Padded>, VulkanError> {
+        drops: Rc<PaddedSamples>,
+        SheetFields { shares, certainty }: SheetFields<Rc<PaddedSamples>>,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         let of = drops.of;
         self.stage("sheets", 3, of);
         let views = [&shares.samples, &certainty.samples, &drops.samples];
@@ -300,16 +321,16 @@ impl Fields for PaddedFields<'_> {
         let samples = drops.samples.clone();
         self.give(shares);
         self.give(certainty);
-        Ok(Rc::new(Padded { samples, margin, of }))
+        Ok(Rc::new(PaddedSamples { samples, margin, of }))
     }
 
     fn joined(
         &mut self,
-        bulk: Rc<Padded>,
-        near: Rc<Padded>,
-        shares: Rc<Padded>,
-        by: (&Drops, &Gate),
-    ) -> Result<Rc<Padded>, VulkanError> {
+        bulk: Rc<PaddedSamples>,
+        near: Rc<PaddedSamples>,
+        shares: Rc<PaddedSamples>,
+        by: (&Drops, &Ramp),
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         self.stage("drops", 3, near.of);
         let views = [&bulk.samples, &near.samples, &shares.samples];
         let blocks = [near.of, bulk.of].map(|of| &self.grids[of].blocks);

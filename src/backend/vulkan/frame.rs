@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use crate::backend::Work;
 use crate::brick::PageShape;
 use crate::grid::MortonKey;
-use crate::vulkan::{Buffer, Device, Place, VulkanError};
+use crate::vulkan::{Buffer, BufferKind, Device, VulkanError};
 
 use super::constants::Constants;
 use super::lane::{HEADROOM, Lane};
 use super::pipelines::{Pipelines, page_bytes};
-use super::resident::{Reader, Resident};
+use super::resident::{PageReader, ResidentPages};
 
 /// Batches in flight.
 pub(super) const LANES: usize = 2;
@@ -20,7 +20,7 @@ const SMALLEST_BATCH: u64 = 1 << 20;
 
 /// Buffers and constants that are kept on the device between frames.
 #[derive(Debug, Default)]
-pub(super) struct Kept {
+pub(super) struct FrameBuffers {
     lanes: Vec<Lane>,
     /// Room for the pages of a frame, and for those of its wider cells after them.
     pages: VecDeque<Arc<Buffer>>,
@@ -32,35 +32,35 @@ pub(super) struct Kept {
 pub(super) struct DeviceFrame {
     pub(super) device: Device,
     pub(super) pipelines: Arc<Pipelines>,
-    pub(super) kept: Arc<Mutex<Kept>>,
-    pub(super) state: Mutex<State>,
+    pub(super) kept: Arc<Mutex<FrameBuffers>>,
+    pub(super) state: Mutex<DeviceState>,
     /// Fields whose pages are on the device, by how often their cells were made twice as wide.
-    residents: Mutex<Vec<Arc<Resident>>>,
-    pub(super) reader: Reader,
+    residents: Mutex<Vec<Arc<ResidentPages>>>,
+    pub(super) reader: PageReader,
 }
 
 impl DeviceFrame {
     pub(super) fn new(
         device: Device,
         pipelines: Arc<Pipelines>,
-        kept: Arc<Mutex<Kept>>,
-        state: State,
+        kept: Arc<Mutex<FrameBuffers>>,
+        state: DeviceState,
     ) -> Self {
-        let (residents, reader) = (Mutex::default(), Reader::default());
+        let (residents, reader) = (Mutex::default(), PageReader::default());
         Self { device, pipelines, kept, state: Mutex::new(state), residents, reader }
     }
 
-    pub(super) fn state(&self) -> MutexGuard<'_, State> {
+    pub(super) fn state(&self) -> MutexGuard<'_, DeviceState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// All fields that are on the device.
-    pub(super) fn residents(&self) -> MutexGuard<'_, Vec<Arc<Resident>>> {
+    pub(super) fn residents(&self) -> MutexGuard<'_, Vec<Arc<ResidentPages>>> {
         self.residents.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The field in cells 2^`level` times as wide, if its pages are on the device.
-    pub(super) fn resident(&self, level: usize) -> Option<Arc<Resident>> {
+    pub(super) fn resident(&self, level: usize) -> Option<Arc<ResidentPages>> {
         self.residents().get(level).cloned()
     }
 
@@ -71,18 +71,18 @@ impl DeviceFrame {
 
     /// Adds the field in cells 2^`level` times as wide; fields in cells as wide or wider are
     /// forgotten.
-    pub(super) fn add_resident(&self, level: usize, resident: Resident) {
+    pub(super) fn add_resident(&self, level: usize, resident: ResidentPages) {
         let mut residents = self.residents();
         residents.truncate(level);
         residents.push(Arc::new(resident));
     }
 
-    pub(super) fn kept(&self) -> MutexGuard<'_, Kept> {
+    pub(super) fn kept(&self) -> MutexGuard<'_, FrameBuffers> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes lanes that were kept, if they are not too large for this frame, or makes them.
-    pub(super) fn make_lanes(&self, state: &mut State) -> Result<(), VulkanError> {
+    pub(super) fn make_lanes(&self, state: &mut DeviceState) -> Result<(), VulkanError> {
         while state.lanes.len() < LANES {
             let mut kept = self.kept();
             // In their order: the first to be used has grown.
@@ -97,7 +97,12 @@ impl DeviceFrame {
 
     /// Makes room for the pages of all bins, unless they are too many; pages of other bins are
     /// forgotten.
-    pub(super) fn make_resident(&self, state: &mut State, keys: &[MortonKey], shape: PageShape) {
+    pub(super) fn make_resident(
+        &self,
+        state: &mut DeviceState,
+        keys: &[MortonKey],
+        shape: PageShape,
+    ) {
         let known = self.resident(0).is_some_and(|resident| {
             resident.numbers.len() == keys.len() && resident.numbers.contains_key(&keys[0].coord())
         });
@@ -110,12 +115,17 @@ impl DeviceFrame {
         if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
             state.wide_bytes = most - pages.bytes().min(most);
-            self.add_resident(0, Resident { pages, numbers });
+            self.add_resident(0, ResidentPages { pages, numbers });
         }
     }
 
     /// Room for the pages of the next field, unless that is more than `most` bytes.
-    pub(super) fn room(&self, state: &mut State, bytes: u64, most: u64) -> Option<Arc<Buffer>> {
+    pub(super) fn room(
+        &self,
+        state: &mut DeviceState,
+        bytes: u64,
+        most: u64,
+    ) -> Option<Arc<Buffer>> {
         let most = most.min(self.device.limits().storage_range);
         if bytes > most {
             return None;
@@ -124,7 +134,7 @@ impl DeviceFrame {
         let fitting = known.filter(|pages| (bytes..=most).contains(&pages.bytes()));
         let with_headroom =
             (bytes + bytes / HEADROOM).min(most).min(self.device.limits().allocation).max(bytes);
-        let made = |bytes| self.device.buffer(Place::Device, bytes);
+        let made = |bytes| self.device.buffer(BufferKind::Device, bytes);
         match fitting.map_or_else(|| made(with_headroom).or_else(|_| made(bytes)), Ok) {
             Ok(pages) => Some(pages),
             Err(error) => {
@@ -136,9 +146,9 @@ impl DeviceFrame {
 
     /// After a failure: smaller batches where memory is exhausted, the processor where that does
     /// not help.
-    pub(super) fn recover(&self, state: &mut State, error: &VulkanError) {
+    pub(super) fn recover(&self, state: &mut DeviceState, error: &VulkanError) {
         state.lanes.clear();
-        *self.kept() = Kept::default();
+        *self.kept() = FrameBuffers::default();
         let forgotten = self.forget_residents();
         state.recover(error, forgotten);
     }
@@ -162,7 +172,7 @@ impl Drop for DeviceFrame {
 }
 
 #[derive(Debug)]
-pub(super) struct State {
+pub(super) struct DeviceState {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
     /// Bytes that the pages of a frame may take on the device, and those that pages of wider cells
@@ -176,7 +186,7 @@ pub(super) struct State {
     pub(super) done: Work,
 }
 
-impl State {
+impl DeviceState {
     fn recover(&mut self, error: &VulkanError, forgotten: bool) {
         let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
         (self.resident_bytes, self.wide_bytes) = (0, 0);

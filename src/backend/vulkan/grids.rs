@@ -8,28 +8,28 @@ use rayon::prelude::*;
 
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages};
 use crate::brick::{DifField, PageShape};
-use crate::field::distance::Inside;
+use crate::field::distance::InsideBricks;
 use crate::grid::CellBox;
 use crate::vulkan::View;
 
 use super::constants::FrameConstants;
-use super::lane::{Layout, part};
+use super::lane::{BufferLayout, part};
 use super::pipelines::page_bytes;
-use super::resident::Resident;
+use super::resident::ResidentPages;
 
 /// Nothing of a block is meshed.
 pub(super) const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO };
 
 /// Samples that blocks are cut out of.
 #[derive(Clone, Copy)]
-pub(super) enum Samples<'a> {
+pub(super) enum SampleSource<'a> {
     /// Samples of pages that are on the device.
-    There(&'a Resident, PageShape),
+    There(&'a ResidentPages, PageShape),
     /// Samples of pages that are sent to the device.
     Sent(&'a DifField),
 }
 
-impl Samples<'_> {
+impl SampleSource<'_> {
     /// How they lie in pages.
     pub(super) fn shape(&self) -> PageShape {
         match *self {
@@ -49,7 +49,7 @@ impl Samples<'_> {
 
 /// Blocks of one width of cells that lie one after the other in a field.
 #[derive(Default)]
-pub(super) struct Grid {
+pub(super) struct LevelBlocks {
     blocks: Vec<DeviceBlock>,
     /// Words of all of them.
     pub(super) words: u32,
@@ -69,7 +69,7 @@ pub(super) struct Places {
     pages: Range<u64>,
 }
 
-impl Grid {
+impl LevelBlocks {
     /// How many blocks there are.
     pub(super) fn len(&self) -> usize {
         self.blocks.len()
@@ -99,8 +99,8 @@ impl Grid {
         &mut self,
         cells: CellBox,
         region: CellBox,
-        from: Samples<'_>,
-        inside: Option<&Inside>,
+        from: SampleSource<'_>,
+        inside: Option<&InsideBricks>,
     ) {
         self.push(cells, region);
         let Self { blocks, tables, marks, sent, numbers, .. } = self;
@@ -112,8 +112,8 @@ impl Grid {
         }
         tables.extend(block.bins(from.shape().ghost_layer).map(|bin| {
             let number = match from {
-                Samples::There(resident, _) => resident.numbers.get(&bin).copied(),
-                Samples::Sent(_) => from.sends(bin).then(|| {
+                SampleSource::There(resident, _) => resident.numbers.get(&bin).copied(),
+                SampleSource::Sent(_) => from.sends(bin).then(|| {
                     *numbers.entry(bin).or_insert_with(|| {
                         sent.push(bin);
                         sent.len() as u32 - 1
@@ -125,7 +125,7 @@ impl Grid {
     }
 
     /// Reserves room for everything that is sent, with `page_bytes` per page of samples.
-    pub(super) fn place(&self, layout: &mut Layout, page_bytes: u64) -> Places {
+    pub(super) fn place(&self, layout: &mut BufferLayout, page_bytes: u64) -> Places {
         Places {
             blocks: layout.place(size_of_val(&self.blocks[..]) as u64),
             tables: layout.place(size_of_val(&self.tables[..]) as u64),
@@ -138,14 +138,14 @@ impl Grid {
     ///
     /// # Safety
     /// No batch in flight may use what is staged.
-    pub(super) unsafe fn stage(&self, staged: &View, places: &Places, from: Samples<'_>) {
+    pub(super) unsafe fn stage(&self, staged: &View, places: &Places, from: SampleSource<'_>) {
         // SAFETY: as the caller says, and the places are apart from each other.
         unsafe {
             staged.write(places.blocks.start, &self.blocks);
             staged.write(places.tables.start, &self.tables);
             staged.write(places.marks.start, &self.marks);
         }
-        let Samples::Sent(dif) = from else { return };
+        let SampleSource::Sent(dif) = from else { return };
         let page_bytes = page_bytes(dif.shape());
         self.sent.par_iter().enumerate().for_each_init(
             || vec![0; dif.shape().bin_samples()],
@@ -173,14 +173,14 @@ impl Places {
     pub(super) fn pages(
         &self,
         inputs: &View,
-        from: Samples<'_>,
+        from: SampleSource<'_>,
         constants: Option<&FrameConstants>,
     ) -> DevicePages {
         DevicePages {
             tables: part(inputs, &self.tables),
             pages: match from {
-                Samples::There(resident, _) => resident.pages.whole(),
-                Samples::Sent(_) => part(inputs, &self.pages),
+                SampleSource::There(resident, _) => resident.pages.whole(),
+                SampleSource::Sent(_) => part(inputs, &self.pages),
             },
             shape: from.shape(),
             theta: constants.map_or_else(|| inputs.clone(), |constants| constants.theta.clone()),

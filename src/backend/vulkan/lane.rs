@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use hashbrown::HashMap;
 
-use crate::vulkan::{ALIGNMENT, Batch, Buffer, Device, Place, Queue, Ticket, View, VulkanError};
+use crate::vulkan::{
+    ALIGNMENT, Batch, Buffer, BufferKind, Device, Queue, Ticket, View, VulkanError,
+};
 
 /// Buffers are larger than is asked for by a share of so much, for the next batch may be a little
 /// larger.
@@ -39,7 +41,7 @@ impl Lane {
         &mut self,
         device: &Device,
         name: &'static str,
-        place: Place,
+        place: BufferKind,
         bytes: u64,
     ) -> Result<View, VulkanError> {
         self.numbered((name, 0), device, place, bytes)
@@ -54,7 +56,7 @@ impl Lane {
         bytes: u64,
     ) -> Result<Vec<View>, VulkanError> {
         (0..count)
-            .map(|number| self.numbered((name, number), device, Place::Device, bytes))
+            .map(|number| self.numbered((name, number), device, BufferKind::Device, bytes))
             .collect()
     }
 
@@ -62,7 +64,7 @@ impl Lane {
         &mut self,
         name: Name,
         device: &Device,
-        place: Place,
+        place: BufferKind,
         bytes: u64,
     ) -> Result<View, VulkanError> {
         let bytes = bytes.next_multiple_of(4).max(4);
@@ -102,11 +104,11 @@ impl Lane {
 
 /// Places one after the other in a buffer.
 #[derive(Debug, Default)]
-pub(super) struct Layout {
+pub(super) struct BufferLayout {
     pub(super) bytes: u64,
 }
 
-impl Layout {
+impl BufferLayout {
     pub(super) fn place(&mut self, bytes: u64) -> Range<u64> {
         let begin = self.bytes;
         self.bytes = (begin + bytes.max(4)).next_multiple_of(ALIGNMENT);

@@ -34,9 +34,9 @@ use crate::vulkan::{Device, VulkanError};
 
 use super::cpu::CpuStages;
 use super::{Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
-use bins::{Fault, Made, bin_bytes};
+use bins::{DeviceFrameError, PlacedPages, bin_bytes};
 pub use blocks::DeviceSurfaces;
-use frame::{DeviceFrame, Kept, LANES, State};
+use frame::{DeviceFrame, DeviceState, FrameBuffers, LANES};
 use lane::HEADROOM;
 use pipelines::{Pipelines, page_bytes};
 
@@ -50,12 +50,12 @@ const DRIVER: u64 = 96 << 20;
 pub struct Vulkan {
     device: Device,
     pipelines: Arc<Pipelines>,
-    kept: Arc<Mutex<Kept>>,
+    kept: Arc<Mutex<FrameBuffers>>,
 }
 
 /// Bytes that a frame may take.
 #[derive(Debug, Clone, Copy)]
-struct Shares {
+struct FrameBudget {
     /// A batch, on the device and what is staged for it on the host.
     batch: u64,
     /// The DIF, where it stays on the device.
@@ -81,18 +81,18 @@ impl Vulkan {
 
     /// Gives back the memory that is kept for the next frame.
     pub fn release(&self) {
-        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Kept::default();
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = FrameBuffers::default();
     }
 
-    fn shares(&self, budget: MemoryBudget) -> Shares {
+    fn shares(&self, budget: MemoryBudget) -> FrameBudget {
         let own = self.device.memory().unwrap_or(u64::MAX);
         if self.device.shares_host_memory() {
             let total = own.min(budget.0 / 4);
             let batch = (total / 2 / LANES as u64 / (HEADROOM + 1) * HEADROOM).min(LARGEST_BATCH);
-            Shares { batch, resident: total / 2, host: total + DRIVER }
+            FrameBudget { batch, resident: total / 2, host: total + DRIVER }
         } else {
             let batch = (own / 4 / LANES as u64).min(budget.0 / 8).min(LARGEST_BATCH);
-            Shares { batch, resident: own / 2, host: LANES as u64 * batch + DRIVER }
+            FrameBudget { batch, resident: own / 2, host: LANES as u64 * batch + DRIVER }
         }
     }
 }
@@ -100,7 +100,7 @@ impl Vulkan {
 impl Vulkan {
     fn start_frame(&self, budget: MemoryBudget) -> Arc<DeviceFrame> {
         let shares = self.shares(budget);
-        let state = State {
+        let state = DeviceState {
             lanes: Vec::new(),
             batch_bytes: shares.batch,
             resident_bytes: shares.resident,
@@ -144,8 +144,8 @@ impl ResidentFrame {
             }
         };
         Ok(match made {
-            Made::Here(pages) => DifField::in_memory(rule.shape(), pages),
-            Made::There(infos) => elsewhere::of_resident(&self.0, infos, rule.shape()),
+            PlacedPages::Here(pages) => DifField::in_memory(rule.shape(), pages),
+            PlacedPages::There(infos) => elsewhere::of_resident(&self.0, infos, rule.shape()),
         })
     }
 
@@ -212,8 +212,8 @@ impl Stages for Arc<DeviceFrame> {
             match self.indicate_there(&mut state, bins, rule, meter) {
                 Ok(Some(infos)) => return Ok(elsewhere::of_bins(self, infos, bins, rule)),
                 Ok(None) => {}
-                Err(Fault::Host(error)) => return Err(error),
-                Err(Fault::Device(error)) => self.recover(&mut state, &error),
+                Err(DeviceFrameError::Host(error)) => return Err(error),
+                Err(DeviceFrameError::Device(error)) => self.recover(&mut state, &error),
             }
         }
         Ok(DifField::in_memory(shape, self.indicate(bins, 0..count, rule, meter)?))
@@ -248,8 +248,8 @@ impl Stages for Arc<DeviceFrame> {
             state.done.pages += range.start + pages.len() - begin;
             match outcome {
                 Ok(()) => {}
-                Err(Fault::Host(error)) => return Err(error),
-                Err(Fault::Device(error)) => self.recover(&mut state, &error),
+                Err(DeviceFrameError::Host(error)) => return Err(error),
+                Err(DeviceFrameError::Device(error)) => self.recover(&mut state, &error),
             }
         }
         if pages.len() < range.len() {
@@ -335,8 +335,8 @@ impl DeviceFrame {
             state.done.regions += taken - begin;
             match outcome {
                 Ok(()) => {}
-                Err(Fault::Host(error)) => return Err(error),
-                Err(Fault::Device(error)) => self.recover(&mut state, &error),
+                Err(DeviceFrameError::Host(error)) => return Err(error),
+                Err(DeviceFrameError::Device(error)) => self.recover(&mut state, &error),
             }
         }
         CpuStages::STAND_IN.contour(surfaces, &regions[taken..], meter, take)

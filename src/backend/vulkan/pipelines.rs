@@ -4,29 +4,30 @@ use std::sync::Arc;
 
 use crate::brick::PageShape;
 use crate::brick::vulkan::page_words;
-use crate::field::distance::vulkan::Pipelines as Distance;
-use crate::field::indicator::vulkan::Pipelines as Indicators;
+use crate::field::distance::vulkan::DistancePipelines;
+use crate::field::indicator::vulkan::IndicatorPipelines;
 use crate::shaders::{
     BASES, BLEND, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE,
-    INDICATE, JOIN, LOOK, LOST, MIX_BOTH, OUTLYING, QUOTIENT, REFINE, SHEETS, SIGNS, SPREAD, TILES,
+    INDICATE, JOIN, LOST, MIX_BOTH, OUTLYING, PROBE, QUOTIENT, REFINE, SHEETS, SIGNS, SPREAD,
+    TILES,
 };
-use crate::surface::dual_mc::vulkan::Pipelines as DualMc;
+use crate::surface::dual_mc::vulkan::DualMcPipelines;
 use crate::vulkan::{ComputePipeline, Device, VulkanError};
 
 /// All of them.
 #[derive(Debug)]
 pub(super) struct Pipelines {
-    pub(super) indicate: Indicators,
+    pub(super) indicate: IndicatorPipelines,
     pub(super) full_cells: Arc<ComputePipeline>,
     pub(super) halve: Arc<ComputePipeline>,
     pub(super) gather: Arc<ComputePipeline>,
     pub(super) blur: Arc<ComputePipeline>,
     pub(super) lost: Arc<ComputePipeline>,
     pub(super) greater: Arc<ComputePipeline>,
-    pub(super) distance: Distance,
+    pub(super) distance: DistancePipelines,
     pub(super) sheets: Arc<ComputePipeline>,
     pub(super) blend: Arc<ComputePipeline>,
-    pub(super) dual_mc: DualMc,
+    pub(super) dual_mc: DualMcPipelines,
 }
 
 impl Pipelines {
@@ -35,28 +36,28 @@ impl Pipelines {
         #[rustfmt::skip]
         let [
             indicate, clouds, full_cells, halve, full_bricks, gather, blur, lost, greater,
-            depths, mix, outlying, spread, look, refine, quotient, sheets, blend, join,
+            depths, mix, outlying, spread, probe, refine, quotient, sheets, blend, join,
             signs, tiles, bases, emit,
         ] = device.pipelines([
             &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
-            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &SHEETS, &BLEND,
+            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &PROBE, &REFINE, &QUOTIENT, &SHEETS, &BLEND,
             &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         Ok(Self {
-            indicate: Indicators { indicate, clouds },
+            indicate: IndicatorPipelines { indicate, clouds },
             full_cells,
             halve,
             gather,
             blur,
             lost,
             greater,
-            distance: Distance {
+            distance: DistancePipelines {
                 depths,
                 mix,
                 outlying,
                 spread,
-                look,
+                probe,
                 refine,
                 quotient,
                 join,
@@ -64,7 +65,7 @@ impl Pipelines {
             },
             sheets,
             blend,
-            dual_mc: DualMc { signs, tiles, bases, emit },
+            dual_mc: DualMcPipelines { signs, tiles, bases, emit },
         })
     }
 }

@@ -6,26 +6,26 @@ use glam::IVec3;
 use hashbrown::HashMap;
 
 use crate::brick::{PageInfo, PageSamples, PageShape};
-use crate::vulkan::{Batch, Buffer, Device, Place, Queue, VulkanError};
+use crate::vulkan::{Batch, Buffer, BufferKind, Device, Queue, VulkanError};
 
 use super::pipelines::page_bytes;
 
 /// The pages of a field's bins in one buffer.
 #[derive(Debug)]
-pub(super) struct Resident {
+pub(super) struct ResidentPages {
     pub(super) pages: Arc<Buffer>,
     pub(super) numbers: HashMap<IVec3, u32>,
 }
 
 /// Reads pages, one reader at a time, whatever the lanes do meanwhile.
 #[derive(Debug, Default)]
-pub(super) struct Reader {
+pub(super) struct PageReader {
     batch: Mutex<Option<(Batch, Arc<Buffer>)>>,
     /// The error after which nothing more is read.
     failed: Mutex<Option<VulkanError>>,
 }
 
-impl Reader {
+impl PageReader {
     /// Returns the error that ended the reading, if any did.
     pub(super) fn failed(&self) -> Option<VulkanError> {
         self.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -35,7 +35,7 @@ impl Reader {
     pub(super) fn read(
         &self,
         device: &Device,
-        resident: &Resident,
+        resident: &ResidentPages,
         infos: &[PageInfo],
         shape: PageShape,
     ) -> Option<Vec<PageSamples>> {
@@ -51,7 +51,7 @@ impl Reader {
     fn try_read(
         &self,
         device: &Device,
-        resident: &Resident,
+        resident: &ResidentPages,
         infos: &[PageInfo],
         shape: PageShape,
     ) -> Result<Vec<PageSamples>, VulkanError> {
@@ -63,9 +63,10 @@ impl Reader {
         }
         let (batch, buffer) = match &mut *known {
             Some(known) => known,
-            none => {
-                none.insert((device.batch(Queue::Compute)?, device.buffer(Place::Download, bytes)?))
-            }
+            none => none.insert((
+                device.batch(Queue::Compute)?,
+                device.buffer(BufferKind::Download, bytes)?,
+            )),
         };
         let number = |info: &PageInfo| resident.numbers[&info.key.coord()];
         batch.begin()?;

@@ -7,19 +7,19 @@
 use std::rc::Rc;
 
 use crate::backend::parent;
-use crate::field::distance::vulkan::{Look, Seen, look};
-use crate::field::distance::{Distances, wide_cells};
+use crate::field::distance::vulkan::{ProbeResult, RegionProbe, probe};
+use crate::field::distance::{DistanceFilters, wide_cells};
 use crate::field::recipe::{Filters, WideFields, bulk, joined};
 use crate::grid::CellBox;
 use crate::surface::dual_mc::dual_cells;
-use crate::vulkan::{Place, View, VulkanError};
+use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::contouring::{
-    BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide,
+    BatchField, BlockBatch, Contouring, DROPS_FIELDS, PART_FIELDS, WIDE_FIELDS, WideBulk,
 };
-use super::fields::{Padded, PaddedBlocks};
-use super::grids::{Grid, NO_TILES};
-use super::lane::{Lane, Layout, part};
+use super::fields::{PaddedBlocks, PaddedSamples};
+use super::grids::{LevelBlocks, NO_TILES};
+use super::lane::{BufferLayout, Lane, part};
 use super::pipelines::page_bytes;
 
 /// The numbers of blocks among those that are drawn of wide cells.
@@ -42,15 +42,15 @@ impl Contouring<'_> {
             return Ok(());
         };
         lane.compute.wait()?;
-        let count = wide.looks.len();
-        let read = lane.known("seen read", (size_of::<Seen>() * count) as u64);
+        let count = wide.probes.len();
+        let read = lane.known("seen read", (size_of::<ProbeResult>() * count) as u64);
         // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
-        let seen: Vec<Seen> = unsafe { read.read(0, count) };
+        let seen: Vec<ProbeResult> = unsafe { read.read(0, count) };
         batch.drawn.clear();
-        for (number, ((&region, look), seen)) in
-            batch.regions.iter().zip(&wide.looks).zip(&seen).enumerate()
+        for (number, ((&region, probe), seen)) in
+            batch.regions.iter().zip(&wide.probes).zip(&seen).enumerate()
         {
-            let part = look.outlying(seen).map(|wide| {
+            let part = probe.outlying(seen).map(|wide| {
                 // A wide cell tells of those of its neighbours, too.
                 let further = i32::from(distances.level > 0);
                 let CellBox { lo, hi } = wide.grown(further, further);
@@ -75,13 +75,13 @@ impl Contouring<'_> {
         &self,
         lane: &mut Lane,
         regions: &[CellBox],
-        distances: &Distances,
-    ) -> Result<Wide, VulkanError> {
+        distances: &DistanceFilters,
+    ) -> Result<WideBulk, VulkanError> {
         let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
         let (from, halo) = (self.samples(distances.level), distances.wide_halo());
         let wide = |region| distances.wide_cells(self.surfaces.normals.cells(region));
-        let mut grid = Grid::default();
-        let (mut of_regions, mut looks) = (Vec::new(), Vec::new());
+        let mut grid = LevelBlocks::default();
+        let (mut of_regions, mut probes) = (Vec::new(), Vec::new());
         for near in regions.chunk_by(|a, b| parent(a) == parent(b)) {
             let all = near.iter().fold(CellBox::EMPTY, |all, &region| all.union(&wide(region)));
             let volume = |cells: CellBox| cells.grown(halo, halo).volume();
@@ -98,24 +98,24 @@ impl Contouring<'_> {
                 }
                 let block = grid.len() as u32 - 1;
                 of_regions.push(block);
-                looks.push(Look::new(wide(region), block));
+                probes.push(RegionProbe::new(wide(region), block));
             }
         }
-        let mut layout = Layout::default();
+        let mut layout = BufferLayout::default();
         let places = grid.place(&mut layout, page_bytes(from.shape()));
-        let looks_at = layout.place(size_of_val(&looks[..]) as u64);
+        let probes_at = layout.place(size_of_val(&probes[..]) as u64);
         lane.begin()?;
-        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
-        let inputs = lane.buffer(device, "wide inputs", Place::Device, layout.bytes)?;
+        let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "wide inputs", BufferKind::Device, layout.bytes)?;
         let free = lane.fields(device, "wide", WIDE_FIELDS, grid.field_bytes())?;
-        let seen_bytes = (size_of::<Seen>() * looks.len()) as u64;
-        let seen = lane.buffer(device, "seen", Place::Device, seen_bytes)?;
-        let read = lane.buffer(device, "seen read", Place::Download, seen_bytes)?;
+        let seen_bytes = (size_of::<ProbeResult>() * probes.len()) as u64;
+        let seen = lane.buffer(device, "seen", BufferKind::Device, seen_bytes)?;
+        let read = lane.buffer(device, "seen read", BufferKind::Download, seen_bytes)?;
         // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's
         // own.
         unsafe {
             grid.stage(&staged, &places, from);
-            staged.write(looks_at.start, &looks);
+            staged.write(probes_at.start, &probes);
         }
         let uploaded = lane.send(&staged, &inputs)?;
 
@@ -129,14 +129,14 @@ impl Contouring<'_> {
         let made = bulk(distances, &mut fields)?;
         let fields =
             WideFields { bulk: made.bulk.samples.clone(), outlying: made.outlying.samples.clone() };
-        let views = [&part(&inputs, &looks_at), &fields.bulk, &fields.outlying, &seen];
+        let views = [&part(&inputs, &probes_at), &fields.bulk, &fields.outlying, &seen];
         let commands = &mut lane.compute;
         commands.stage("distances", fields.bulk.bytes() + fields.outlying.bytes());
-        let by = (self.surfaces.recipe.iso, &distances.gate);
-        look(commands, pipelines, &blocks, looks.len() as u32, by, views)?;
+        let by = (self.surfaces.recipe.iso, &distances.ramp);
+        probe(commands, pipelines, &blocks, probes.len() as u32, by, views)?;
         commands.copy(&seen, &read);
         commands.submit(&[uploaded])?;
-        Ok(Wide { blocks, of_regions, looks, fields })
+        Ok(WideBulk { blocks, of_regions, probes, fields })
     }
 
     /// The field on the regions that are drawn, of the bulk in wide cells, and of drops in their
@@ -145,13 +145,13 @@ impl Contouring<'_> {
         &self,
         lane: &mut Lane,
         batch: &BlockBatch,
-        distances: &Distances,
-        wide: &Wide,
-    ) -> Result<Fielded, VulkanError> {
+        distances: &DistanceFilters,
+        wide: &WideBulk,
+    ) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let (level, halo) = (distances.drops_level, distances.drops_halo());
         let from = self.samples(level);
-        let [mut cells, mut parts, mut drops] = <[Grid; 3]>::default();
+        let [mut cells, mut parts, mut drops] = <[LevelBlocks; 3]>::default();
         for region in batch.drawn() {
             cells.push(self.surfaces.normals.cells(region), region.tiled());
         }
@@ -167,13 +167,13 @@ impl Contouring<'_> {
             batch.parts.iter().map(|&(number, _)| number as u32).collect(),
             (0..batch.parts.len() as u32).collect(),
         ];
-        let mut layout = Layout::default();
+        let mut layout = BufferLayout::default();
         let places =
             [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.shape())));
         let numbers_at =
             numbers.each_ref().map(|numbers| layout.place(size_of_val(&numbers[..]) as u64));
-        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
-        let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
+        let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "inputs", BufferKind::Device, layout.bytes)?;
         let mut free = Vec::new();
         for (name, count, grid) in
             [("cells", 1, &cells), ("parts", PART_FIELDS, &parts), ("drops", DROPS_FIELDS, &drops)]
@@ -218,11 +218,12 @@ impl Contouring<'_> {
             fields.parts = Some(PARTS);
             fields.gather(DROPS, &places[2].pages(&inputs, from, Some(&self.constants)))?;
         }
-        let known =
-            |samples: &View| Rc::new(Padded { samples: samples.clone(), margin: 0, of: WIDE });
+        let known = |samples: &View| {
+            Rc::new(PaddedSamples { samples: samples.clone(), margin: 0, of: WIDE })
+        };
         let made =
             WideFields { bulk: known(&wide.fields.bulk), outlying: known(&wide.fields.outlying) };
         let field = joined(distances, &mut fields, made)?.samples.clone();
-        Ok(Fielded { blocks, field, uploaded })
+        Ok(BatchField { blocks, field, uploaded })
     }
 }

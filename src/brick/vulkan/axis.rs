@@ -11,7 +11,7 @@ use super::{DeviceBlocks, wall_bounds};
 
 /// The cells that an operation sees.
 #[derive(Debug, Clone, Copy)]
-pub struct Window {
+pub struct TapWindow {
     /// How far its taps reach from a cell along the axis.
     pub reach: i32,
     /// Samples beyond walls are those of the outermost cells before them.
@@ -31,7 +31,7 @@ pub fn along_each_axis(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
-    Window { reach, walls, margin }: Window,
+    TapWindow { reach, walls, margin }: TapWindow,
     [from, through, to]: [&View; 3],
     further: &[View],
     shift: impl Fn(usize) -> u32,

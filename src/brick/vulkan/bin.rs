@@ -16,7 +16,7 @@ use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::shaders::{ENTER, EnterPush, PLACE, PlacePush, SETTLE, SORT, SettlePush, SortPush};
 use crate::vulkan::{
-    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, PIECE, Place, Queue, View,
+    ALIGNMENT, Batch, Buffer, BufferKind, ComputePipeline, Device, Limits, PIECE, Queue, View,
     VulkanError,
 };
 
@@ -160,14 +160,14 @@ struct ChunkCensus {
 /// A slot of the table of bins, laid out as in `bin_table.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-struct Slot {
+struct BinSlot {
     owner: u32,
     count: u32,
     key: [u32; 2],
 }
 
 /// Particles that are placed at once.
-struct Chunk {
+struct DeviceChunk {
     /// The number of the first.
     index: usize,
     count: u32,
@@ -178,7 +178,7 @@ struct Chunk {
     width: u32,
 }
 
-impl Chunk {
+impl DeviceChunk {
     fn groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.count), 1, 1]
     }
@@ -189,7 +189,7 @@ impl Chunk {
     }
 }
 
-fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
+fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<DeviceChunk> {
     let mut chunks = Vec::new();
     let mut before = 0;
     for DevicePositions { view, count, coordinate } in positions {
@@ -202,7 +202,7 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
                 view.aligned(first as u64 * particle, len as u64 * particle, limits.alignment);
             let (positions, words) = part;
             let width = (coordinate.bytes() / 4) as u32;
-            chunks.push(Chunk {
+            chunks.push(DeviceChunk {
                 index: before + first,
                 count: len as u32,
                 positions,
@@ -246,7 +246,7 @@ pub fn bin(
     batch.wait()?;
     let chunks = chunks(positions, device.limits());
     let binning = Binning { device, pipelines, grid: device_grid, chunks, limit };
-    let Counted { kept, table, census } = binning.count(total)?;
+    let CountedBins { kept, table, census } = binning.count(total)?;
     let (census, first_invalid) = binning.sum(&census, total);
     if let (InvalidParticles::Refuse, Some(index)) = (invalid, first_invalid) {
         let position = binning.position(positions, index)?;
@@ -256,7 +256,7 @@ pub fn bin(
             BinError::NotFinite { index, position }.into()
         });
     }
-    let key = |slot: &Slot| bin_coord(u64::from(slot.key[0]) | u64::from(slot.key[1]) << 32);
+    let key = |slot: &BinSlot| bin_coord(u64::from(slot.key[0]) | u64::from(slot.key[1]) << 32);
     let used = (0_u32..).zip(&table).filter(|(_, slot)| slot.count > 0);
     let mut bins: Vec<_> =
         used.map(|(i, slot)| (MortonKey::of(key(slot)), i, slot.count)).collect();
@@ -278,16 +278,16 @@ pub fn bin(
 }
 
 /// All particles by bin.
-struct Counted {
+struct CountedBins {
     /// The packed particles of each chunk, with the slots of their bins.
-    kept: Vec<Kept>,
-    table: Vec<Slot>,
+    kept: Vec<PackedChunk>,
+    table: Vec<BinSlot>,
     /// The census of each chunk.
     census: Vec<ChunkCensus>,
 }
 
 /// The particles of a chunk as they are kept for sorting: packed, with the slots of their bins.
-struct Kept {
+struct PackedChunk {
     packed: View,
     /// The slots of their bins.
     homes: View,
@@ -297,29 +297,29 @@ struct Binning<'a> {
     device: &'a Device,
     pipelines: &'a BinPipelines,
     grid: View,
-    chunks: Vec<Chunk>,
+    chunks: Vec<DeviceChunk>,
     limit: usize,
 }
 
 impl Binning<'_> {
     /// The first reading.
-    fn count(&self, total: usize) -> Result<Counted, DeviceBinError> {
+    fn count(&self, total: usize) -> Result<CountedBins, DeviceBinError> {
         let mut batch = self.device.batch(Queue::Compute)?;
         let largest = self.chunks.iter().map(|chunk| chunk.count).max().unwrap_or(0);
-        let keys = self.device.buffer(Place::Device, 8 * u64::from(largest))?;
+        let keys = self.device.buffer(BufferKind::Device, 8 * u64::from(largest))?;
         let census_bytes = (self.chunks.len().max(1) * size_of::<ChunkCensus>()) as u64;
-        let census = self.device.buffer(Place::Device, census_bytes)?;
-        let census_read = self.device.buffer(Place::Download, census_bytes)?;
-        let kept: Vec<Kept> =
+        let census = self.device.buffer(BufferKind::Device, census_bytes)?;
+        let census_read = self.device.buffer(BufferKind::Download, census_bytes)?;
+        let kept: Vec<PackedChunk> =
             self.chunks.iter().map(|chunk| self.keep(chunk)).collect::<Result<_, VulkanError>>()?;
         let mut len = (total / SLOT_PARTICLES).max(1 << 10).next_power_of_two() as u64;
         loop {
-            let bytes = len * size_of::<Slot>() as u64;
+            let bytes = len * size_of::<BinSlot>() as u64;
             if bytes > self.device.limits().storage_range {
                 return Err(VulkanError::OutOfMemory { bytes }.into());
             }
-            let slots = self.device.buffer(Place::Device, bytes)?;
-            let slots_read = self.device.buffer(Place::Download, bytes)?;
+            let slots = self.device.buffer(BufferKind::Device, bytes)?;
+            let slots_read = self.device.buffer(BufferKind::Download, bytes)?;
             batch.begin()?;
             batch.clear(&census.whole());
             batch.clear(&slots.whole());
@@ -336,11 +336,11 @@ impl Binning<'_> {
             batch.submit(&[])?;
             batch.wait()?;
             // SAFETY: the only batch that writes them is done.
-            let (census, table): (Vec<ChunkCensus>, Vec<Slot>) = unsafe {
+            let (census, table): (Vec<ChunkCensus>, Vec<BinSlot>) = unsafe {
                 (census_read.read(0, self.chunks.len().max(1)), slots_read.read(0, len as usize))
             };
             if census[0].overflow == 0 {
-                return Ok(Counted { kept, table, census });
+                return Ok(CountedBins { kept, table, census });
             }
             if table.iter().filter(|slot| slot.count > 0).count() > self.limit {
                 return Err(BinError::TooManyBins { limit: self.limit }.into());
@@ -350,27 +350,27 @@ impl Binning<'_> {
     }
 
     /// Room for what is kept of a chunk until it is sorted.
-    fn keep(&self, chunk: &Chunk) -> Result<Kept, VulkanError> {
+    fn keep(&self, chunk: &DeviceChunk) -> Result<PackedChunk, VulkanError> {
         let packed = RECORD_BYTES * u64::from(chunk.count);
         let begin = packed.next_multiple_of(ALIGNMENT);
         let homes = HOME_BYTES * u64::from(chunk.count);
-        let buffer = self.device.buffer(Place::Device, begin + homes)?;
-        Ok(Kept { packed: buffer.part(0, packed), homes: buffer.part(begin, homes) })
+        let buffer = self.device.buffer(BufferKind::Device, begin + homes)?;
+        Ok(PackedChunk { packed: buffer.part(0, packed), homes: buffer.part(begin, homes) })
     }
 
     fn count_chunk(
         &self,
         batch: &mut Batch,
         number: u32,
-        (chunk, kept): (&Chunk, &Kept),
+        (chunk, kept): (&DeviceChunk, &PackedChunk),
         slots_len: u32,
         buffers: [&Arc<Buffer>; 3],
     ) -> Result<(), VulkanError> {
-        let &Chunk { count, first, width, .. } = chunk;
+        let &DeviceChunk { count, first, width, .. } = chunk;
         let [keys, slots, census] = buffers.map(Buffer::whole);
         let pipelines = self.pipelines;
         batch.stage("place", chunk.bytes() + 16 * u64::from(count));
-        let Kept { packed, homes } = kept;
+        let PackedChunk { packed, homes } = kept;
         let buffers = [&self.grid, &chunk.positions, &keys, packed, &census].map(Clone::clone);
         let push = PlacePush { first, count, width, chunk: number };
         batch.dispatch(&pipelines.place, &buffers, &push, chunk.groups(&pipelines.place))?;
@@ -420,7 +420,7 @@ impl Binning<'_> {
         });
         let DevicePositions { view, coordinate, .. } = found.expect("the particle was counted");
         let bytes = 3 * coordinate.bytes();
-        let read = self.device.buffer(Place::Download, bytes)?;
+        let read = self.device.buffer(BufferKind::Download, bytes)?;
         let mut batch = self.device.batch(Queue::Compute)?;
         batch.begin()?;
         batch.copy(&view.part(index as u64 * bytes, bytes), &read.whole());
@@ -439,19 +439,20 @@ impl Binning<'_> {
     /// Puts all particles where they go, run by run.
     fn sort(
         &self,
-        kept: &[Kept],
+        kept: &[PackedChunk],
         slots: usize,
         slots_of_bins: &[u32],
         first: &[usize],
     ) -> Result<Vec<BinRun>, VulkanError> {
         let mut batch = self.device.batch(Queue::Compute)?;
-        let upload = self.device.buffer(Place::Upload, 4 * slots as u64)?;
-        let places = self.device.buffer(Place::Device, 4 * slots as u64)?;
+        let upload = self.device.buffer(BufferKind::Upload, 4 * slots as u64)?;
+        let places = self.device.buffer(BufferKind::Device, 4 * slots as u64)?;
         let mut runs = Vec::new();
         let limits = self.device.limits();
         for run in runs_of(first, limits.storage_range.min(limits.allocation) / RECORD_BYTES) {
             let particles = first[run.end] - first[run.start];
-            let records = self.device.buffer(Place::Device, particles as u64 * RECORD_BYTES)?;
+            let records =
+                self.device.buffer(BufferKind::Device, particles as u64 * RECORD_BYTES)?;
             let mut values = vec![ELSEWHERE; slots];
             for bin in run.clone() {
                 values[slots_of_bins[bin] as usize] = (first[bin] - first[run.start]) as u32;
@@ -460,7 +461,9 @@ impl Binning<'_> {
             unsafe { upload.write(0, &values) };
             batch.begin()?;
             batch.copy(&upload.whole(), &places.whole());
-            for (i, (chunk, Kept { packed, homes })) in self.chunks.iter().zip(kept).enumerate() {
+            for (i, (chunk, PackedChunk { packed, homes })) in
+                self.chunks.iter().zip(kept).enumerate()
+            {
                 if i > 0 && i % BATCH_CHUNKS == 0 {
                     batch.submit(&[])?;
                     batch.begin()?;

@@ -6,13 +6,13 @@ mod bin;
 mod grid;
 mod pages;
 
-pub use axis::{Window, along_each_axis};
+pub use axis::{TapWindow, along_each_axis};
 pub use bin::{
     BinPipelines, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE,
     NO_BIN, PROBES, SETTLED, bin,
 };
 pub use grid::{DeviceGrid, reciprocal};
-pub use pages::{FullCells, full_cells, halve};
+pub use pages::{DeviceFullCells, full_cells, halve};
 
 use std::sync::Arc;
 

@@ -15,13 +15,13 @@ use super::{DeviceBlocks, PAGE_WORDS, page_words, wall_bounds};
 /// The full cells of a page, laid out as in `full_cells.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-pub struct FullCells {
+pub struct DeviceFullCells {
     layers: [u32; 3],
     count: u32,
     bricks: [u32; 2],
 }
 
-impl FullCells {
+impl DeviceFullCells {
     /// The page of a bin, if any of its cells is full.
     pub fn info(&self, key: MortonKey) -> Option<PageInfo> {
         let bricks = u64::from(self.bricks[0]) | u64::from(self.bricks[1]) << 32;

@@ -9,7 +9,7 @@ use crate::grid::CellBox;
 use super::{UNIT, Weights};
 
 /// A number that can be blurred.
-pub trait Sample: Copy + Default + PartialEq {
+pub trait BlurSample: Copy + Default + PartialEq {
     /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the weights's
     /// weights, along an axis.
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
@@ -23,7 +23,7 @@ pub trait Sample: Copy + Default + PartialEq {
 ///
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
-pub fn blur<T: Sample>(block: Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
+pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
     blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
 
@@ -32,7 +32,7 @@ pub fn blur<T: Sample>(block: Block<T>, weights: &Weights, walls: Option<CellBox
 ///
 /// # Panics
 /// As [`blur`].
-pub fn blur_while<T: Sample>(
+pub fn blur_while<T: BlurSample>(
     mut block: Block<T>,
     weights: &Weights,
     walls: Option<CellBox>,
@@ -133,7 +133,7 @@ fn blur_few(
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.
-impl Sample for u16 {
+impl BlurSample for u16 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize) {
         let shift = weights.shift(axis);
         match weights.half() {
@@ -149,7 +149,7 @@ impl Sample for u16 {
 }
 
 /// Sums of attributes: the same weights as fractions of 1, taps added in order.
-impl Sample for f64 {
+impl BlurSample for f64 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, _: usize) {
         blur_float(to, taps, step, weights.half());
     }

@@ -14,7 +14,7 @@ mod filter;
 mod smoothing;
 pub mod vulkan;
 
-pub use cpu::{Sample, blur, blur_of_few, blur_while};
+pub use cpu::{BlurSample, blur, blur_of_few, blur_while};
 pub use filter::{FieldCount, Filter};
 pub use smoothing::Smoothing;
 

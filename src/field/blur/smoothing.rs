@@ -5,7 +5,7 @@ use crate::field::indicator::IndicatorKind;
 use crate::grid::CellBox;
 use crate::grid::units::Sigma;
 
-use super::{FieldCount, Filter, Sample, Weights, blur};
+use super::{BlurSample, FieldCount, Filter, Weights, blur};
 
 /// The smoothing of section 4.2: a Gaussian, and for counting a box after it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -31,7 +31,7 @@ impl Smoothing {
     }
 
     /// Smooths a block; the result is smaller by its [`halo`](Filter::halo) on every side.
-    pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
+    pub fn apply<T: BlurSample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
         self.filters.iter().fold(dif, |block, weights| blur(block, weights, walls))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::brick::vulkan::{DeviceBlocks, Window, along_each_axis};
+use crate::brick::vulkan::{DeviceBlocks, TapWindow, along_each_axis};
 use crate::grid::CellBox;
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
@@ -24,7 +24,7 @@ pub fn blur(
     margin: i32,
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let window = Window { reach: weights.reach(), walls, margin };
+    let window = TapWindow { reach: weights.reach(), walls, margin };
     let further = std::slice::from_ref(uploaded);
     along_each_axis(batch, pipeline, blocks, window, views, further, |axis| weights.shift(axis))
 }

@@ -38,11 +38,11 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f
         Indicator::Counting(mean) => {
             let table = count_table(mean);
             let theta = |[n, ..]: [f64; 4]| table.get(n as usize).copied().unwrap_or(FULL);
-            let fluid = Fluid::of(spacing, theta);
+            let fluid = FluidSums::of(spacing, theta);
             // In more disorder particles fill fewer cells, each with more of them.
             fluid.theta() / dif.map_or(1.0, |dif| crowding(dif, fluid.mean_count()))
         }
-        Indicator::Symmetry => Fluid::of(spacing, symmetry).theta(),
+        Indicator::Symmetry => FluidSums::of(spacing, symmetry).theta(),
         Indicator::Cloud => {
             let amount = f64::from(Amount::of_spacing(spacing).steps());
             amount / (spacing * spacing * spacing)
@@ -52,7 +52,7 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f
 
 /// Sums over the cells of a synthetic fluid.
 #[derive(Default)]
-struct Fluid {
+struct FluidSums {
     cells: f64,
     full_cells: f64,
     particles: f64,
@@ -62,7 +62,7 @@ struct Fluid {
     denser: f64,
 }
 
-impl Fluid {
+impl FluidSums {
     /// With what `theta` makes of the number of particles in a cell and of the sums of their
     /// offsets.
     fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {

@@ -20,7 +20,7 @@ const DEPTH: f64 = 2.5;
 const ROW: i32 = u128::BITS as i32;
 
 /// Samples, and what smooths them.
-pub struct Blurred<'a> {
+pub struct BlurredSamples<'a> {
     pub dif: &'a DifField,
     /// The cells that count, where others repeat them.
     pub own: Option<CellBox>,
@@ -40,7 +40,7 @@ pub struct Blurred<'a> {
 
 /// The interior cells of a frame.
 pub struct Interior<'a> {
-    blurred: &'a Blurred<'a>,
+    blurred: &'a BlurredSamples<'a>,
     /// By how much full cells are dilated.
     dilation: i32,
     /// By how much that is eroded.
@@ -50,8 +50,8 @@ pub struct Interior<'a> {
 impl<'a> Interior<'a> {
     /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is
     /// more.
-    pub fn new(blurred: &'a Blurred<'a>, gap: f64) -> Self {
-        let &Blurred { reach, halo, width, .. } = blurred;
+    pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
+        let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
         // Half the edge of the cube around each cell. The quotient of two decimals can be off by a
         // rounding.

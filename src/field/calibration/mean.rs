@@ -17,7 +17,7 @@ pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
 /// A frame's particles in order of their bins, ready to be made into pages, wherever they are kept.
 #[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
-pub trait Binned {
+pub trait BinnedFrame {
     /// The pages, and whatever else is left when they are made.
     type Made;
     /// The errors of the storage.
@@ -37,7 +37,7 @@ pub struct Fullness {
 }
 
 /// Makes the pages of an indicator, with its mu0, which is measured where it is not given.
-pub fn indicate<B: Binned>(
+pub fn indicate<B: BinnedFrame>(
     binned: B,
     facts: &FrameFacts,
     kind: IndicatorKind,

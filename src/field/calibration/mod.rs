@@ -14,7 +14,7 @@ mod mean;
 mod plateau;
 mod precision;
 
-pub use mean::{Binned, Fullness, NoMeanCount, indicate};
+pub use mean::{BinnedFrame, Fullness, NoMeanCount, indicate};
 pub use plateau::Plateau;
 pub(crate) use precision::refuse_finest;
 pub use precision::{
@@ -76,7 +76,7 @@ impl Calibration {
 
 /// A calibration that was measured on a frame, and what it was told by.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Calibrated {
+pub struct MeasuredCalibration {
     /// The calibration, as far as it was not given.
     pub calibration: Calibration,
     /// The field's interior, measured whether or not the isovalue was given.
@@ -85,7 +85,7 @@ pub struct Calibrated {
     pub step_cells: f64,
 }
 
-impl Calibrated {
+impl MeasuredCalibration {
     /// Particles in a cubed spacing deep in the fluid, as a plateau of clouds tells, by the spacing
     /// in cells.
     #[must_use]
@@ -105,7 +105,7 @@ pub fn calibrate(
     filters: &Filters,
     iso: Option<Isovalue>,
     control: &Control,
-) -> Result<Calibrated, TooFine> {
+) -> Result<MeasuredCalibration, TooFine> {
     let facts = &frame.facts;
     let meter = |dif: &DifField| {
         control.meter(Stage::Meshing, Plateau::most_parts(dif)).between(0.0, CALIBRATING)
@@ -122,7 +122,7 @@ pub fn calibrate(
             let step_cells = precision::refuse_too_fine(frame, smoothing, plateau)?;
             let iso = iso.unwrap_or(plateau.isovalue());
             let calibration = Calibration::Indicator { mean: frame.indicator.mean(), iso };
-            Ok(Calibrated { calibration, plateau, step_cells })
+            Ok(MeasuredCalibration { calibration, plateau, step_cells })
         }
         Filters::Distances(distances) => {
             refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
@@ -130,7 +130,7 @@ pub fn calibrate(
             let plateau = Plateau::of_clouds(frame, distances, &meter);
             let calibration = Calibration::Clouds { plateau: plateau.value() };
             let step_cells = facts.spacing_cells_or_one() / UNITS;
-            Ok(Calibrated { calibration, plateau, step_cells })
+            Ok(MeasuredCalibration { calibration, plateau, step_cells })
         }
     }
 }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::brick::{DifField, equal_steps};
 use crate::field::blur::{Filter, Smoothing, blur};
-use crate::field::distance::{BULK_GAIN, Distances};
+use crate::field::distance::{BULK_GAIN, DistanceFilters};
 use crate::field::indicator::{GHOST_LAYER, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
 use crate::grid::CellBox;
@@ -24,7 +24,7 @@ use crate::system::control::Meter;
 
 use super::expected::expected;
 use super::histogram::Histogram;
-use super::interior::{Blurred, Interior};
+use super::interior::{BlurredSamples, Interior};
 
 /// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton
 /// curve.
@@ -84,12 +84,12 @@ impl Plateau {
     /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The
     /// result depends on the frame and that width alone.
     #[must_use]
-    pub fn of_clouds(frame: &SampledDif, distances: &Distances, meter: &Meter<'_>) -> Self {
+    pub fn of_clouds(frame: &SampledDif, distances: &DistanceFilters, meter: &Meter<'_>) -> Self {
         let narrowest = &distances.bulk.widths[0];
         let spacing = 1.0 / frame.wide_cells().edge;
         let volume = spacing * spacing * spacing;
         let nominal = Self::nominal(frame.facts.spacing_cells_or_one());
-        let blurred = Blurred {
+        let blurred = BlurredSamples {
             dif: frame.wide(distances.level),
             own: walls_at(distances.level, frame.facts.own_cells()),
             walls: walls_at(distances.level, frame.facts.walls()),
@@ -117,7 +117,7 @@ impl Plateau {
     pub fn of(frame: &SampledDif, smoothing: &Smoothing, meter: &Meter<'_>) -> Self {
         let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
         let cells = spacing.unwrap_or(1.0);
-        let blurred = Blurred {
+        let blurred = BlurredSamples {
             dif,
             own: frame.facts.own_cells(),
             walls: frame.facts.walls(),

@@ -7,7 +7,7 @@ use crate::brick::Block;
 use crate::grid::CellBox;
 
 use super::inverse_normal::{AWAY, DEPTHS};
-use super::{Bulk, Depths, Drops, Gate, MOST_APART, NONE, ZERO, spline, spline_bits, wide_cells};
+use super::{Bulk, Depths, Drops, MOST_APART, NONE, Ramp, ZERO, spline, spline_bits, wide_cells};
 
 /// Bits of a share that lie between two entries of a table of 1024 steps.
 const BETWEEN_BITS: u32 = 5;
@@ -324,13 +324,13 @@ fn greatest_of(samples: &[u16]) -> u16 {
 ///
 /// # Panics
 /// If `near` does not cover them.
-pub fn outlying_part(near: &Block, cells: CellBox, gate: &Gate) -> CellBox {
+pub fn outlying_part(near: &Block, cells: CellBox, ramp: &Ramp) -> CellBox {
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
-        if greatest_of(row) <= gate.begin {
+        if greatest_of(row) <= ramp.begin {
             continue;
         }
-        let stands_out = |near: &u16| *near > gate.begin;
+        let stands_out = |near: &u16| *near > ramp.begin;
         let first = row.iter().position(stands_out).unwrap_or(0) as i32;
         let last = row.iter().rposition(stands_out).unwrap_or(0) as i32;
         let lo = IVec3::new(cells.lo.x + first, y, z);
@@ -351,24 +351,24 @@ pub fn away(share: u16, width: i32) -> i32 {
 ///
 /// # Panics
 /// If `bulk` or `near` does not cover the shares.
-pub fn joined(mut bulk: Block, near: &Block, shares: &Block, drops: &Drops, gate: &Gate) -> Block {
+pub fn joined(mut bulk: Block, near: &Block, shares: &Block, drops: &Drops, ramp: &Ramp) -> Block {
     let part = shares.cells();
     let width = part.size().x as usize;
     for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
-        if greatest_of(near) <= gate.begin {
+        if greatest_of(near) <= ramp.begin {
             continue;
         }
         let first = bulk.index(IVec3::new(part.lo.x, y, z));
-        joined_row(&mut bulk.samples_mut()[first..first + width], near, shares, drops, gate);
+        joined_row(&mut bulk.samples_mut()[first..first + width], near, shares, drops, ramp);
     }
     bulk
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn joined_row(bulk: &mut [u16], near: &[u16], shares: &[u16], drops: &Drops, gate: &Gate) {
-    let (radius, width, gate) = (drops.radius, drops.width, *gate);
+fn joined_row(bulk: &mut [u16], near: &[u16], shares: &[u16], drops: &Drops, ramp: &Ramp) {
+    let (radius, width, ramp) = (drops.radius, drops.width, *ramp);
     for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
-        let weight = gate.of(near);
+        let weight = ramp.of(near);
         let distance = radius - away(share, width);
         let out = (distance + ZERO - i32::from(*bulk)).max(0);
         let with_drops = sample(i32::from(*bulk) - ZERO + ((out * weight as i32 + 2048) >> 12));

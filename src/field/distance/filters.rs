@@ -11,7 +11,7 @@ use crate::field::sheets::{DropShape, Sheets};
 use crate::grid::units::{SheetStretch, Smooth};
 use crate::grid::{BLOCK, CellBox};
 
-use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, away, wide_cells};
+use super::{Bulk, Drops, FARTHEST, InsideBricks, Ramp, UNITS, Width, ZERO, away, wide_cells};
 
 /// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the
 /// first two, the calm one by the last two.
@@ -60,7 +60,7 @@ const SPLINE: f64 = 0.25;
 
 /// All that makes distances of clouds but the plateau.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Distances {
+pub struct DistanceFilters {
     /// A wide cell, in which the calm surface is made, is 2^`level` cells along an axis.
     pub level: u32,
     /// The calm surface.
@@ -70,7 +70,7 @@ pub struct Distances {
     /// The least sample of a wide cell that holds a particle's centre.
     pub least: u16,
     /// Where drops begin.
-    pub gate: Gate,
+    pub ramp: Ramp,
     /// Drops are made in cells 2^`drops_level` times as wide: half as wide as wide ones, where
     /// those are.
     pub drops_level: u32,
@@ -81,7 +81,7 @@ pub struct Distances {
     /// How far beyond a brick of wide cells others decide whether it is inside.
     pub inside_reach: i32,
     /// The deep inside, where nothing is made.
-    pub inside: Arc<Inside>,
+    pub inside: Arc<InsideBricks>,
 }
 
 /// Bits that the calm surface's blurs gain: a plateau of 4096 becomes a quarter of what a sample
@@ -99,12 +99,12 @@ pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, 
 }
 
 /// From one distance to another, in spacings, over a value that stands for 0.
-fn gate([begin, end]: [f64; 2], zero: i32) -> Gate {
+fn ramp([begin, end]: [f64; 2], zero: i32) -> Ramp {
     let units = |spacings: f64| (spacings * UNITS).round() as i32;
-    Gate::new((zero + units(begin)) as u16, (units(end) - units(begin)) as u16)
+    Ramp::new((zero + units(begin)) as u16, (units(end) - units(begin)) as u16)
 }
 
-impl Distances {
+impl DistanceFilters {
     /// For particles `spacing` cells apart.
     #[must_use]
     pub fn new(smooth: Smooth, sheets: SheetStretch, spacing: f64) -> Self {
@@ -136,8 +136,8 @@ impl Distances {
             scale: scale(wide.plateau() * f64::from(1 << BULK_GAIN)),
             widths,
             around,
-            apart: gate(APART, 0),
-            deep: gate(DEEP, ZERO),
+            apart: ramp(APART, 0),
+            deep: ramp(DEEP, ZERO),
         };
         let drops_level = wide.level.saturating_sub(1);
         let (drops, sheets) = thin_fluid(sheets, spacing, drops_level, drops_level > 0);
@@ -146,11 +146,11 @@ impl Distances {
             bulk,
             near: (NEAR / wide.edge).round().max(1.0) as i32,
             least: ((amount / 9.0) as u16).max(1),
-            gate: gate(STANDS_OUT, ZERO),
+            ramp: ramp(STANDS_OUT, ZERO),
             drops_level,
             drops,
             sheets,
-            inside_reach: Inside::reach(wide.edge),
+            inside_reach: InsideBricks::reach(wide.edge),
             inside: Arc::default(),
         }
     }
@@ -179,7 +179,7 @@ impl Distances {
 
     /// Leaves out what lies deep inside, where nothing is made from then on.
     #[must_use]
-    pub fn skipping(self, inside: Inside) -> Self {
+    pub fn skipping(self, inside: InsideBricks) -> Self {
         Self { inside: Arc::new(inside), ..self }
     }
 
@@ -240,7 +240,7 @@ impl Distances {
     pub fn seen(&self, cells: CellBox) -> CellBox {
         let wide = self.wide_cells(cells);
         let bulk = wide.grown(self.wide_halo(), self.wide_halo());
-        let inside = Inside::bricks_around(wide).grown(self.inside_reach, self.inside_reach);
+        let inside = InsideBricks::bricks_around(wide).grown(self.inside_reach, self.inside_reach);
         let drops = wide_cells(self.drops_level, cells).grown(self.drops_halo(), self.drops_halo());
         halved_from_all(self.level, bulk.union(&inside))
             .union(&halved_from_all(self.drops_level, drops))

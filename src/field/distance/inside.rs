@@ -11,7 +11,7 @@ use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::brick::{Block, DifField, Elsewhere};
+use crate::brick::{Block, DifField, RemotePages};
 use crate::grid::{BIN, CellBox, MortonKey, local_morton};
 
 /// Wide cells along the edge of a brick.
@@ -27,7 +27,7 @@ const FULL_SHARE: f64 = 0.85;
 
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Inside {
+pub struct InsideBricks {
     /// The inside bricks of each bin of wide cells that has any: a bit for each, by its Morton
     /// index in the bin.
     bricks: HashMap<IVec3, u64>,
@@ -130,7 +130,7 @@ fn cube_parts(edge: f64) -> i32 {
     (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32
 }
 
-impl Inside {
+impl InsideBricks {
     /// How far beyond a brick wide cells of `edge` spacings decide whether it is inside, in such:
     /// its neighbours have to be full, each by every cube that holds any of it.
     pub fn reach(edge: f64) -> i32 {
@@ -155,7 +155,7 @@ impl Inside {
         let margin = PART * (width - 1);
         // What is summed up are integers.
         let elsewhere =
-            |pages: &dyn Elsewhere| pages.full_bricks(width as u32, least.ceil() as u32);
+            |pages: &dyn RemotePages| pages.full_bricks(width as u32, least.ceil() as u32);
         let full = field.elsewhere().and_then(elsewhere).map(|bits| {
             let bins = keys.iter().map(|key| key.coord());
             bins.zip(bits).filter(|&(_, bits)| bits != 0).collect()

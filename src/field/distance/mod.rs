@@ -24,7 +24,7 @@
 //!    Where no particle is near, there is no surface.
 //!
 //! Every blur is one of [`blur`](super::blur); wide cells become cells by quadratic B-splines;
-//! gates are 3 x^2 - 2 x^3. Distances are samples of 16 bits: 32768 + 8192 d.
+//! ramps are 3 x^2 - 2 x^3. Distances are samples of 16 bits: 32768 + 8192 d.
 
 mod cpu;
 mod filters;
@@ -33,9 +33,9 @@ mod inverse_normal;
 pub mod vulkan;
 
 pub use cpu::{away, depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
-pub use filters::{BULK_GAIN, Distances};
+pub use filters::{BULK_GAIN, DistanceFilters};
 pub(in crate::field) use filters::{LEAST_VARIANCE, gaussian};
-pub use inside::{BRICK, Inside};
+pub use inside::{BRICK, InsideBricks};
 pub use inverse_normal::{AWAY, DEPTHS};
 
 use crate::field::blur::Weights;
@@ -99,14 +99,14 @@ pub struct Bulk {
     /// Averages by how much the two surfaces are apart.
     pub around: Weights,
     /// From where to where that makes the fine surface of the calm one, in units.
-    pub apart: Gate,
+    pub apart: Ramp,
     /// From which sample of the calm surface to which it stays what it is.
-    pub deep: Gate,
+    pub deep: Ramp,
 }
 
 /// Where one thing gives way to another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Gate {
+pub struct Ramp {
     /// Where the other begins.
     pub begin: u16,
     /// After how much more there is nothing but the other.
@@ -116,7 +116,7 @@ pub struct Gate {
     pub slope: u32,
 }
 
-impl Gate {
+impl Ramp {
     /// From `begin` on, and after `range` more there is nothing but the other.
     pub fn new(begin: u16, range: u16) -> Self {
         Self { begin, range, slope: (1_u32 << 28).div_ceil(range.into()) }

@@ -5,17 +5,17 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, UVec3};
 
-use crate::brick::vulkan::{DeviceBlocks, Window, along_each_axis, wall_bounds};
+use crate::brick::vulkan::{DeviceBlocks, TapWindow, along_each_axis, wall_bounds};
 use crate::grid::units::Isovalue;
 use crate::grid::{BIN, CellBox};
 use crate::shaders::{
-    DepthsOfPush, FullBricksPush, JoinPush, LookPush, MixBothPush, OutlyingPush, QuotientPush,
+    DepthsOfPush, FullBricksPush, JoinPush, MixBothPush, OutlyingPush, ProbePush, QuotientPush,
     RefinePush,
 };
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::inside::PART;
-use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
+use super::{AWAY, Bulk, DEPTHS, Drops, Ramp};
 
 /// Edge of the largest cubes that bricks can be looked at by on a device, in parts.
 const WIDEST_CUBE: u32 = 4;
@@ -29,7 +29,7 @@ pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::
 
 /// Shaders that make distances.
 #[derive(Debug)]
-pub struct Pipelines {
+pub struct DistancePipelines {
     /// The calm and the fine surface of the bulk, and how far they are apart.
     pub depths: Arc<ComputePipeline>,
     /// The surface that is drawn, from the calm and the fine one.
@@ -41,7 +41,7 @@ pub struct Pipelines {
     /// Wide cells to cells.
     pub refine: Arc<ComputePipeline>,
     /// The search of wide cells for a surface, and for particles that stand out.
-    pub look: Arc<ComputePipeline>,
+    pub probe: Arc<ComputePipeline>,
     /// Shares of clouds in what is around them.
     pub quotient: Arc<ComputePipeline>,
     /// The surface of the bulk and drops.
@@ -64,7 +64,7 @@ pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
 /// Those of the device.
 pub fn full_bricks(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     (width, least): (u32, u32),
     [field, bricks]: [&View; 2],
@@ -91,7 +91,7 @@ pub fn tables() -> [Vec<i32>; 2] {
 /// Those of the device.
 pub fn depths(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     by: &Bulk,
     table: &View,
@@ -121,7 +121,7 @@ pub fn depths(
 /// Those of the device.
 pub fn mixed(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     by: &Bulk,
     marks: &View,
@@ -145,7 +145,7 @@ pub fn mixed(
 /// Those of the device.
 pub fn outlying(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     least: u16,
     [calm, clouds]: [&View; 2],
@@ -166,41 +166,42 @@ pub fn outlying(
 /// Those of the device.
 pub fn spread(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
-    window: Window,
+    window: TapWindow,
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
     along_each_axis(batch, &pipelines.spread, blocks, window, views, &[], |_| 0)
 }
 
-/// The wide cells around a region, as `look.wgsl` has them.
+/// The wide cells around a region, as `probe.wgsl` has them.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-pub struct Look {
+pub struct RegionProbe {
     lo: [i32; 3],
     block: u32,
     size: [u32; 3],
     spare: u32,
 }
 
-impl Look {
+impl RegionProbe {
     /// At some cells of block number `block`.
     pub fn new(cells: CellBox, block: u32) -> Self {
         Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
     }
 
     /// A box around the cells near which particles stand out, if they do.
-    pub fn outlying(&self, seen: &Seen) -> Option<CellBox> {
+    pub fn outlying(&self, seen: &ProbeResult) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
         (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
     }
 }
 
-/// The result of a [`Look`]: whether wide cells are inside or not, and where particles stand out.
+/// The result of a [`RegionProbe`]: whether wide cells are inside or not, and where particles stand
+/// out.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
-pub struct Seen {
+pub struct ProbeResult {
     /// Whether any cell is inside.
     pub above: u32,
     /// Whether any is not.
@@ -210,21 +211,21 @@ pub struct Seen {
 }
 
 /// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles
-/// stand out as a gate says, goes into `seen`.
+/// stand out as a ramp says, goes into `seen`.
 ///
 /// # Errors
 /// Those of the device.
-pub fn look(
+pub fn probe(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     count: u32,
-    (iso, gate): (Isovalue, &Gate),
-    [looks, bulk, outlying, seen]: [&View; 4],
+    (iso, ramp): (Isovalue, &Ramp),
+    [probes, bulk, outlying, seen]: [&View; 4],
 ) -> Result<(), VulkanError> {
-    let push = LookPush { threshold: iso.threshold().into(), begin: gate.begin.into() };
-    let views = [&blocks.blocks, looks, bulk, outlying, seen].map(Clone::clone);
-    batch.dispatch(&pipelines.look, &views, &push, [1, count, 1])
+    let push = ProbePush { threshold: iso.threshold().into(), begin: ramp.begin.into() };
+    let views = [&blocks.blocks, probes, bulk, outlying, seen].map(Clone::clone);
+    batch.dispatch(&pipelines.probe, &views, &push, [1, count, 1])
 }
 
 /// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the
@@ -234,7 +235,7 @@ pub fn look(
 /// Those of the device.
 pub fn refine(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     [wide, blocks]: [&DeviceBlocks; 2],
     within: &View,
     level: u32,
@@ -253,7 +254,7 @@ pub fn refine(
 /// Those of the device.
 pub fn quotient(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     blocks: &DeviceBlocks,
     bits: u32,
     [clouds, around]: [&View; 2],
@@ -275,17 +276,17 @@ pub fn quotient(
 /// Those of the device.
 pub fn join(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DistancePipelines,
     [parts, blocks]: [&DeviceBlocks; 2],
     homes: &View,
-    (drops, gate): (&Drops, &Gate),
+    (drops, ramp): (&Drops, &Ramp),
     table: &View,
     [bulk, near, shares]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = JoinPush {
-        begin: gate.begin.into(),
-        range: gate.range.into(),
-        slope: gate.slope,
+        begin: ramp.begin.into(),
+        range: ramp.range.into(),
+        slope: ramp.slope,
         radius: drops.radius,
         width: drops.width,
     };

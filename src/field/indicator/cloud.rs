@@ -43,13 +43,13 @@ impl Amount {
 
 /// Where clouds end along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Walls {
+struct CloudLimits {
     /// A bin's lowest cell within the walls and its highest, counted in the bin; others, where they
     /// are in other bins.
     ends: [[i32; 2]; 3],
 }
 
-impl Walls {
+impl CloudLimits {
     /// In a bin; `None` where it does not touch any.
     fn of(walls: CellBox, bin: IVec3) -> Option<Self> {
         let (lo, hi) = ((walls.lo - bin * BIN).to_array(), (walls.hi - 1 - bin * BIN).to_array());
@@ -120,7 +120,7 @@ impl Clouds {
         bin: IVec3,
         particles: &[(u64, u32)],
     ) -> Option<(PageInfo, PageSamples)> {
-        let walls = self.walls.and_then(|walls| Walls::of(walls, bin));
+        let walls = self.walls.and_then(|walls| CloudLimits::of(walls, bin));
         let edge = self.shape.edge() as usize;
         for &(record, amount) in particles {
             let (cell, offset) = unpack(record);
@@ -150,7 +150,7 @@ impl Clouds {
         bin: IVec3,
         particles: &BinContents<'_>,
     ) -> (PageInfo, PageSamples) {
-        let walls = self.walls.and_then(|walls| Walls::of(walls, bin));
+        let walls = self.walls.and_then(|walls| CloudLimits::of(walls, bin));
         let add = match self.shape.side {
             BrickSide::Four => add_clouds::<{ edge(BrickSide::Four) }>,
             BrickSide::Eight => add_clouds::<{ edge(BrickSide::Eight) }>,
@@ -200,7 +200,7 @@ fn add_clouds<const EDGE: usize>(
     of: &Clouds,
     samples: &mut [u16],
     packed: &[u64],
-    walls: Option<Walls>,
+    walls: Option<CloudLimits>,
 ) {
     let Clouds { amount, firsts, .. } = of;
     let amount = u32::from(*amount);
@@ -275,17 +275,17 @@ mod tests {
     #[test]
     fn what_would_lie_beyond_walls_lies_before_them() {
         let tank = CellBox { lo: IVec3::new(16, -40, 3), hi: IVec3::new(17, 40, 32) };
-        let walls = Walls::of(tank, IVec3::new(1, 0, 0)).unwrap();
+        let walls = CloudLimits::of(tank, IVec3::new(1, 0, 0)).unwrap();
         assert_eq!(walls.fold(0, 0, [1, 20, 300]), [0, 321, 0], "one cell between two walls");
         assert_eq!(walls.fold(1, 0, [1, 20, 300]), [1, 20, 300], "far from both");
         assert_eq!(walls.fold(2, 3, [1, 20, 300]), [0, 21, 300], "at the lower one");
         assert_eq!(walls.fold(2, 4, [1, 20, 300]), [1, 20, 300]);
         assert_eq!(
-            Walls::of(tank, IVec3::new(0, 0, 1)).map(|walls| walls.fold(2, 15, [1, 20, 300])),
+            CloudLimits::of(tank, IVec3::new(0, 0, 1)).map(|walls| walls.fold(2, 15, [1, 20, 300])),
             Some([1, 320, 0])
         );
         assert_eq!(
-            Walls::of(CellBox::cube(IVec3::ZERO, 64), IVec3::ONE),
+            CloudLimits::of(CellBox::cube(IVec3::ZERO, 64), IVec3::ONE),
             None,
             "a bin in the middle"
         );

@@ -30,7 +30,7 @@ pub struct BinEntry {
 
 /// Shaders that make pages.
 #[derive(Debug)]
-pub struct Pipelines {
+pub struct IndicatorPipelines {
     /// Cell sums and the indicator, octant by octant of a bin.
     pub indicate: Arc<ComputePipeline>,
     /// Clouds, part by part of a bin's samples.
@@ -43,7 +43,7 @@ pub struct Pipelines {
 /// Those of the device.
 pub fn indicate(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &IndicatorPipelines,
     count: u32,
     rule: &PageRule,
     views: [&View; 3],

@@ -6,7 +6,7 @@ use multiversion::multiversion;
 use crate::brick::Block;
 
 use super::logarithm::{exp2, log2};
-use super::{BITS, LOG2_OF_E, Numbers, ONE, Sheeted, Sheets};
+use super::{BITS, LOG2_OF_E, ONE, SheetConstants, SheetFields, Sheets};
 
 /// Cells that are done at a time.
 const LANES: usize = 16;
@@ -28,7 +28,7 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
 }
 
 /// Sheets of the smoothed density; `None` where there are none.
-pub fn sheets(numbers: &Numbers, density: &Block) -> Option<Sheeted<Block>> {
+pub fn sheets(numbers: &SheetConstants, density: &Block) -> Option<SheetFields<Block>> {
     let step = numbers.step;
     let cells = density.cells().grown(-step, -step);
     // Logarithms are only looked up around samples that reach the least, but for their error.
@@ -86,7 +86,7 @@ pub fn sheets(numbers: &Numbers, density: &Block) -> Option<Sheeted<Block>> {
         }
     }
     finish(&mut places, &lanes);
-    any.then_some(Sheeted { shares, certainty })
+    any.then_some(SheetFields { shares, certainty })
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -99,7 +99,7 @@ fn logarithms_of(to: &mut [u16], samples: &[u16]) {
 /// Whether each of a row of logarithms may be one of a sheet, as far as those beside it along the
 /// axes show: 1 or 0.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn may_be_sheets(to: &mut [u16], numbers: &Numbers, row: &[u16], beside: [&[u16]; 6]) {
+fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: [&[u16]; 6]) {
     let [x, to_x, y, to_y, z, to_z] = beside;
     let (x, y, z) = (x.iter().zip(to_x), y.iter().zip(to_y), z.iter().zip(to_z));
     for ((to, &centre), ((x, y), z)) in to.iter_mut().zip(row).zip(x.zip(y).zip(z)) {
@@ -111,9 +111,9 @@ fn may_be_sheets(to: &mut [u16], numbers: &Numbers, row: &[u16], beside: [&[u16]
     }
 }
 
-/// Sheets at several cells at a time, as [`Numbers::sheet`] has them.
+/// Sheets at several cells at a time, as [`SheetConstants::sheet`] has them.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn sheets_of_each(numbers: &Numbers, lanes: &Taps<[i32; LANES]>) -> [(u16, u16); LANES] {
+fn sheets_of_each(numbers: &SheetConstants, lanes: &Taps<[i32; LANES]>) -> [(u16, u16); LANES] {
     let (mut shares, mut certainty) = ([0; LANES], [0; LANES]);
     for lane in 0..LANES {
         let (share, certain) = numbers.sheet(&lanes.at(lane));
@@ -124,7 +124,7 @@ fn sheets_of_each(numbers: &Numbers, lanes: &Taps<[i32; LANES]>) -> [(u16, u16);
 }
 
 /// Blends shares of drops with those of sheets, by how certain those are.
-pub fn blend(drops: &Block, sheets: Sheeted<&Block>) -> Block {
+pub fn blend(drops: &Block, sheets: SheetFields<&Block>) -> Block {
     let cells = drops.cells().intersection(&sheets.certainty.cells());
     let mut shares = drops.part(cells);
     let width = cells.size().x as usize;
@@ -186,7 +186,7 @@ fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
     (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / ONE
 }
 
-impl Numbers {
+impl SheetConstants {
     /// An entry of B's diagonal, of the second difference along its axis.
     #[inline(always)]
     fn bend(&self, second: i32) -> i32 {
@@ -245,7 +245,7 @@ impl Numbers {
         let power = ONE / 2 + threaded / 2;
         let stretch = sheet + (((thread - sheet) * threaded) >> BITS) - ((density * power) >> BITS);
         let stretch = stretch.clamp(0, u16::MAX.into()) as u16;
-        let passed = |share: u32, gate: u32| (share * gate) >> BITS;
+        let passed = |share: u32, ramp: u32| (share * ramp) >> BITS;
         let certain = passed(
             passed(4096 - self.torn.of(stretch), 4096 - self.impure.of(impure)),
             passed(

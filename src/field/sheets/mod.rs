@@ -41,7 +41,7 @@ pub use logarithm::{EXP2, LOG2};
 use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
 
 use crate::field::blur::Weights;
-use crate::field::distance::{Gate, LEAST_VARIANCE, gaussian};
+use crate::field::distance::{LEAST_VARIANCE, Ramp, gaussian};
 use crate::grid::units::SheetStretch;
 
 /// Fraction bits.
@@ -91,12 +91,12 @@ pub struct Sheets {
     /// Averages the certainty.
     pub average: Weights,
     /// The numbers of the formulas.
-    pub numbers: Numbers,
+    pub numbers: SheetConstants,
 }
 
 /// Sheets in some cells.
 #[derive(Debug, Clone)]
-pub struct Sheeted<F> {
+pub struct SheetFields<F> {
     /// Shares as those of drops, in 32768ths; 0 where there is no sheet.
     pub shares: F,
     /// How certain the sheets are, in 4096ths.
@@ -105,7 +105,7 @@ pub struct Sheeted<F> {
 
 /// The numbers of the formulas, for cells of a size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Numbers {
+pub struct SheetConstants {
     /// How many cells apart samples are whose differences are taken.
     pub step: i32,
     /// From differences of logarithms to g.
@@ -135,15 +135,15 @@ pub struct Numbers {
     /// By the squared distance, in s.
     pub by_distance: i32,
     /// By the stretch's logarithm.
-    pub torn: Gate,
+    pub torn: Ramp,
     /// By the squared distance from a projection.
-    pub impure: Gate,
+    pub impure: Ramp,
     /// By T.
-    pub thin: Gate,
+    pub thin: Ramp,
     /// By T.
-    pub round: Gate,
+    pub round: Ramp,
     /// By how much more the density's logarithm is at the middle.
-    pub beyond: Gate,
+    pub beyond: Ramp,
 }
 
 /// A number with the fraction bits of all.
@@ -151,8 +151,8 @@ fn fixed(value: f64) -> i32 {
     (value * f64::from(ONE)).round() as i32
 }
 
-fn gate([begin, end]: [f64; 2]) -> Gate {
-    Gate::new(fixed(begin).max(0) as u16, fixed(end - begin).max(1) as u16)
+fn ramp([begin, end]: [f64; 2]) -> Ramp {
+    Ramp::new(fixed(begin).max(0) as u16, fixed(end - begin).max(1) as u16)
 }
 
 /// Drops as they are made in the same cells, as far as sheets have to know them.
@@ -200,7 +200,7 @@ impl Sheets {
         let gone = (stretch * GONE).log2();
         // Of a sheet half of the density's logarithm, of a thread all of it, and between in between.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
-        let numbers = Numbers {
+        let numbers = SheetConstants {
             step,
             least: fixed(plateau.log2() + least_density - MOST_MORE * LOG2_E - 0.02),
             slope: fixed(LN_2 * apart / 2.0),
@@ -220,11 +220,11 @@ impl Sheets {
             by_directions: fixed(0.5 * (profile_joined / (profile * profile)).log2()),
             by_size: fixed(LOG2_E / (2.0 * profile_joined)),
             by_distance: fixed(LOG2_E / 2.0 * (width / profile).powi(2)),
-            torn: gate([stretch.log2(), gone]),
-            impure: gate(IMPURE),
-            thin: gate(THICK),
-            round: gate(ROUND),
-            beyond: gate(BEYOND),
+            torn: ramp([stretch.log2(), gone]),
+            impure: ramp(IMPURE),
+            thin: ramp(THICK),
+            round: ramp(ROUND),
+            beyond: ramp(BEYOND),
         };
         Some(Self {
             around: weights.gaining(gain),

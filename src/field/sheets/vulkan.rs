@@ -7,7 +7,7 @@ use crate::grid::CellBox;
 use crate::shaders::{BlendPush, SheetsPush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-use super::Numbers;
+use super::SheetConstants;
 
 /// Shares and certainty of sheets, by the smoothed density.
 ///
@@ -17,12 +17,12 @@ pub fn sheets(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
-    numbers: &Numbers,
+    numbers: &SheetConstants,
     walls: Option<CellBox>,
     [density, shares, certainty]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
-    let Numbers { torn, impure, thin, round, beyond, .. } = numbers;
+    let SheetConstants { torn, impure, thin, round, beyond, .. } = numbers;
     let push = SheetsPush {
         walls_lo,
         step: numbers.step,

@@ -120,7 +120,7 @@ type Page = Option<(PageInfo, PageSamples)>;
 
 /// The part of the clouds that is gathered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
+enum CloudPart {
     /// All volume.
     All,
     /// The volume above an octave, and the fractions in it.
@@ -160,7 +160,7 @@ impl SizedClouds {
     /// The density of all particles in cells of an octave, or 2^`level` times as wide ones.
     #[must_use]
     pub fn density(&self, octave: usize, level: u32, cells: CellBox) -> Block {
-        self.gathered(octave, level, cells, Part::All)
+        self.gathered(octave, level, cells, CloudPart::All)
     }
 
     /// Whether octaves up to this one may have left something in cells of it, or 2^`level` times as
@@ -178,10 +178,10 @@ impl SizedClouds {
     /// The part of the density that belongs to octaves above this one, by the particles' sizes.
     #[must_use]
     pub fn above(&self, octave: usize, level: u32, cells: CellBox) -> Block {
-        self.gathered(octave, level, cells, Part::Above)
+        self.gathered(octave, level, cells, CloudPart::Above)
     }
 
-    fn gathered(&self, octave: usize, level: u32, cells: CellBox, part: Part) -> Block {
+    fn gathered(&self, octave: usize, level: u32, cells: CellBox, part: CloudPart) -> Block {
         let wanted = self.plateau(level);
         let finest_walls = self.layers[0].volume.facts.walls();
         let mut sum = Block::zero(cells);
@@ -189,9 +189,11 @@ impl SizedClouds {
         let wide = octave as u32 + level;
         for (of, layer) in (0_u32..).zip(&self.layers) {
             let field = match (part, (of as usize).cmp(&octave)) {
-                (Part::All, _) | (Part::Above, std::cmp::Ordering::Greater) => &layer.volume,
-                (Part::Above, std::cmp::Ordering::Equal) => &layer.fraction,
-                (Part::Above, std::cmp::Ordering::Less) => continue,
+                (CloudPart::All, _) | (CloudPart::Above, std::cmp::Ordering::Greater) => {
+                    &layer.volume
+                }
+                (CloudPart::Above, std::cmp::Ordering::Equal) => &layer.fraction,
+                (CloudPart::Above, std::cmp::Ordering::Less) => continue,
             };
             if field.dif.infos().is_empty() {
                 continue;

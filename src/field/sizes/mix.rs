@@ -1,7 +1,7 @@
 //! Distances of several octaves, mixed by the sizes around, and the drops of each.
 
 use crate::brick::Block;
-use crate::field::distance::{Drops, Gate, NONE, ZERO, away};
+use crate::field::distance::{Drops, NONE, Ramp, ZERO, away};
 
 /// 1, of shares.
 const WHOLE: u32 = 1 << 15;
@@ -79,7 +79,7 @@ pub struct OctaveDrops<'a> {
     /// By how much the radius grows from a size to twice that, in units.
     pub growth: i32,
     /// Where drops begin.
-    pub gate: &'a Gate,
+    pub ramp: &'a Ramp,
 }
 
 impl OctaveDrops<'_> {
@@ -89,12 +89,12 @@ impl OctaveDrops<'_> {
     /// Unless all are on the same cells.
     #[must_use]
     pub fn joined(&self, mut field: Block) -> Block {
-        let Self { octave, near, shares, sizes, drops, growth, gate } = *self;
+        let Self { octave, near, shares, sizes, drops, growth, ramp } = *self;
         let cells = field.cells();
         assert!(near.cells() == cells && shares.cells() == cells, "one box of cells");
         assert!(sizes.is_none_or(|sizes| sizes.cells() == cells), "one box of cells");
         for (at, to) in field.samples_mut().iter_mut().enumerate() {
-            let weight = gate.of(near.samples()[at]);
+            let weight = ramp.of(near.samples()[at]);
             if weight == 0 {
                 continue;
             }

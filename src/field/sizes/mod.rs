@@ -75,7 +75,7 @@ pub struct Octaves {
 
 /// Where a particle's cloud goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Share {
+pub struct CloudShare {
     /// The octave.
     pub octave: usize,
     /// The amount of the cloud.
@@ -100,7 +100,7 @@ impl Octaves {
 
     /// Where a particle of size `size` goes; sizes beyond the octaves count as the nearest within.
     #[must_use]
-    pub fn share(&self, size: f64) -> Share {
+    pub fn share(&self, size: f64) -> CloudShare {
         // 1e-6: f32 sizes of a power of two belong to their own octave, whatever the rounding.
         let mut ratio = (size / self.finest * (1.0 + 1e-6)).max(1.0);
         let mut octave = 0;
@@ -116,7 +116,7 @@ impl Octaves {
         let fraction = if octave + 1 < self.count { log2(ratio) } else { 0.0 };
         // Sizes of next to a power of two are one.
         let fraction = if fraction < 0.01 { 0.0 } else { fraction };
-        Share { octave, amount: amount as u32, fraction: (amount * fraction).round() as u32 }
+        CloudShare { octave, amount: amount as u32, fraction: (amount * fraction).round() as u32 }
     }
 
     /// The kind of the samples.

@@ -76,7 +76,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
     if !(cell.is_finite() && cell > 0.0) {
         return None;
     }
-    let counts = |origin: DVec3, cell: f64| Counts::of(particles, [lo, hi], origin, cell);
+    let counts = |origin: DVec3, cell: f64| CellCounts::of(particles, [lo, hi], origin, cell);
     TARGETS.iter().find_map(|&target| {
         let at_corner;
         (cell, at_corner) = cell_for(|cell| counts(lo, cell), target, cell)?;
@@ -151,14 +151,14 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
 }
 
 /// Particles by cell.
-enum Counts {
+enum CellCounts {
     /// In a box of cells, x fastest.
     Listed { size: [usize; 3], counts: Vec<u32> },
     /// In the cells that hold any.
     Hashed(HashMap<IVec3, usize>),
 }
 
-impl Counts {
+impl CellCounts {
     /// Counts particles between two corners in the cells of edge `cell` that begin at `origin`.
     fn of(particles: &[[f64; 3]], corners: [DVec3; 2], origin: DVec3, cell: f64) -> Option<Self> {
         // Cells are numbered from one below the first, so that each has neighbours.
@@ -265,10 +265,10 @@ impl Counts {
 /// A cell size at which the typical particle shares its cell with about `target` others, and the
 /// counts in such cells.
 fn cell_for(
-    counts: impl Fn(f64) -> Option<Counts>,
+    counts: impl Fn(f64) -> Option<CellCounts>,
     target: f64,
     mut cell: f64,
-) -> Option<(f64, Counts)> {
+) -> Option<(f64, CellCounts)> {
     for _ in 0..12 {
         let counted = counts(cell)?;
         let mut sizes = counted.filled();
@@ -304,10 +304,13 @@ mod tests {
         let near = bounds(&particles[..]).unwrap();
         for (shift, cell) in [(0.0, 3.1), (0.7, 2.0), (1.3, 5.5)] {
             let of = |far: f64| {
-                Counts::of(&particles, [near.lo, near.hi + far], near.lo - shift, cell).unwrap()
+                CellCounts::of(&particles, [near.lo, near.hi + far], near.lo - shift, cell).unwrap()
             };
             let (listed, hashed) = (of(0.0), of(1e6));
-            assert!(matches!(listed, Counts::Listed { .. }) && matches!(hashed, Counts::Hashed(_)));
+            assert!(
+                matches!(listed, CellCounts::Listed { .. })
+                    && matches!(hashed, CellCounts::Hashed(_))
+            );
             let sorted = |mut counts: Vec<usize>| {
                 counts.sort_unstable();
                 counts
@@ -317,8 +320,8 @@ mod tests {
             let twice = [listed.twice_as_wide(), hashed.twice_as_wide()]
                 .map(|twice| sorted(twice.interior()));
             assert_eq!(twice[0], twice[1]);
-            let wide =
-                Counts::of(&particles, [near.lo, near.hi], near.lo - shift, 2.0 * cell).unwrap();
+            let wide = CellCounts::of(&particles, [near.lo, near.hi], near.lo - shift, 2.0 * cell)
+                .unwrap();
             assert_eq!(twice[0], sorted(wide.interior()));
             assert!(!twice[0].is_empty() && listed.interior().len() > twice[0].len());
         }

@@ -4,7 +4,7 @@
 //! Two estimates check each other. `density` counts particles in cells, which is right in deep
 //! fluid and too large in thin fluid with gaps. `neighbours` measures the density around single
 //! particles. Where both agree, the count holds; where they do not, or nothing is deep enough to
-//! count, the neighbours do, and the [`Estimate`] says so.
+//! count, the neighbours do, and the [`SpacingEstimate`] says so.
 //!
 //! Up to [`ALL`] particles are read once and held. Of more, one reading takes an even share to
 //! count, and a second one all in some cubes to look for neighbours: that one can be had with
@@ -25,11 +25,12 @@ use crate::particles::{Bounds, CHUNK, Particles, bounds};
 pub use clouds::spacing_by_clouds;
 pub use density::Spacings;
 pub use neighbours::Neighbours;
-pub use sample::{Cubes, InCubes, Sample, Share, Taken};
+pub use sample::{CubeSample, Cubes, EvenSample, FinishedSample, NeighbourSample};
 
 use sample::SHARE;
 
-/// Particles that are held in memory to tell their spacing: as many as an even [`Share`] may hold.
+/// Particles that are held in memory to tell their spacing: as many as an even [`EvenSample`] may
+/// hold.
 pub const ALL: usize = 2 * SHARE;
 /// Particles above which a sample bears out a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
@@ -54,12 +55,12 @@ pub struct Evidence {
     /// By nearest neighbours.
     pub neighbours: Neighbours,
     /// By where they are.
-    pub place: Place,
+    pub place: CoordinateFacts,
 }
 
 /// Where particles are, and how precise their coordinates are.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct CoordinateFacts {
     /// The plane in which all particles lie, if they do.
     pub plane: Option<Plane>,
     /// The step of the coordinates, where all are numbers of 32 bits.
@@ -79,7 +80,7 @@ pub struct Plane {
 
 /// An estimated spacing.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
+pub struct SpacingEstimate {
     /// The estimate.
     pub spacing: f64,
     /// The spacings of two resolutions, where there plainly are two: of most particles, and of the
@@ -116,13 +117,13 @@ pub enum NoEstimate {
 
 /// An even share of the particles that was counted: what is known before their neighbours are.
 #[derive(Debug)]
-pub struct Draft {
+pub struct SpacingDraft {
     particles: usize,
     places: usize,
     counted: Option<Spacings>,
     /// The scale at which neighbours are to be looked for.
     scale: f64,
-    place: Place,
+    place: CoordinateFacts,
 }
 
 /// Estimates the spacing of particles; `None` where they do not tell it.
@@ -137,51 +138,51 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
         let (positions, bounds) = gathered(particles);
         return of_all(positions, bounds);
     }
-    let share = Share::of(particles.len());
+    let share = EvenSample::of(particles.len());
     show_all(particles, |positions| share.look(positions));
     let mut taken = share.taken();
     while let Some(larger) = taken.larger() {
         show_all(particles, |positions| larger.look(positions));
         taken = larger.taken();
     }
-    Some(Draft::of(taken)?.completed(particles))
+    Some(SpacingDraft::of(taken)?.completed(particles))
 }
 
 /// Reads the particles once, or if they are few and do not bear it out twice, for what their
 /// neighbours say of a spacing that is known; `None` where no particle was seen.
-pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
+pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<SampleSurvey> {
     if particles.len() <= FEWEST_SAMPLED {
-        return Look::of(Sample::whole(gathered(particles).0), spacing);
+        return SampleSurvey::of(NeighbourSample::whole(gathered(particles).0), spacing);
     }
-    let sample = |new: fn(Cubes, usize) -> InCubes| {
+    let sample = |new: fn(Cubes, usize) -> CubeSample| {
         let in_cubes = new(Cubes::for_spacing(spacing), particles.len());
         show_all(particles, |positions| in_cubes.look(positions));
         in_cubes.sample()
     };
     if particles.len() <= ALL {
-        let few = sample(InCubes::few);
-        if let Some(place) = Place::of_sample(&few)
+        let few = sample(CubeSample::few);
+        if let Some(place) = CoordinateFacts::of_sample(&few)
             && let Some(neighbours) = Neighbours::of_few(few, spacing)
         {
-            return Some(Look { neighbours, place });
+            return Some(SampleSurvey { neighbours, place });
         }
     }
-    Look::of(sample(InCubes::new), spacing)
+    SampleSurvey::of(sample(CubeSample::new), spacing)
 }
 
 /// A look at a sample of particles, at the scale of a spacing that is known.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Look {
+pub struct SampleSurvey {
     /// Distances between neighbours.
     pub neighbours: Neighbours,
     /// Where they are; the sample may lie in a plane where not all do.
-    pub place: Place,
+    pub place: CoordinateFacts,
 }
 
-impl Look {
+impl SampleSurvey {
     /// Looks at a sample for a spacing; `None` where it is empty.
-    pub fn of(sample: Sample, spacing: f64) -> Option<Self> {
-        let place = Place::of_sample(&sample)?;
+    pub fn of(sample: NeighbourSample, spacing: f64) -> Option<Self> {
+        let place = CoordinateFacts::of_sample(&sample)?;
         Some(Self { neighbours: Neighbours::that_check(sample, Some(spacing)), place })
     }
 }
@@ -218,7 +219,7 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     if positions.is_empty() {
         return None;
     }
-    let place = Place::of(&positions, &bounds);
+    let place = CoordinateFacts::of(&positions, &bounds);
     let particles = positions.len();
     let mut places = particles;
     let count = |positions: &[[f64; 3]]| {
@@ -232,7 +233,7 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
     let mut counted = count(&positions);
     let look = |positions: &[[f64; 3]], counted: Option<Spacings>| {
         let counted = counted.map(|counted| counted.mean);
-        let all = || Sample::whole(positions.to_vec());
+        let all = || NeighbourSample::whole(positions.to_vec());
         let scale = match counted {
             // Cubes may have their middles beside a plane.
             _ if positions.len() <= FEWEST_SAMPLED || place.plane.is_some() => None,
@@ -245,14 +246,16 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
             known => known,
         };
         let Some(scale) = scale else { return Neighbours::of(all()) };
-        let in_cubes = |new: fn(Cubes, usize) -> InCubes| {
+        let in_cubes = |new: fn(Cubes, usize) -> CubeSample| {
             let in_cubes = new(Cubes::for_spacing(scale), positions.len());
             positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
             in_cubes.sample()
         };
-        let few = counted.and_then(|counted| Neighbours::of_few(in_cubes(InCubes::few), counted));
+        let few =
+            counted.and_then(|counted| Neighbours::of_few(in_cubes(CubeSample::few), counted));
         // The middles of cubes are not where particles at walls are: of all, any will do.
-        let more = || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(InCubes::new) };
+        let more =
+            || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(CubeSample::new) };
         let found = few.unwrap_or_else(|| Neighbours::of(more()));
         // A plane or a film can lie where no cube has its middle.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
@@ -271,15 +274,15 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
 /// the third neighbour among few of all. Of sheets and threads few are farther apart than of a
 /// solid; cubes are wider then, and hold more.
 fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
-    Some(Neighbours::of(Sample::whole(few)).nearest?[2] / 2.0)
+    Some(Neighbours::of(NeighbourSample::whole(few)).nearest?[2] / 2.0)
 }
 
-impl Draft {
+impl SpacingDraft {
     /// Counts a share; `None` where it holds nothing.
-    pub fn of(share: Taken) -> Option<Self> {
-        let Taken { positions, part, places, bounds: all, .. } = share;
+    pub fn of(share: FinishedSample) -> Option<Self> {
+        let FinishedSample { positions, part, places, bounds: all, .. } = share;
         let bounds = bounds(&positions[..])?;
-        let place = Place::of(&positions, &all);
+        let place = CoordinateFacts::of(&positions, &all);
         let particles = all.finite;
         // A layer may be too thin to have an inside that so few can tell: then its neighbours do.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
@@ -297,8 +300,8 @@ impl Draft {
     }
 
     /// Takes all particles in some cubes, to be shown all particles.
-    pub fn in_cubes(&self) -> InCubes {
-        InCubes::new(Cubes::for_spacing(self.scale), self.particles)
+    pub fn in_cubes(&self) -> CubeSample {
+        CubeSample::new(Cubes::for_spacing(self.scale), self.particles)
     }
 
     /// Whether neighbours that were looked for at the scale of a spacing show what is to be seen.
@@ -332,7 +335,7 @@ impl Draft {
     }
 
     /// Adds the neighbours in a sample, as far as they are needed to check the count.
-    pub fn with_sample(self, sample: Sample) -> Evidence {
+    pub fn with_sample(self, sample: NeighbourSample) -> Evidence {
         let neighbours = Neighbours::that_check(sample, self.counted());
         self.with(neighbours)
     }
@@ -344,8 +347,8 @@ impl Draft {
     }
 }
 
-impl Place {
-    fn of_sample(sample: &Sample) -> Option<Self> {
+impl CoordinateFacts {
+    fn of_sample(sample: &NeighbourSample) -> Option<Self> {
         Some(Self::of(&sample.positions, &bounds(&sample.positions[..])?))
     }
 
@@ -395,7 +398,7 @@ fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
 
 impl Evidence {
     /// Estimates the spacing.
-    pub fn estimate(&self) -> Result<Estimate, NoEstimate> {
+    pub fn estimate(&self) -> Result<SpacingEstimate, NoEstimate> {
         let places = self.places;
         if places < FEWEST {
             return Err(if self.particles >= 4 * FEWEST {
@@ -414,13 +417,13 @@ impl Evidence {
         }
     }
 
-    fn estimated(&self) -> Option<Estimate> {
+    fn estimated(&self) -> Option<SpacingEstimate> {
         let Self { counted, neighbours, .. } = self;
         if let Some(Spacings { mean, two: Some(two) }) = *counted {
-            return Some(Estimate { spacing: mean, two: Some(two), thin: false });
+            return Some(SpacingEstimate { spacing: mean, two: Some(two), thin: false });
         }
-        let sure = |spacing| Some(Estimate { spacing, two: None, thin: false });
-        let unsure = |spacing| Some(Estimate { spacing, two: None, thin: true });
+        let sure = |spacing| Some(SpacingEstimate { spacing, two: None, thin: false });
+        let unsure = |spacing| Some(SpacingEstimate { spacing, two: None, thin: true });
         let counted = counted.map(|counted| counted.mean);
         let suggested = neighbours.suggested();
         match (counted, neighbours.measured()) {

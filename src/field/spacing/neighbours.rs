@@ -13,7 +13,7 @@ use std::ops::{Range, RangeInclusive};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::sample::{Sample, distinct};
+use super::sample::{NeighbourSample, distinct};
 
 /// Neighbours that are looked for.
 const NEIGHBOURS: usize = 20;
@@ -100,23 +100,26 @@ struct Neighbourhood {
 impl Neighbours {
     /// Looks at a few cubes; `None` where these do not bear out a spacing, and more have to be
     /// looked at.
-    pub fn of_few(sample: Sample, spacing: f64) -> Option<Self> {
+    pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
         (few.bear_out(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
     }
 
     /// Looks at a few of a sample's cubes, and at all where these do not bear out a spacing by
     /// counting.
-    pub fn that_check(mut sample: Sample, counted: Option<f64>) -> Self {
+    pub fn that_check(mut sample: NeighbourSample, counted: Option<f64>) -> Self {
         let few = std::mem::take(&mut sample.few);
-        let few =
-            Sample { cubes: sample.cubes, coincident: sample.coincident, ..Sample::whole(few) };
+        let few = NeighbourSample {
+            cubes: sample.cubes,
+            coincident: sample.coincident,
+            ..NeighbourSample::whole(few)
+        };
         counted.and_then(|counted| Self::of_few(few, counted)).unwrap_or_else(|| Self::of(sample))
     }
 
     /// Looks at a sample.
-    pub fn of(sample: Sample) -> Self {
-        let Sample { positions, cubes, coincident, .. } = sample;
+    pub fn of(sample: NeighbourSample) -> Self {
+        let NeighbourSample { positions, cubes, coincident, .. } = sample;
         let all = positions.len() + coincident;
         let positions = distinct(positions);
         let coincident = all - positions.len();
@@ -131,7 +134,7 @@ impl Neighbours {
             .take(QUERIES_OF_RANDOM.max(wanted))
             .collect::<Vec<_>>();
         let more = asked.split_off(wanted.min(asked.len()));
-        let tree = Tree::new(positions);
+        let tree = PointTree::new(positions);
         let found = |asked: Vec<([f64; 3], f64)>| {
             asked.into_par_iter().map(|(point, shown)| Neighbourhood::of(&tree, point, shown))
         };
@@ -261,7 +264,7 @@ impl Neighbours {
 }
 
 impl Neighbourhood {
-    fn of(tree: &Tree, point: [f64; 3], shown: f64) -> Self {
+    fn of(tree: &PointTree, point: [f64; 3], shown: f64) -> Self {
         let nearest = tree.nearest(point);
         let mut distances = [f64::INFINITY; NEIGHBOURS];
         let found = &nearest.found[..nearest.count];
@@ -349,7 +352,7 @@ fn scatter(solid: &[&Neighbourhood], k: usize) -> f64 {
 }
 
 /// Points halved along their longest axis again and again, each in the middle of its range.
-struct Tree {
+struct PointTree {
     points: Vec<[f64; 3]>,
     /// The axis along which the range is halved whose middle it is.
     axes: Vec<u8>,
@@ -359,12 +362,12 @@ struct Tree {
 const LEAF: usize = 12;
 
 /// The nearest of the points that were seen, in the order of their distances.
-struct Nearest {
+struct NearestPoints {
     found: [(f64, DVec3); NEIGHBOURS],
     count: usize,
 }
 
-impl Nearest {
+impl NearestPoints {
     fn farthest(&self) -> f64 {
         if self.count == NEIGHBOURS { self.found[NEIGHBOURS - 1].0 } else { f64::INFINITY }
     }
@@ -386,7 +389,7 @@ impl Nearest {
     }
 }
 
-impl Tree {
+impl PointTree {
     fn new(mut points: Vec<[f64; 3]>) -> Self {
         let mut axes = vec![0; points.len()];
         halve(&mut points, &mut axes);
@@ -394,13 +397,13 @@ impl Tree {
     }
 
     /// The nearest other points, seen from `point`, in the order of their distances.
-    fn nearest(&self, point: [f64; 3]) -> Nearest {
-        let mut nearest = Nearest { found: [(0.0, DVec3::ZERO); NEIGHBOURS], count: 0 };
+    fn nearest(&self, point: [f64; 3]) -> NearestPoints {
+        let mut nearest = NearestPoints { found: [(0.0, DVec3::ZERO); NEIGHBOURS], count: 0 };
         self.search(0..self.points.len(), point.into(), &mut nearest);
         nearest
     }
 
-    fn search(&self, range: Range<usize>, point: DVec3, nearest: &mut Nearest) {
+    fn search(&self, range: Range<usize>, point: DVec3, nearest: &mut NearestPoints) {
         if range.len() <= LEAF {
             self.points[range].iter().for_each(|&other| nearest.see(DVec3::from(other) - point));
             return;
@@ -447,7 +450,7 @@ mod tests {
         let points: Vec<[f64; 3]> = (0..1500)
             .map(|i| [coordinate(3 * i), coordinate(3 * i + 1), 0.1 * coordinate(3 * i + 2)])
             .collect();
-        let tree = Tree::new(points.clone());
+        let tree = PointTree::new(points.clone());
         for &point in points.iter().step_by(7) {
             let mut all: Vec<f64> = points
                 .iter()
@@ -458,7 +461,7 @@ mod tests {
             let squares: Vec<f64> = found.found.iter().map(|(squared, _)| *squared).collect();
             assert_eq!(squares, all[1..=NEIGHBOURS]);
         }
-        let few = Tree::new(points[..5].to_vec());
+        let few = PointTree::new(points[..5].to_vec());
         assert_eq!(few.nearest(points[0]).count, 4);
     }
 

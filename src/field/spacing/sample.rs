@@ -14,13 +14,13 @@ use crate::particles::Bounds;
 pub const SHARE: usize = 1 << 18;
 
 /// An even share of the places of many particles.
-pub struct Share {
+pub struct EvenSample {
     one_in: u64,
-    held: Mutex<Held>,
+    held: Mutex<SampledPositions>,
 }
 
 /// Positions that a share holds, and the bounds of all particles that it was shown.
-struct Held {
+struct SampledPositions {
     positions: Vec<[f64; 3]>,
     /// Positions that may be held before duplicates are dropped.
     room: usize,
@@ -30,7 +30,7 @@ struct Held {
 }
 
 /// A share of which all particles were looked at.
-pub struct Taken {
+pub struct FinishedSample {
     /// One position of each place.
     pub positions: Vec<[f64; 3]>,
     /// The part of all places that was taken.
@@ -42,7 +42,7 @@ pub struct Taken {
     one_in: u64,
 }
 
-impl Share {
+impl EvenSample {
     /// The share of `particles` particles, none of which was looked at yet.
     pub fn of(particles: usize) -> Self {
         Self::one_in((particles / SHARE).max(1).next_power_of_two() as u64)
@@ -50,7 +50,12 @@ impl Share {
 
     fn one_in(one_in: u64) -> Self {
         let bounds = Bounds::NONE;
-        let held = Held { positions: Vec::new(), room: 4 * SHARE, has_duplicates: false, bounds };
+        let held = SampledPositions {
+            positions: Vec::new(),
+            room: 4 * SHARE,
+            has_duplicates: false,
+            bounds,
+        };
         Self { one_in, held: Mutex::new(held) }
     }
 
@@ -85,7 +90,7 @@ impl Share {
     }
 
     /// Ends the looking, and returns the share.
-    pub fn taken(self) -> Taken {
+    pub fn taken(self) -> FinishedSample {
         let Self { one_in, held } = self;
         let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
         let all = held.positions.len();
@@ -97,11 +102,17 @@ impl Share {
         // Or a place that holds many was not taken: the share is smaller than chance makes it.
         let is_small = (1.0 - expected / all) * taken.sqrt() > 6.0;
         let distinct = if has_duplicates || is_small { expected.min(all) } else { all };
-        Taken { positions, part: taken / distinct, places: distinct as usize, bounds, one_in }
+        FinishedSample {
+            positions,
+            part: taken / distinct,
+            places: distinct as usize,
+            bounds,
+            one_in,
+        }
     }
 }
 
-impl Held {
+impl SampledPositions {
     /// Sorts on this thread alone: others may wait for the lock, and a thread that helps them would
     /// wait for itself.
     fn drop_duplicates(&mut self) {
@@ -112,13 +123,13 @@ impl Held {
     }
 }
 
-impl Taken {
+impl FinishedSample {
     /// A larger share to be taken instead, where particles are in so few places that this one holds
     /// next to none of them.
-    pub fn larger(&self) -> Option<Share> {
+    pub fn larger(&self) -> Option<EvenSample> {
         const FEW: usize = SHARE / 256;
         let is_small = self.positions.len() < FEW && self.one_in > 1;
-        is_small.then(|| Share::one_in((self.one_in / 256).max(1)))
+        is_small.then(|| EvenSample::one_in((self.one_in / 256).max(1)))
     }
 }
 
@@ -191,7 +202,7 @@ impl Cubes {
 
 /// Particles to be searched for neighbours.
 #[derive(Debug)]
-pub struct Sample {
+pub struct NeighbourSample {
     /// All finite ones, or those in some cubes.
     pub positions: Vec<[f64; 3]>,
     /// The particles in a few of the cubes.
@@ -205,7 +216,7 @@ pub struct Sample {
 /// Particles in a few cubes that are enough to bear out a count.
 const FEW: usize = 1 << 13;
 
-impl Sample {
+impl NeighbourSample {
     /// All particles.
     pub fn whole(positions: Vec<[f64; 3]>) -> Self {
         Self { positions, few: Vec::new(), cubes: None, coincident: 0 }
@@ -255,18 +266,18 @@ fn some_are_alike(numbers: &[u64]) -> bool {
 
 /// All particles in some cubes: in those with the least numbers, as far as the room goes.
 #[derive(Debug)]
-pub struct InCubes {
+pub struct CubeSample {
     cubes: Cubes,
     /// The largest number of particles that are kept.
     room: usize,
     /// Numbers from this one on are too great.
     end: AtomicU32,
-    kept: Mutex<Vec<Kept>>,
+    kept: Mutex<Vec<OccupiedPlace>>,
 }
 
 /// A place that holds a particle.
 #[derive(Debug, Clone, Copy)]
-struct Kept {
+struct OccupiedPlace {
     /// The number of its cube.
     number: u32,
     position: [f64; 3],
@@ -274,7 +285,7 @@ struct Kept {
     several: bool,
 }
 
-impl InCubes {
+impl CubeSample {
     /// Begins with none, of `particles` particles.
     pub fn new(cubes: Cubes, particles: usize) -> Self {
         Self::within(1 << 15, cubes, particles)
@@ -302,14 +313,14 @@ impl InCubes {
             let numbers = &mut numbers[..positions.len()];
             cube_numbers(self.cubes, positions, numbers);
             let both = positions.iter().zip(&*numbers).filter(|&(_, &number)| number < end);
-            taken.extend(both.map(|(&position, &number)| Kept {
+            taken.extend(both.map(|(&position, &number)| OccupiedPlace {
                 number,
                 position,
                 several: false,
             }));
         }
         taken.retain(|kept| DVec3::from(kept.position).is_finite());
-        Kept::merge(&mut taken);
+        OccupiedPlace::merge(&mut taken);
         if taken.is_empty() {
             return;
         }
@@ -323,10 +334,11 @@ impl InCubes {
 
     /// Keeps one particle of each place, and as few of the numbers below `end` as there is room
     /// for; returns their new end. It is halved by how many there are in all, so that the same are
-    /// left whatever came first. Sorts on this thread alone: see [`Held::drop_duplicates`].
-    fn fitted(&self, kept: &mut Vec<Kept>, mut end: u32) -> u32 {
+    /// left whatever came first. Sorts on this thread alone: see
+    /// [`SampledPositions::drop_duplicates`].
+    fn fitted(&self, kept: &mut Vec<OccupiedPlace>, mut end: u32) -> u32 {
         kept.sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
-        Kept::merge(kept);
+        OccupiedPlace::merge(kept);
         while kept.len() > self.room {
             end /= 2;
             kept.retain(|kept| kept.number < end);
@@ -335,7 +347,7 @@ impl InCubes {
     }
 
     /// The sample, once all particles were looked at.
-    pub fn sample(self) -> Sample {
+    pub fn sample(self) -> NeighbourSample {
         let mut kept =
             std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner));
         let end = self.fitted(&mut kept, self.end.load(Ordering::Relaxed));
@@ -344,11 +356,11 @@ impl InCubes {
         let end = (f64::from(end) * share) as u32;
         let few = positions[..kept.partition_point(|kept| kept.number < end)].to_vec();
         let coincident = kept.iter().filter(|kept| kept.several).count();
-        Sample { positions, few, cubes: Some(self.cubes), coincident }
+        NeighbourSample { positions, few, cubes: Some(self.cubes), coincident }
     }
 }
 
-impl Kept {
+impl OccupiedPlace {
     /// Makes one of those in the same place that follow each other.
     fn merge(all: &mut Vec<Self>) {
         all.dedup_by(|other, kept| {

@@ -40,12 +40,12 @@ fn bars(size: [usize; 3], gap: usize, jitter: f64) -> Vec<[f64; 3]> {
     turned((0..5 * rows).flat_map(|i| of([i / 5, i % 5])).collect())
 }
 
-fn estimated(particles: &[[f64; 3]]) -> Estimate {
+fn estimated(particles: &[[f64; 3]]) -> SpacingEstimate {
     evidence(particles).unwrap().estimate().unwrap()
 }
 
 fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    let share = Share::of(particles.len());
+    let share = EvenSample::of(particles.len());
     particles.chunks(1000).for_each(|positions| share.look(positions));
     share.taken().positions
 }
@@ -54,7 +54,7 @@ fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
 fn a_share_holds_each_place_once_and_nothing_that_is_not_finite() {
     let places = layers([30; 3], 1.0 / 3.0);
     for (copies, strange) in [(1, 0), (1, 5), (2, 0), (3, 700)] {
-        let share = Share::of(places.len());
+        let share = EvenSample::of(places.len());
         let strange = vec![[0.0, f64::NAN, f64::INFINITY]; strange];
         let mut shown = places.repeat(copies);
         shown.splice(100..100, strange);
@@ -262,12 +262,12 @@ fn sheets_and_threads_among_many_are_told_at_a_scale_of_their_own() {
         let found = estimated(&particles);
         assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");
         // As if many more had been thinned out before.
-        let share = Share::of(particles.len());
+        let share = EvenSample::of(particles.len());
         particles.chunks(1000).for_each(|positions| share.look(positions));
-        let mut draft = Draft::of(share.taken()).unwrap();
+        let mut draft = SpacingDraft::of(share.taken()).unwrap();
         for factor in [100.0, 0.01] {
             draft.scale = factor;
-            let again = Draft { place: draft.place, counted: draft.counted, ..draft };
+            let again = SpacingDraft { place: draft.place, counted: draft.counted, ..draft };
             let found = again.completed(&particles[..]).estimate().unwrap();
             assert!((found.spacing - 1.0).abs() < 0.12, "{factor}: {found:?}");
         }
@@ -327,7 +327,7 @@ fn single_precision_is_told_with_its_step() {
 fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
     let particles = layers([60; 3], 0.3);
     let sample_of = |chunk: usize, reverse: bool| {
-        let in_cubes = InCubes::new(Cubes::for_spacing(1.0), particles.len());
+        let in_cubes = CubeSample::new(Cubes::for_spacing(1.0), particles.len());
         let mut chunks: Vec<_> = particles.chunks(chunk).collect();
         if reverse {
             chunks.reverse();
@@ -354,7 +354,7 @@ fn many_threads_take_the_same_sample_of_particles_that_are_there_twice() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let (in_cubes, share) =
-                (InCubes::few(Cubes::for_spacing(1.0), twice.len() / 8), Share::of(1));
+                (CubeSample::few(Cubes::for_spacing(1.0), twice.len() / 8), EvenSample::of(1));
             twice.par_chunks(300).for_each(|positions| {
                 in_cubes.look(positions);
                 share.look(positions);

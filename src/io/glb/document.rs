@@ -4,8 +4,8 @@ use serde_json::{Map, Value, json};
 
 use crate::io::UpAxis;
 
-use super::view::{BYTE, Space, View, What};
-use super::{Compression, Layout};
+use super::view::{BYTE, GlbView, Space, ViewContent};
+use super::{GlbCompression, GlbLayout};
 
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
@@ -21,10 +21,10 @@ pub fn empty_document() -> Value {
 
 /// A scene of all views with their encoded sizes in bytes; positions are within `bounds`.
 pub fn document(
-    layout: Layout,
+    layout: GlbLayout,
     space: Space,
     bounds: [[f64; 3]; 2],
-    views: &[View],
+    views: &[GlbView],
     encoded: Option<&[u64]>,
 ) -> Value {
     let mut attributes = Map::new();
@@ -68,7 +68,7 @@ pub fn document(
 }
 
 /// The view of uncompressed elements.
-fn buffer_view(view: &View, offset: u64) -> Value {
+fn buffer_view(view: &GlbView, offset: u64) -> Value {
     let mut buffer_view = json!({
         "buffer": 0,
         "byteOffset": offset,
@@ -82,7 +82,7 @@ fn buffer_view(view: &View, offset: u64) -> Value {
 }
 
 /// The extension object of a view with compressed elements.
-fn compression(view: &View, offset: u64, length: u64) -> Value {
+fn compression(view: &GlbView, offset: u64, length: u64) -> Value {
     let mut compression = json!({
         "buffer": 0,
         "byteOffset": offset,
@@ -92,18 +92,18 @@ fn compression(view: &View, offset: u64, length: u64) -> Value {
         "mode": if view.is_indices() { "TRIANGLES" } else { "ATTRIBUTES" },
     });
     match view.what {
-        What::Normals => compression["filter"] = json!("OCTAHEDRAL"),
-        What::Attribute(..) => compression["filter"] = json!("EXPONENTIAL"),
-        What::Positions | What::Indices => {}
+        ViewContent::Normals => compression["filter"] = json!("OCTAHEDRAL"),
+        ViewContent::Attribute(..) => compression["filter"] = json!("EXPONENTIAL"),
+        ViewContent::Positions | ViewContent::Indices => {}
     }
     compression
 }
 
 /// The accessor of a view: the type, number and bounds of its elements.
 fn accessor(
-    view: &View,
+    view: &GlbView,
     number: usize,
-    compression: Compression,
+    compression: GlbCompression,
     space: Space,
     bounds: [[f64; 3]; 2],
 ) -> Value {
@@ -114,10 +114,10 @@ fn accessor(
         "count": view.count,
         "type": kind,
     });
-    if matches!(view.what, What::Positions) {
+    if matches!(view.what, ViewContent::Positions) {
         let [min, max] = match compression {
-            Compression::None => bounds.map(|corner| json!(space.stored(corner))),
-            Compression::Meshopt => bounds.map(|corner| json!(space.on_grid(corner))),
+            GlbCompression::None => bounds.map(|corner| json!(space.stored(corner))),
+            GlbCompression::Meshopt => bounds.map(|corner| json!(space.on_grid(corner))),
         };
         (accessor["min"], accessor["max"]) = (min, max);
     }

@@ -26,21 +26,21 @@ use super::UpAxis;
 
 /// The layout of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Layout {
+pub struct GlbLayout {
     /// The axis of the particles that points up.
     pub up: UpAxis,
     /// The compression.
-    pub compression: Compression,
+    pub compression: GlbCompression,
 }
 
-impl Layout {
+impl GlbLayout {
     /// The layout that most programs expect: y up, not compressed.
-    pub const PLAIN: Self = Self { up: UpAxis::Y, compression: Compression::None };
+    pub const PLAIN: Self = Self { up: UpAxis::Y, compression: GlbCompression::None };
 }
 
 /// The storage of numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Compression {
+pub enum GlbCompression {
     /// Plain f32 and u32 numbers.
     None,
     /// Quantized and encoded by meshoptimizer's codecs.

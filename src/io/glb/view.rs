@@ -9,10 +9,10 @@ use meshopt::{
 
 use crate::io::encode::{in_order, write_triangles, write_vertices};
 use crate::particles::{AttributeInfo, AttributeKind};
-use crate::surface::mesh::ordered::Ordered;
+use crate::surface::mesh::ordered::OrderedMesh;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
-use super::Compression;
+use super::GlbCompression;
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
@@ -46,8 +46,8 @@ impl Space {
 }
 
 /// A buffer view with its accessor.
-pub struct View {
-    pub what: What,
+pub struct GlbView {
+    pub what: ViewContent,
     /// The name in the file; empty for indices.
     pub name: String,
     pub components: usize,
@@ -58,7 +58,7 @@ pub struct View {
 }
 
 #[derive(Clone, Copy)]
-pub enum What {
+pub enum ViewContent {
     Positions,
     Normals,
     /// The attribute with this number.
@@ -67,9 +67,9 @@ pub enum What {
 }
 
 /// The views of all data of a mesh, ending with the indices.
-pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
+pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     let vertices = mesh.vertex_count();
-    let view = |what, name: &str, components, scalar, stride| View {
+    let view = |what, name: &str, components, scalar, stride| GlbView {
         what,
         name: name.to_owned(),
         components,
@@ -78,25 +78,25 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
         stride,
     };
     let mut views = vec![match compression {
-        Compression::None => view(What::Positions, "POSITION", 3, FLOAT, 12),
-        Compression::Meshopt => view(What::Positions, "POSITION", 3, UNSIGNED_SHORT, 8),
+        GlbCompression::None => view(ViewContent::Positions, "POSITION", 3, FLOAT, 12),
+        GlbCompression::Meshopt => view(ViewContent::Positions, "POSITION", 3, UNSIGNED_SHORT, 8),
     }];
     if mesh.has_normals() {
         views.push(match compression {
-            Compression::None => view(What::Normals, "NORMAL", 3, FLOAT, 12),
-            Compression::Meshopt => view(What::Normals, "NORMAL", 3, BYTE, 4),
+            GlbCompression::None => view(ViewContent::Normals, "NORMAL", 3, FLOAT, 12),
+            GlbCompression::Meshopt => view(ViewContent::Normals, "NORMAL", 3, BYTE, 4),
         });
     }
     let attributes = mesh.attributes();
     for (index, (info, name)) in attributes.iter().zip(names(&attributes)).enumerate() {
         if let Some(name) = name {
             let stride = 4 * info.components as u64;
-            let what = What::Attribute(index, info.kind);
+            let what = ViewContent::Attribute(index, info.kind);
             views.push(view(what, &name, info.components, FLOAT, stride));
         }
     }
-    views.push(View {
-        what: What::Indices,
+    views.push(GlbView {
+        what: ViewContent::Indices,
         name: String::new(),
         components: 1,
         scalar: UNSIGNED_INT,
@@ -128,9 +128,9 @@ fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     attributes.iter().map(name).collect()
 }
 
-impl View {
+impl GlbView {
     pub fn is_indices(&self) -> bool {
-        matches!(self.what, What::Indices)
+        matches!(self.what, ViewContent::Indices)
     }
 
     pub fn bytes(&self) -> u64 {
@@ -138,17 +138,17 @@ impl View {
     }
 
     /// Writes the elements without compression.
-    pub fn write(&self, out: &mut dyn Write, mesh: &Ordered, space: Space) -> io::Result<()> {
+    pub fn write(&self, out: &mut dyn Write, mesh: &OrderedMesh, space: Space) -> io::Result<()> {
         match self.what {
-            What::Indices => write_triangles(out, mesh, |triangles, out| {
+            ViewContent::Indices => write_triangles(out, mesh, |triangles, out| {
                 let corners = triangles.as_flattened().iter();
                 corners.for_each(|&vertex| out.extend((vertex as u32).to_le_bytes()));
             }),
             what => write_vertices(out, mesh, |vertices, out| {
                 let mut put = |value: &f32| out.extend(value.to_le_bytes());
                 match what {
-                    What::Normals => vertices.normals.as_flattened().iter().for_each(put),
-                    What::Attribute(index, kind) => {
+                    ViewContent::Normals => vertices.normals.as_flattened().iter().for_each(put),
+                    ViewContent::Attribute(index, kind) => {
                         vertices.attributes[index].iter().for_each(|&x| put(&stored(kind, x)));
                     }
                     _ => vertices
@@ -161,9 +161,9 @@ impl View {
     }
 
     /// The compressed elements.
-    pub fn encoded(&self, mesh: &Ordered, space: Space) -> io::Result<Vec<u8>> {
+    pub fn encoded(&self, mesh: &OrderedMesh, space: Space) -> io::Result<Vec<u8>> {
         let encoded = match self.what {
-            What::Positions => {
+            ViewContent::Positions => {
                 let points = gathered(mesh, |vertices, out| {
                     out.extend(vertices.positions.iter().map(|&p| {
                         let [x, y, z] = space.on_grid(p);
@@ -172,7 +172,7 @@ impl View {
                 })?;
                 encode_vertex_buffer_level(&points, LEVEL, CODEC)
             }
-            What::Normals => {
+            ViewContent::Normals => {
                 let normals = gathered(mesh, |vertices, out| {
                     out.extend(vertices.normals.iter().map(|&[x, y, z]| [x, y, z, 0.0]));
                 })?;
@@ -182,7 +182,7 @@ impl View {
                     CODEC,
                 )
             }
-            What::Attribute(index, kind) => {
+            ViewContent::Attribute(index, kind) => {
                 let stored = |&value: &f32| match stored(kind, value) {
                     value if value.is_finite() => value,
                     // NaN and infinity have no exponent.
@@ -198,7 +198,7 @@ impl View {
                     _ => encode_values::<4>(&values),
                 }
             }
-            What::Indices => {
+            ViewContent::Indices => {
                 let mut corners = Vec::with_capacity(self.count as usize);
                 let make = |piece: usize, out: &mut Vec<u32>| {
                     out.extend(
@@ -230,7 +230,7 @@ fn encode_values<const N: usize>(values: &[f32]) -> meshopt::Result<Vec<u8>> {
 
 /// Collects the values that `make` appends for the vertices, piece by piece.
 fn gathered<T: Send + Clone>(
-    mesh: &Ordered,
+    mesh: &OrderedMesh,
     make: impl Fn(&Vertices, &mut Vec<T>) + Sync,
 ) -> io::Result<Vec<T>> {
     let mut all = Vec::with_capacity(mesh.vertex_count() as usize);

@@ -5,12 +5,12 @@ use std::io::{self, Write};
 use serde_json::Value;
 
 use crate::io::CoordinateWidth;
-use crate::surface::mesh::ordered::Ordered;
+use crate::surface::mesh::ordered::OrderedMesh;
 use crate::surface::mesh::source::MeshSource;
 
 use super::document::{aligned, document, empty_document};
-use super::view::{Space, View, views};
-use super::{Compression, Layout, grid_step};
+use super::view::{GlbView, Space, views};
+use super::{GlbCompression, GlbLayout, grid_step};
 
 /// Writes `mesh` with this layout. Without compression, it is streamed and needs 4 bytes per
 /// vertex; with compression, it is in memory.
@@ -30,27 +30,27 @@ pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
     width: CoordinateWidth,
-    layout: Layout,
+    layout: GlbLayout,
 ) -> io::Result<()> {
     if mesh.triangle_count() == 0 {
         return write_header(out, &empty_document(), 0);
     }
-    let mesh = Ordered::new(mesh)?;
+    let mesh = OrderedMesh::new(mesh)?;
     let [lo, hi] = mesh.bounds().unwrap_or_default();
     let space = match (layout.compression, width) {
-        (Compression::Meshopt, _) => {
+        (GlbCompression::Meshopt, _) => {
             let step = grid_step((0..3).map(|axis| hi[axis] - lo[axis]).fold(0.0, f64::max));
             Space { origin: lo.map(|x| (x / step).floor() * step), step }
         }
-        (Compression::None, CoordinateWidth::F32) => Space { origin: [0.0; 3], step: 1.0 },
-        (Compression::None, CoordinateWidth::F64) => {
+        (GlbCompression::None, CoordinateWidth::F32) => Space { origin: [0.0; 3], step: 1.0 },
+        (GlbCompression::None, CoordinateWidth::F64) => {
             Space { origin: std::array::from_fn(|axis| (lo[axis] + hi[axis]) / 2.0), step: 1.0 }
         }
     };
     let views = views(&mesh, layout.compression);
     let encoded = match layout.compression {
-        Compression::None => None,
-        Compression::Meshopt => Some(
+        GlbCompression::None => None,
+        GlbCompression::Meshopt => Some(
             views
                 .iter()
                 .map(|view| view.encoded(&mesh, space))
@@ -61,7 +61,7 @@ pub fn write_mesh(
         encoded.as_ref().map(|all| all.iter().map(|bytes| bytes.len() as u64).collect());
     let document = document(layout, space, [lo, hi], &views, lengths.as_deref());
     let stored = match lengths {
-        None => views.iter().map(View::bytes).sum(),
+        None => views.iter().map(GlbView::bytes).sum(),
         Some(lengths) => lengths.into_iter().map(aligned).sum(),
     };
     write_header(out, &document, stored)?;

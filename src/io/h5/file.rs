@@ -13,7 +13,7 @@ use crate::io::bytes::{Bytes, Unpacking, unpacked_limit};
 use crate::io::{ReadFault, malformed};
 
 use super::lzf;
-use super::table::{Array, Part, scalar};
+use super::table::{H5Array, RowPart, scalar};
 
 /// Names of attributes and data sets for the time of a step or a file.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
@@ -23,7 +23,7 @@ const CHUNKS: u64 = 16 << 20;
 const LARGE: usize = 64 << 10;
 
 /// An open file. All its data sets must be dropped before its bytes are taken.
-pub(super) struct File<'a> {
+pub(super) struct H5File<'a> {
     hdf: Hdf5File,
     bytes: Arc<Bytes>,
     pub unpacking: Unpacking<'a>,
@@ -31,7 +31,7 @@ pub(super) struct File<'a> {
     pub limit: u64,
 }
 
-impl<'a> File<'a> {
+impl<'a> H5File<'a> {
     pub fn open(bytes: Bytes, unpacking: Unpacking<'a>) -> Result<Self, ReadFault> {
         let limit = unpacked_limit(bytes.view().len() as u64);
         let most = usize::try_from(limit).unwrap_or(usize::MAX);
@@ -154,7 +154,7 @@ pub(super) fn number_of(set: Dataset, index: u64) -> Option<f64> {
         _ => return None,
     };
     let number = scalar(set.dtype())?;
-    let array = Array::of(Arc::new(set), String::new(), number, rows, 1, Part::Row);
+    let array = H5Array::of(Arc::new(set), String::new(), number, rows, 1, RowPart::Row);
     let numbers = (index < rows).then(|| array.doubles([index, index + 1]).ok())??;
     numbers.first().copied()
 }

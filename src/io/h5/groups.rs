@@ -8,50 +8,50 @@ use hdf5_reader::group::Group;
 use hdf5_reader::{Dataset, Datatype};
 
 use crate::io::columns::{Endian, Scalar};
-use crate::io::fields::{Arrangement, Axes, Field, Place, arrange};
+use crate::io::fields::{Arrangement, Axes, ColumnIndex, NamedArray, arrange};
 use crate::io::{ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::contents::{self, DEEPEST, MOST_GROUPS};
-use super::file::{File, checked, time_of, times_in};
+use super::file::{H5File, checked, time_of, times_in};
 use super::h5md;
-use super::table::{Array, Part, Table, chosen_type, scalar, types};
+use super::table::{H5Array, H5Table, RowPart, chosen_type, scalar, types};
 
 /// The type of particles that is read by default: gas, as in snapshots.
 const USUAL: &str = "PartType0";
 
 /// A group, or a table in a group, with positions of particles.
-pub(super) struct Candidate {
+pub(super) struct GroupCandidate {
     /// Path relative to the searched group; `/` for that group.
     path: String,
     group: Group,
-    fields: Vec<Field>,
-    sources: Vec<Source>,
+    fields: Vec<NamedArray>,
+    sources: Vec<FieldStorage>,
     pub arrangement: Arrangement,
 }
 
 /// The storage of a field.
-struct Source {
+struct FieldStorage {
     set: Arc<Dataset>,
     number: (Scalar, Endian),
-    member: Option<Member>,
+    member: Option<CompoundMember>,
 }
 
 /// A field in the rows of a data set.
 #[derive(Clone, Copy)]
-struct Member {
+struct CompoundMember {
     offset: usize,
     stride: usize,
 }
 
-impl Candidate {
+impl GroupCandidate {
     /// Number of frames, if the position has several.
     pub fn frames(&self) -> Option<u64> {
         self.arrangement.frames
     }
 
     /// Rejects more frames than the file's size allows.
-    pub fn check_frames(&self, file: &File) -> Result<(), ReadFault> {
+    pub fn check_frames(&self, file: &H5File) -> Result<(), ReadFault> {
         let Arrangement { frames, rows, .. } = self.arrangement;
         let bytes = frames.unwrap_or(1).checked_mul(rows.max(1)).and_then(|n| n.checked_mul(12));
         match bytes.is_some_and(|bytes| bytes <= file.limit) {
@@ -78,23 +78,25 @@ impl Candidate {
     }
 
     /// The columns of a frame.
-    pub fn table(&self, frame: u64) -> Result<Table, ReadFault> {
+    pub fn table(&self, frame: u64) -> Result<H5Table, ReadFault> {
         let Arrangement { rows, axes, position, attributes, .. } = &self.arrangement;
         let arrays = self.fields.iter().zip(&self.sources).zip(axes);
-        let arrays: Vec<Array> = arrays
+        let arrays: Vec<H5Array> = arrays
             .map(|((field, source), axes)| {
                 let part = match (source.member, axes) {
-                    (Some(Member { offset, stride }), _) => Part::Member { offset, stride },
-                    (None, Axes::Particles) => Part::Row,
-                    (None, Axes::Components) => Part::Columns,
-                    (None, Axes::Frames) => Part::Frame(frame),
+                    (Some(CompoundMember { offset, stride }), _) => {
+                        RowPart::Member { offset, stride }
+                    }
+                    (None, Axes::Particles) => RowPart::Row,
+                    (None, Axes::Components) => RowPart::Columns,
+                    (None, Axes::Frames) => RowPart::Frame(frame),
                 };
                 let components = axes.components(&field.shape);
                 let set = Arc::clone(&source.set);
-                Array::of(set, field.name.clone(), source.number, *rows, components, part)
+                H5Array::of(set, field.name.clone(), source.number, *rows, components, part)
             })
             .collect();
-        let places = |places: &[Place]| -> Vec<_> {
+        let places = |places: &[ColumnIndex]| -> Vec<_> {
             places.iter().map(|place| (place.field, place.component)).collect()
         };
         let attributes = attributes.iter().map(|found| {
@@ -107,20 +109,20 @@ impl Candidate {
             true => h5md::present(&arrays, &attributes)?,
             false => None,
         };
-        Ok(Table { arrays, position, attributes, present })
+        Ok(H5Table { arrays, position, attributes, present })
     }
 }
 
 /// The groups and tables with positions below `root`, in the order of their paths.
-pub(super) struct Search {
-    pub candidates: Vec<Candidate>,
+pub(super) struct GroupSearch {
+    pub candidates: Vec<GroupCandidate>,
     /// Error of a group that would otherwise have positions.
     fault: Option<ReadFault>,
 }
 
-impl Search {
+impl GroupSearch {
     /// Searches `root` and all groups below.
-    pub fn of(root: &Group, file: &File) -> Result<Self, ReadFault> {
+    pub fn of(root: &Group, file: &H5File) -> Result<Self, ReadFault> {
         let mut search = Self { candidates: Vec::new(), fault: None };
         let mut seen = BTreeSet::new();
         // Groups to search, the next one last.
@@ -144,7 +146,7 @@ impl Search {
                 "" => name.to_owned(),
                 path => format!("{path}/{name}"),
             };
-            let (mut fields, mut tables) = (Fields::default(), Vec::new());
+            let (mut fields, mut tables) = (GroupFields::default(), Vec::new());
             let items = pandas_items(&sets)?;
             for set in sets {
                 let name = last_name(set.name()).to_owned();
@@ -162,7 +164,7 @@ impl Search {
             let own = if path.is_empty() { "/".to_owned() } else { path.clone() };
             search.push(own, &group, fields);
             for (name, set) in tables {
-                let mut fields = Fields::default();
+                let mut fields = GroupFields::default();
                 fields.push_table(set)?;
                 search.push(joined(&name), &group, fields);
             }
@@ -176,12 +178,12 @@ impl Search {
         Ok(search)
     }
 
-    fn push(&mut self, path: String, group: &Group, fields: Fields) {
-        let Fields { fields, sources } = fields;
+    fn push(&mut self, path: String, group: &Group, fields: GroupFields) {
+        let GroupFields { fields, sources } = fields;
         match arrange(&fields) {
             Ok(Some(arrangement)) => {
                 let group = group.clone();
-                self.candidates.push(Candidate { path, group, fields, sources, arrangement });
+                self.candidates.push(GroupCandidate { path, group, fields, sources, arrangement });
             }
             Ok(None) => {}
             Err(fault) => {
@@ -199,7 +201,7 @@ impl Search {
         mut self,
         root: &Group,
         named: Option<&str>,
-    ) -> Result<(Candidate, Vec<String>), ReadFault> {
+    ) -> Result<(GroupCandidate, Vec<String>), ReadFault> {
         if self.candidates.is_empty() {
             return Err(match self.fault {
                 Some(fault) => fault,
@@ -238,14 +240,14 @@ impl Search {
 
 /// Fields of a group or of a table.
 #[derive(Default)]
-struct Fields {
-    fields: Vec<Field>,
-    sources: Vec<Source>,
+struct GroupFields {
+    fields: Vec<NamedArray>,
+    sources: Vec<FieldStorage>,
 }
 
-impl Fields {
-    fn add(&mut self, name: String, shape: Vec<u64>, source: Source) {
-        self.fields.push(Field { name, shape });
+impl GroupFields {
+    fn add(&mut self, name: String, shape: Vec<u64>, source: FieldStorage) {
+        self.fields.push(NamedArray { name, shape });
         self.sources.push(source);
     }
 
@@ -253,7 +255,7 @@ impl Fields {
     fn push(&mut self, name: String, set: Dataset) {
         if let Some(number) = scalar(set.dtype()).filter(|_| set.ndim() > 0) {
             let shape = set.shape().to_vec();
-            self.add(name, shape, Source { set: Arc::new(set), number, member: None });
+            self.add(name, shape, FieldStorage { set: Arc::new(set), number, member: None });
         }
     }
 
@@ -265,8 +267,8 @@ impl Fields {
         }
         let (set, size) = (Arc::new(set), number.0.size());
         for (index, name) in items.iter().enumerate() {
-            let member = Some(Member { offset: index * size, stride: items.len() * size });
-            let source = Source { set: Arc::clone(&set), number, member };
+            let member = Some(CompoundMember { offset: index * size, stride: items.len() * size });
+            let source = FieldStorage { set: Arc::clone(&set), number, member };
             self.add(name.clone(), vec![rows], source);
         }
     }
@@ -315,8 +317,8 @@ impl Fields {
             return Err(malformed(0, what));
         }
         let shape = [rows].into_iter().chain(dims.iter().copied()).collect();
-        let member = Some(Member { offset, stride });
-        self.add(name.to_owned(), shape, Source { set: Arc::clone(set), number, member });
+        let member = Some(CompoundMember { offset, stride });
+        self.add(name.to_owned(), shape, FieldStorage { set: Arc::clone(set), number, member });
         Ok(())
     }
 }

@@ -7,9 +7,9 @@ use crate::io::ReadFault;
 use crate::particles::AttributeInfo;
 use crate::particles::sieve::Sieve;
 
-use super::file::{File, checked, number_of, numbers};
+use super::file::{H5File, checked, number_of, numbers};
 use super::groups::last_name;
-use super::table::{Array, Place};
+use super::table::{H5Array, Place};
 
 const POSITION: &str = "position";
 const VALUE: &str = "value";
@@ -22,7 +22,7 @@ const WINDOW: u64 = 1 << 16;
 
 /// The values of the elements in some groups, by name. Elements with other steps than the position
 /// are left out.
-pub fn elements(groups: &[Group], file: &File) -> Result<Vec<(String, Dataset)>, ReadFault> {
+pub fn elements(groups: &[Group], file: &H5File) -> Result<Vec<(String, Dataset)>, ReadFault> {
     let mut all = Vec::new();
     for group in groups {
         let (_, sets) = checked(group.member_names())?;
@@ -41,11 +41,11 @@ pub fn elements(groups: &[Group], file: &File) -> Result<Vec<(String, Dataset)>,
 }
 
 /// The steps of an element, if they are stored.
-fn steps(group: &Group, sets: &[String], file: &File) -> Result<Option<Vec<i64>>, ReadFault> {
+fn steps(group: &Group, sets: &[String], file: &H5File) -> Result<Option<Vec<i64>>, ReadFault> {
     if !sets.iter().any(|name| name == STEP) {
         return Ok(None);
     }
-    let steps = Array::new(checked(group.dataset(STEP))?);
+    let steps = H5Array::new(checked(group.dataset(STEP))?);
     let steps = steps.filter(|steps| steps.components == 1 && !steps.scalar.is_float());
     steps.map(|steps| steps.integers(file)).transpose()
 }
@@ -77,10 +77,10 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
     let fixed = || all.dataset("edges").ok();
     let edges = match all.group("edges") {
         Ok(element) => {
-            let edges = Array::new(element.dataset(VALUE).ok()?).filter(|a| a.components == 3)?;
+            let edges = H5Array::new(element.dataset(VALUE).ok()?).filter(|a| a.components == 3)?;
             (frame < edges.rows).then(|| edges.doubles([frame, frame + 1]).ok())??
         }
-        Err(_) => match fixed().and_then(Array::new) {
+        Err(_) => match fixed().and_then(H5Array::new) {
             Some(edges) if edges.components == 1 && edges.rows == 3 => {
                 edges.doubles([0, 3]).ok()?
             }
@@ -93,7 +93,7 @@ pub fn box_size(group: &Group, frame: u64) -> Option<[f64; 3]> {
 
 /// Numbers of the rows with particles; `None` if all have some.
 pub fn present(
-    arrays: &[Array],
+    arrays: &[H5Array],
     attributes: &[(AttributeInfo, Vec<Place>)],
 ) -> Result<Option<Sieve>, ReadFault> {
     let ids = attributes.iter().find(|(info, places)| info.name == ID && places.len() == 1);

@@ -29,14 +29,14 @@ use std::path::Path;
 use crate::surface::mesh::Mesh;
 
 use super::bytes::{Bytes, Unpacking};
-use super::wanted::Wanted;
+use super::wanted::WantedParticles;
 use super::{ParticleFile, ReadError, ReadFault};
 
-use file::File;
+use file::H5File;
 pub use snapshot::pieces_of;
 
 /// The layout of a file. Without a known layout, a file is searched for groups of particles.
-enum Layout {
+enum H5Layout {
     VtkHdf,
     OpenPmd,
     Snapshot,
@@ -44,8 +44,8 @@ enum Layout {
     Groups,
 }
 
-impl Layout {
-    fn of(file: &File) -> Result<Self, ReadFault> {
+impl H5Layout {
+    fn of(file: &H5File) -> Result<Self, ReadFault> {
         let root = file.root()?;
         let (groups, _) = file::checked(root.member_names())?;
         let has = |name: &str| groups.iter().any(|group| group == name);
@@ -75,23 +75,23 @@ pub fn open_particles(
     path: &Path,
     bytes: Bytes,
     step: Option<u64>,
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let file = File::open(bytes, unpacking).map_err(fail)?;
-    let layout = Layout::of(&file).map_err(fail)?;
-    if let (Layout::Snapshot | Layout::PySph, Some(step)) = (&layout, step) {
+    let file = H5File::open(bytes, unpacking).map_err(fail)?;
+    let layout = H5Layout::of(&file).map_err(fail)?;
+    if let (H5Layout::Snapshot | H5Layout::PySph, Some(step)) = (&layout, step) {
         return Err(fail(ReadFault::Unsupported(format!(
             "contains a single frame, so there is no step {step}"
         ))));
     }
     match layout {
-        Layout::VtkHdf => vtkhdf::read_particles(file, step, wanted.attributes).map_err(fail),
-        Layout::OpenPmd => openpmd::read_particles(file, step, wanted).map_err(fail),
-        Layout::Snapshot => snapshot::open_particles(path, file, wanted, unpacking),
-        Layout::PySph => pysph::read_particles(file, wanted).map_err(fail),
-        Layout::Groups => steps::read_particles(file, step, wanted).map_err(fail),
+        H5Layout::VtkHdf => vtkhdf::read_particles(file, step, wanted.attributes).map_err(fail),
+        H5Layout::OpenPmd => openpmd::read_particles(file, step, wanted).map_err(fail),
+        H5Layout::Snapshot => snapshot::open_particles(path, file, wanted, unpacking),
+        H5Layout::PySph => pysph::read_particles(file, wanted).map_err(fail),
+        H5Layout::Groups => steps::read_particles(file, step, wanted).map_err(fail),
     }
 }
 
@@ -100,20 +100,20 @@ pub fn open_particles(
 /// # Errors
 /// [`ReadFault::Malformed`] for a file that is not HDF5.
 pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
-    let file = File::open(bytes, Unpacking::in_memory())?;
-    match Layout::of(&file)? {
-        Layout::VtkHdf => vtkhdf::steps(&file),
-        Layout::OpenPmd => openpmd::steps(&file),
-        Layout::Snapshot | Layout::PySph => Ok(Vec::new()),
-        Layout::Groups => steps::steps(&file),
+    let file = H5File::open(bytes, Unpacking::in_memory())?;
+    match H5Layout::of(&file)? {
+        H5Layout::VtkHdf => vtkhdf::steps(&file),
+        H5Layout::OpenPmd => openpmd::steps(&file),
+        H5Layout::Snapshot | H5Layout::PySph => Ok(Vec::new()),
+        H5Layout::Groups => steps::steps(&file),
     }
 }
 
 /// Whether a file has polygons in VTKHDF. A file without any data also counts as a mesh.
 pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
-    let file = File::open(bytes, Unpacking::in_memory())?;
-    match Layout::of(&file)? {
-        Layout::VtkHdf => vtkhdf::has_faces(&file),
+    let file = H5File::open(bytes, Unpacking::in_memory())?;
+    match H5Layout::of(&file)? {
+        H5Layout::VtkHdf => vtkhdf::has_faces(&file),
         _ => Ok(false),
     }
 }
@@ -124,9 +124,9 @@ pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
 /// Those of [`open_particles`], and [`ReadFault::Unsupported`] for strips, other layouts and data
 /// sets, and several steps.
 pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
-    let file = File::open(bytes, Unpacking::in_memory())?;
-    match Layout::of(&file)? {
-        Layout::VtkHdf => vtkhdf::read_mesh(file),
+    let file = H5File::open(bytes, Unpacking::in_memory())?;
+    match H5Layout::of(&file)? {
+        H5Layout::VtkHdf => vtkhdf::read_mesh(file),
         _ => Err(ReadFault::Unsupported("HDF5 meshes must be VTKHDF".to_owned())),
     }
 }

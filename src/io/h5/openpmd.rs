@@ -7,17 +7,17 @@ use std::io;
 
 use hdf5_reader::group::Group;
 
-use crate::io::bytes::Unpacked;
-use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use crate::io::bytes::UnpackBuffer;
+use crate::io::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use crate::io::encode::in_order;
 use crate::io::error::several_steps;
 use crate::io::vertices::columns;
-use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
-use super::file::{File, checked, number, numbers, time_of};
-use super::table::{Array, Windows, chosen_type, fault_of, types};
+use super::file::{H5File, checked, number, numbers, time_of};
+use super::table::{H5Array, RowWindows, chosen_type, fault_of, types};
 
 /// Groups of a species that are not attributes of its particles.
 const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
@@ -34,7 +34,7 @@ fn iterations(root: &Group) -> Result<Group, ReadFault> {
 }
 
 /// The numbers of the iterations, in order.
-pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
+pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     let (groups, _) = checked(iterations(&file.root()?)?.member_names())?;
     let mut steps: Vec<u64> = groups.iter().filter_map(|name| name.parse().ok()).collect();
     steps.sort_unstable();
@@ -43,9 +43,9 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
 
 /// Reads the particles of an iteration, of the `wanted` species or the only one.
 pub fn read_particles(
-    file: File,
+    file: H5File,
     step: Option<u64>,
-    wanted: Wanted,
+    wanted: WantedParticles,
 ) -> Result<ParticleFile, ReadFault> {
     let step = match (step, &*steps(&file)?) {
         (Some(step), known) if known.contains(&step) => step,
@@ -78,13 +78,13 @@ pub fn read_particles(
 
 /// A component of a record.
 struct Component {
-    values: Values,
+    values: RecordValues,
     /// The factor that converts the values to SI units.
     unit: f64,
 }
 
-enum Values {
-    Stored(Box<Array>),
+enum RecordValues {
+    Stored(Box<H5Array>),
     /// One value for all particles, and their number.
     Constant(f64, u64),
 }
@@ -94,11 +94,11 @@ impl Component {
     fn named(group: &Group, name: &str) -> Result<Option<Self>, ReadFault> {
         let (groups, sets) = checked(group.member_names())?;
         if sets.iter().any(|set| set == name) {
-            let array = Array::named(group, name)?;
+            let array = H5Array::named(group, name)?;
             let unit =
                 array.set.attribute("unitSI").and_then(|unit| unit.read_as_f64()).unwrap_or(1.0);
             return Ok((array.components == 1)
-                .then_some(Self { values: Values::Stored(Box::new(array)), unit }));
+                .then_some(Self { values: RecordValues::Stored(Box::new(array)), unit }));
         }
         if !groups.iter().any(|group| group == name) {
             return Ok(None);
@@ -110,23 +110,23 @@ impl Component {
         let value = number(group, "value")?;
         let rows = numbers(group, "shape")?.first().copied().filter(|rows| *rows >= 0.0)? as u64;
         Some(Self {
-            values: Values::Constant(value, rows),
+            values: RecordValues::Constant(value, rows),
             unit: number(group, "unitSI").unwrap_or(1.0),
         })
     }
 
     fn rows(&self) -> u64 {
         match &self.values {
-            Values::Stored(array) => array.rows,
-            Values::Constant(_, rows) => *rows,
+            RecordValues::Stored(array) => array.rows,
+            RecordValues::Constant(_, rows) => *rows,
         }
     }
 
     /// Values of some rows, in SI units.
     fn doubles(&self, rows: [u64; 2]) -> Result<Vec<f64>, ReadFault> {
         let mut values = match &self.values {
-            Values::Stored(array) => array.doubles(rows)?,
-            Values::Constant(value, _) => vec![*value; (rows[1] - rows[0]) as usize],
+            RecordValues::Stored(array) => array.doubles(rows)?,
+            RecordValues::Constant(value, _) => vec![*value; (rows[1] - rows[0]) as usize],
         };
         if self.unit != 1.0 {
             values.iter_mut().for_each(|value| *value *= self.unit);
@@ -153,7 +153,7 @@ fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFau
 
 fn particles(
     species: &Group,
-    file: &File,
+    file: &H5File,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
     let position = record(species, "position")?.filter(|position| position.len() == 3);
@@ -173,7 +173,7 @@ fn particles(
     let mut names: Vec<String> = groups.into_iter().chain(sets).collect();
     names.retain(|name| !NO_RECORDS.contains(&name.as_str()));
     names.sort_unstable();
-    let mut decoded = Unpacked::new(file.unpacking);
+    let mut decoded = UnpackBuffer::new(file.unpacking);
     let spot = columns_of(&position, offset.as_deref(), Scalar::F64, file, &mut decoded)?;
     let mut records = Vec::new();
     for name in names {
@@ -197,7 +197,7 @@ fn particles(
     file.check()?;
     let position = spot.try_into().expect("of three components");
     let store: ColumnStore =
-        ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
+        ColumnStore::new(decoded.finish()?, ParticleRows::All(rows), position, attributes);
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
@@ -206,8 +206,8 @@ fn columns_of(
     components: &[Component],
     added: Option<&[Component]>,
     scalar: Scalar,
-    file: &File,
-    decoded: &mut Unpacked,
+    file: &H5File,
+    decoded: &mut UnpackBuffer,
 ) -> Result<Vec<Column>, ReadFault> {
     let rows = components[0].rows();
     let stride = components.len() * scalar.size();
@@ -218,10 +218,10 @@ fn columns_of(
         )));
     }
     let stored = components.iter().find_map(|component| match &component.values {
-        Values::Stored(array) => Some(array.windows()),
-        Values::Constant(..) => None,
+        RecordValues::Stored(array) => Some(array.windows()),
+        RecordValues::Constant(..) => None,
     });
-    let windows = stored.unwrap_or_else(|| Windows::of(rows, stride as u64));
+    let windows = stored.unwrap_or_else(|| RowWindows::of(rows, stride as u64));
     let start = decoded.len() as usize;
     let make = |index: usize, out: &mut Vec<u8>| -> io::Result<()> {
         let window = windows.rows(index, rows);

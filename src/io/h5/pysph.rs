@@ -1,12 +1,12 @@
 //! Reads PySPH's output in HDF5: `particles` has a group for each array of particles, and the
 //! solver's data has the time.
 
-use crate::io::wanted::{TAG, Wanted};
+use crate::io::wanted::{TAG, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
-use super::file::{File, checked, time_of};
-use super::table::{Array, Place, Table, chosen_type, types};
+use super::file::{H5File, checked, time_of};
+use super::table::{H5Array, H5Table, Place, chosen_type, types};
 
 /// Name of the group of the arrays of particles.
 pub const PARTICLES: &str = "particles";
@@ -15,18 +15,18 @@ pub const SOLVER: &str = "solver_data";
 
 /// Reads the particles of the `wanted` array, or of `fluid`. Particles with a non-zero `tag` are
 /// copies, from other processes or for periodic boundaries, and are left out.
-pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
+pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
     let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
-    let arrays = Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
+    let arrays = H5Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
     let particle_types = types(known, &kind);
     Ok(ParticleFile { time, particle_types, ..file.without(TAG) })
 }
 
 /// Columns by name: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.
-fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
+fn table(arrays: Vec<H5Array>) -> Result<H5Table, ReadFault> {
     let named =
         |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);
     let vector = |names: [&str; 3]| -> Option<[usize; 3]> {
@@ -52,5 +52,5 @@ fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
             attributes.push((info(&array.name, array.components), places));
         }
     }
-    Ok(Table { arrays, position: places(position), attributes, present: None })
+    Ok(H5Table { arrays, position: places(position), attributes, present: None })
 }

@@ -11,12 +11,12 @@ use rayon::prelude::*;
 
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
 use crate::io::frame_files::snapshot_piece;
-use crate::io::wanted::{Wanted, WantedPieces};
+use crate::io::wanted::{WantedParticles, WantedPieces};
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::particles::Particles;
 
-use super::file::{File, checked, number, numbers, time_of};
-use super::table::{Array, Table, chosen_type, types};
+use super::file::{H5File, checked, number, numbers, time_of};
+use super::table::{H5Array, H5Table, chosen_type, types};
 
 /// Name of the group with the snapshot's header.
 pub const HEADER: &str = "Header";
@@ -28,7 +28,7 @@ const FORMAT: &str = "SWIFT or GADGET HDF5";
 
 /// The header of every file of a snapshot.
 #[derive(Debug, Clone, PartialEq)]
-struct Header {
+struct SnapshotHeader {
     /// Numbers of particles in this file by type.
     here: Vec<u64>,
     /// Numbers of particles in all files by type.
@@ -46,7 +46,7 @@ pub fn says_pieces(root: &Group) -> bool {
     root.group(HEADER).is_ok_and(|header| header.attribute("NumPart_ThisFile").is_ok())
 }
 
-impl Header {
+impl SnapshotHeader {
     fn read(root: &Group) -> Result<Self, ReadFault> {
         let header = checked(root.group(HEADER))?;
         let counts = |name: &str| -> Option<Vec<u64>> {
@@ -108,12 +108,12 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
 /// Reads all files of the snapshot of `file`, at `path`: particles of the `wanted` type, or gas.
 pub fn open_particles(
     path: &Path,
-    file: File,
-    wanted: Wanted,
+    file: H5File,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let header = file.root().and_then(|root| Header::read(&root)).map_err(fail)?;
+    let header = file.root().and_then(|root| SnapshotHeader::read(&root)).map_err(fail)?;
     let kind =
         chosen_type(&header.types(), wanted.particle_type.or(Some(GAS)), None).map_err(fail)?;
     let read = if header.files == 1 && !header.is_view {
@@ -128,8 +128,8 @@ pub fn open_particles(
                 return Ok(ParticleFile::new(Pieces::default(), FORMAT));
             }
             let bytes = open_bytes_within(piece, share)?;
-            let read = File::open(bytes, share).and_then(|file| {
-                let own = Header::read(&file.root()?)?;
+            let read = H5File::open(bytes, share).and_then(|file| {
+                let own = SnapshotHeader::read(&file.root()?)?;
                 read_piece(file, &kind, wanted, &own, Some(&header))
             });
             read.map_err(|fault| ReadError::new(piece, fault))
@@ -149,12 +149,12 @@ pub fn open_particles(
         check_total(&header, &kind, read.particles.len()).map_err(fail)?;
     }
     let particle_types = types(header.types(), &kind);
-    let Header { time, box_size, unit_metres, .. } = header;
+    let SnapshotHeader { time, box_size, unit_metres, .. } = header;
     Ok(ParticleFile { time, box_size, unit_metres, particle_types, ..read })
 }
 
 /// Checks that the files contain the total number of particles in their headers.
-fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFault> {
+fn check_total(header: &SnapshotHeader, kind: &str, found: usize) -> Result<(), ReadFault> {
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     match header.total.as_ref().and_then(|total| total.get(index)) {
         Some(&total) if total != found as u64 => Err(malformed(
@@ -170,11 +170,11 @@ fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFaul
 
 /// The particles of one file, which may be one of `of` pieces.
 fn read_piece(
-    file: File,
+    file: H5File,
     kind: &str,
-    wanted: Wanted,
-    own: &Header,
-    of: Option<&Header>,
+    wanted: WantedParticles,
+    own: &SnapshotHeader,
+    of: Option<&SnapshotHeader>,
 ) -> Result<ParticleFile, ReadFault> {
     if of.is_some_and(|of| !own.is_like(of)) {
         return Err(malformed(0, "its header belongs to another snapshot"));
@@ -185,9 +185,9 @@ fn read_piece(
         return Ok(ParticleFile::new(Pieces::default(), FORMAT));
     }
     let group = file.group(kind)?;
-    let arrays = Array::by_name(&group)?;
+    let arrays = H5Array::by_name(&group)?;
     let missing = || malformed(0, format!("no {POSITION} with three components in {kind}"));
-    let table = Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
+    let table = H5Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
         let what = format!(
             "the header announces {announced} particles of {kind}, but the file \
@@ -201,7 +201,7 @@ fn read_piece(
 }
 
 /// The paths of a snapshot's files, all of which exist.
-fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> {
+fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, ReadError> {
     let base = snapshot_piece(path).filter(|(_, number)| !header.is_view && *number < header.files);
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
     let [stem, extension] =
@@ -224,7 +224,7 @@ fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> 
 
 /// The number of files of a snapshot, from one of them; `None` for other files.
 pub fn pieces_of(path: &Path) -> Option<u64> {
-    let file = File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
+    let file = H5File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
     let root = file.root().ok().filter(says_pieces)?;
-    Header::read(&root).ok().map(|header| header.files)
+    SnapshotHeader::read(&root).ok().map(|header| header.files)
 }

@@ -4,11 +4,11 @@
 use hdf5_reader::group::Group;
 
 use crate::io::error::{no_step, several_steps};
-use crate::io::wanted::Wanted;
+use crate::io::wanted::WantedParticles;
 use crate::io::{ParticleFile, ReadFault};
 
-use super::file::{File, checked, time_of, times_in};
-use super::groups::Search;
+use super::file::{H5File, checked, time_of, times_in};
+use super::groups::GroupSearch;
 
 /// Prefix of the names of H5Part's groups.
 const STEP: &str = "step#";
@@ -49,9 +49,9 @@ const PARENTS: [&str; 12] = [
 /// from a file with a single frame. If there are several groups of particles, reads the `wanted`
 /// one.
 pub fn read_particles(
-    file: File,
+    file: H5File,
     step: Option<u64>,
-    wanted: Wanted,
+    wanted: WantedParticles,
 ) -> Result<ParticleFile, ReadFault> {
     let root = file.root()?;
     let numbered = numbered(&root, &file)?;
@@ -65,7 +65,7 @@ pub fn read_particles(
         (None, [(first, _), .., (last, _)]) => return Err(several_steps(*first, *last)),
     };
     let (candidate, particle_types) =
-        Search::of(&group, &file)?.chosen(&group, wanted.particle_type)?;
+        GroupSearch::of(&group, &file)?.chosen(&group, wanted.particle_type)?;
     candidate.check_frames(&file)?;
     let frame = candidate.arrangement.frame(frame)?;
     let time = candidate.time(frame).or_else(|| match candidate.frames() {
@@ -86,13 +86,13 @@ pub fn read_particles(
 }
 
 /// The numbers of the frames, in order; empty for a file with a single frame.
-pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
+pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     let root = file.root()?;
     let numbered = numbered(&root, file)?;
     if !numbered.is_empty() {
         return Ok(numbered.into_iter().map(|(number, _)| number).collect());
     }
-    let search = Search::of(&root, file)?;
+    let search = GroupSearch::of(&root, file)?;
     let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
     // Which of several groups is meant is checked when one is read.
     let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
@@ -104,7 +104,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
 
 /// The groups of frames, in the order of their numbers: those of H5Part, or numbered groups with
 /// positions in one group or the root.
-fn numbered(root: &Group, file: &File) -> Result<Vec<(u64, Group)>, ReadFault> {
+fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = checked(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
     if !h5part.is_empty() {
@@ -121,7 +121,7 @@ fn numbered(root: &Group, file: &File) -> Result<Vec<(u64, Group)>, ReadFault> {
     }
     for frames in found {
         let Some((_, first)) = frames.first() else { continue };
-        if !Search::of(first, file)?.candidates.is_empty() {
+        if !GroupSearch::of(first, file)?.candidates.is_empty() {
             return Ok(frames);
         }
     }

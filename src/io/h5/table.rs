@@ -10,8 +10,8 @@ use hdf5_reader::error::Result as Parsed;
 use hdf5_reader::group::Group;
 use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem};
 
-use crate::io::bytes::{Bytes, Unpacked};
-use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use crate::io::bytes::{Bytes, UnpackBuffer};
+use crate::io::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use crate::io::encode::in_order;
 use crate::io::vertices::{columns, integer};
 use crate::io::wanted::WantedAttributes;
@@ -19,7 +19,7 @@ use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::particles::sieve::Sieve;
 
-use super::file::{File, checked};
+use super::file::{H5File, checked};
 
 /// Bytes per decoding step, unless chunks are larger.
 const WINDOW: u64 = 1 << 20;
@@ -33,7 +33,7 @@ const NATIVE: Endian = if cfg!(target_endian = "big") { Endian::Big } else { End
 
 /// An array of numbers with one row per particle: a data set, or a range of its rows, or a part of
 /// each row.
-pub(super) struct Array {
+pub(super) struct H5Array {
     pub set: Arc<Dataset>,
     pub name: String,
     pub scalar: Scalar,
@@ -43,12 +43,12 @@ pub(super) struct Array {
     pub first: u64,
     /// The number of rows.
     pub rows: u64,
-    part: Part,
+    part: RowPart,
 }
 
 /// The numbers of a row in a data set.
 #[derive(Clone, Copy)]
-pub(super) enum Part {
+pub(super) enum RowPart {
     /// A row of the first axis.
     Row,
     /// A row of the second axis, in this frame of the first axis.
@@ -59,7 +59,7 @@ pub(super) enum Part {
     Member { offset: usize, stride: usize },
 }
 
-impl Array {
+impl H5Array {
     /// All rows of a data set; `None` if they are not numbers.
     pub fn new(set: Dataset) -> Option<Self> {
         let name = set.name().rsplit('/').next().unwrap_or_default().to_owned();
@@ -69,7 +69,7 @@ impl Array {
             _ => return None,
         };
         let number = scalar(set.dtype())?;
-        Some(Self::of(Arc::new(set), name, number, rows, components, Part::Row))
+        Some(Self::of(Arc::new(set), name, number, rows, components, RowPart::Row))
     }
 
     /// A part of each row of a data set.
@@ -79,7 +79,7 @@ impl Array {
         (scalar, endian): (Scalar, Endian),
         rows: u64,
         components: usize,
-        part: Part,
+        part: RowPart,
     ) -> Self {
         Self { set, name, scalar, endian, components, first: 0, rows, part }
     }
@@ -118,7 +118,7 @@ impl Array {
     /// Bytes per row.
     fn stride(&self) -> usize {
         match self.part {
-            Part::Member { stride, .. } => stride,
+            RowPart::Member { stride, .. } => stride,
             _ => self.components * self.scalar.size(),
         }
     }
@@ -136,11 +136,11 @@ impl Array {
     }
 
     /// Decodes the rows, and appends them.
-    fn decode(&self, decoded: &mut Unpacked, file: &File) -> Result<(), ReadFault> {
+    fn decode(&self, decoded: &mut UnpackBuffer, file: &H5File) -> Result<(), ReadFault> {
         self.check(decoded.len(), file.limit)?;
         let windows = self.windows();
         // Components that are stored separately are decoded one after the other.
-        let passes = if let Part::Columns = self.part { self.components } else { 1 };
+        let passes = if let RowPart::Columns = self.part { self.components } else { 1 };
         let count = windows.count * passes;
         let window =
             |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
@@ -169,21 +169,21 @@ impl Array {
 
     /// The columns of decoded data that starts at byte `start`.
     fn decoded_columns(&self, start: usize) -> Vec<Column> {
-        let endian = if let Part::Member { .. } = self.part { self.endian } else { NATIVE };
+        let endian = if let RowPart::Member { .. } = self.part { self.endian } else { NATIVE };
         self.columns(start, self.rows, endian)
     }
 
     /// The columns in the file, if the rows can be read in place.
-    fn in_place(&self, file: &File) -> Option<Vec<Column>> {
+    fn in_place(&self, file: &H5File) -> Option<Vec<Column>> {
         let stride = self.stride() as u64;
         let all = *self.set.shape().first()?;
         let rows = match self.part {
-            Part::Frame(_) => all.checked_mul(self.rows)?,
-            Part::Columns => self.rows,
-            Part::Row | Part::Member { .. } => all,
+            RowPart::Frame(_) => all.checked_mul(self.rows)?,
+            RowPart::Columns => self.rows,
+            RowPart::Row | RowPart::Member { .. } => all,
         };
         let first = match self.part {
-            Part::Frame(frame) => frame.checked_mul(self.rows)?.checked_mul(stride)?,
+            RowPart::Frame(frame) => frame.checked_mul(self.rows)?.checked_mul(stride)?,
             _ => self.first.checked_mul(stride)?,
         };
         let start = file.place(&self.set, rows.checked_mul(stride)?)?.checked_add(first)?;
@@ -193,11 +193,13 @@ impl Array {
     fn columns(&self, start: usize, rows: u64, endian: Endian) -> Vec<Column> {
         let Self { components, scalar, part, .. } = *self;
         match part {
-            Part::Row | Part::Frame(_) => columns(start, self.stride(), components, scalar, endian),
-            Part::Member { offset, stride } => {
+            RowPart::Row | RowPart::Frame(_) => {
+                columns(start, self.stride(), components, scalar, endian)
+            }
+            RowPart::Member { offset, stride } => {
                 columns(start + offset, stride, components, scalar, endian)
             }
-            Part::Columns => (0..components)
+            RowPart::Columns => (0..components)
                 .map(|component| Column {
                     offset: start + component * rows as usize * scalar.size(),
                     stride: scalar.size(),
@@ -209,8 +211,8 @@ impl Array {
     }
 
     /// Windows of rows that consist of whole chunks.
-    pub fn windows(&self) -> Windows {
-        let axis = usize::from(matches!(self.part, Part::Frame(_) | Part::Columns));
+    pub fn windows(&self) -> RowWindows {
+        let axis = usize::from(matches!(self.part, RowPart::Frame(_) | RowPart::Columns));
         let chunk =
             self.set.chunks().and_then(|chunks| chunks.get(axis).copied()).unwrap_or(1).max(1);
         let chunk = u64::from(chunk).min(self.rows.max(1));
@@ -219,14 +221,14 @@ impl Array {
         // The first window ends at the end of a chunk.
         let lead = (size - self.first % size).min(self.rows);
         let count = usize::from(lead > 0) + (self.rows - lead).div_ceil(size) as usize;
-        Windows { lead, size, count }
+        RowWindows { lead, size, count }
     }
 
     /// Appends the bytes of some rows: numbers in the machine's byte order, other data unchanged.
     /// `component` selects one of several components that are stored separately.
     fn bytes(&self, rows: [u64; 2], component: usize, out: &mut Vec<u8>) -> Result<(), ReadFault> {
         fn put<T: H5Type + NoUninit>(
-            array: &Array,
+            array: &H5Array,
             rows: [u64; 2],
             component: usize,
             out: &mut Vec<u8>,
@@ -235,9 +237,10 @@ impl Array {
             out.extend_from_slice(bytemuck::cast_slice(&values));
             Ok(())
         }
-        if let Part::Member { stride, .. } = self.part {
+        if let RowPart::Member { stride, .. } = self.part {
             let before = out.len();
-            let read = checked(self.set.read_slice::<Stored>(&self.selection(rows, component)))?;
+            let read =
+                checked(self.set.read_slice::<RawElement>(&self.selection(rows, component)))?;
             read.iter().for_each(|bytes| out.extend_from_slice(&bytes.0));
             if out.len() - before != (rows[1] - rows[0]) as usize * stride {
                 let what = format!("{} does not consist of rows of {stride} bytes", self.name);
@@ -291,12 +294,12 @@ impl Array {
     }
 
     /// Rejects rows that the file's size does not allow.
-    pub fn check_small(&self, file: &File) -> Result<(), ReadFault> {
+    pub fn check_small(&self, file: &H5File) -> Result<(), ReadFault> {
         self.check(0, file.limit)
     }
 
     /// All numbers as integers, for a small data set or a mesh.
-    pub fn integers(&self, file: &File) -> Result<Vec<i64>, ReadFault> {
+    pub fn integers(&self, file: &H5File) -> Result<Vec<i64>, ReadFault> {
         self.check(0, file.limit)?;
         self.some_integers([0, self.rows])
     }
@@ -317,9 +320,9 @@ impl Array {
         let rows = slice(self.first + start, self.first + end);
         let one = |index: u64| slice(index, index.saturating_add(1));
         let mut selections = match self.part {
-            Part::Row | Part::Member { .. } => vec![rows],
-            Part::Frame(frame) => vec![one(frame), rows],
-            Part::Columns => vec![one(component as u64), rows],
+            RowPart::Row | RowPart::Member { .. } => vec![rows],
+            RowPart::Frame(frame) => vec![one(frame), rows],
+            RowPart::Columns => vec![one(component as u64), rows],
         };
         selections.resize(self.set.ndim(), slice(0, u64::MAX));
         SliceInfo { selections }
@@ -328,7 +331,7 @@ impl Array {
     fn values<T: H5Type>(&self, rows: [u64; 2], component: usize) -> Result<Vec<T>, ReadFault> {
         let values = checked(self.set.read_slice::<T>(&self.selection(rows, component)))?;
         let values: Vec<T> = values.iter().cloned().collect();
-        let components = if let Part::Columns = self.part { 1 } else { self.components };
+        let components = if let RowPart::Columns = self.part { 1 } else { self.components };
         let expected = (rows[1] - rows[0]) as usize * components;
         if values.len() != expected {
             let what = format!("{} has {} values, expected {expected}", self.name, values.len());
@@ -341,9 +344,9 @@ impl Array {
 /// Elements of any type as the file stores them. The first of several elements holds the bytes of
 /// all, to avoid an allocation per element.
 #[derive(Clone)]
-struct Stored(Vec<u8>);
+struct RawElement(Vec<u8>);
 
-impl H5Type for Stored {
+impl H5Type for RawElement {
     fn hdf5_type() -> Datatype {
         Datatype::Opaque { size: 1, tag: String::new() }
     }
@@ -364,7 +367,7 @@ impl H5Type for Stored {
 }
 
 /// The division of a data set's rows into windows.
-pub(super) struct Windows {
+pub(super) struct RowWindows {
     /// Rows of the first window.
     lead: u64,
     /// Rows of the other windows, except the last.
@@ -372,7 +375,7 @@ pub(super) struct Windows {
     pub count: usize,
 }
 
-impl Windows {
+impl RowWindows {
     /// The first row of a window and the end of its rows, of `all` rows.
     pub fn rows(&self, index: usize, all: u64) -> [u64; 2] {
         let end = |index: u64| (self.lead + self.size * index).min(all);
@@ -434,21 +437,21 @@ pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
 pub(super) type Place = (usize, usize);
 
 /// Columns of several arrays with the same number of rows.
-pub(super) struct Table {
-    pub arrays: Vec<Array>,
+pub(super) struct H5Table {
+    pub arrays: Vec<H5Array>,
     pub position: [Place; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Place>)>,
     /// Numbers of the rows with particles; `None` if all have some.
     pub present: Option<Sieve>,
 }
 
-impl Table {
+impl H5Table {
     /// Uses every array with the same number of rows as an attribute, except the one called
     /// `position`, which has three components.
     ///
     /// Returns `None` without such a position.
-    pub fn of_arrays(arrays: Vec<Array>, position: &str) -> Option<Self> {
-        let is_it = |array: &Array| array.name == position && array.components == 3;
+    pub fn of_arrays(arrays: Vec<H5Array>, position: &str) -> Option<Self> {
+        let is_it = |array: &H5Array| array.name == position && array.components == 3;
         let found = arrays.iter().position(is_it)?;
         let rows = arrays[found].rows;
         let others =
@@ -471,7 +474,7 @@ impl Table {
     /// columns are those of the file, otherwise all are decoded.
     pub fn read(
         self,
-        file: File,
+        file: H5File,
         format: &'static str,
         wanted: WantedAttributes,
     ) -> Result<ParticleFile, ReadFault> {
@@ -489,7 +492,7 @@ impl Table {
         }
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
         let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
-        let mut decoded = Unpacked::new(file.unpacking);
+        let mut decoded = UnpackBuffer::new(file.unpacking);
         // The start of the rows with several arrays as members.
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
@@ -500,7 +503,7 @@ impl Table {
                 None if rows == 0 => array.decoded_columns(0),
                 None => {
                     let before = match array.part {
-                        Part::Member { .. } => members.get(&array.set.address()).copied(),
+                        RowPart::Member { .. } => members.get(&array.set.address()).copied(),
                         _ => None,
                     };
                     let start = before.unwrap_or(decoded.len() as usize);
@@ -521,7 +524,7 @@ impl Table {
         drop(arrays);
         file.check()?;
         let bytes = if in_file { file.into_bytes() } else { Bytes::Kept(decoded.finish()?) };
-        let rows = present.map_or(Rows::All(rows), Rows::Selected);
+        let rows = present.map_or(ParticleRows::All(rows), ParticleRows::Selected);
         let particles: ColumnStore = ColumnStore::new(bytes, rows, position, attributes);
         Ok(ParticleFile { unread, ..ParticleFile::new(particles, format) })
     }

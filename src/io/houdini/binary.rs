@@ -6,12 +6,12 @@ use std::rc::Rc;
 
 use half::f16;
 
-use crate::io::bytes::View;
+use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::cursor::Cursor;
 use crate::io::{ReadFault, malformed};
 
-use super::json::{Event, Json, Nesting, Numbers, Storage};
+use super::json::{Json, JsonEvent, JsonNumbers, Nesting, Storage};
 
 /// The first byte of a document.
 const MAGIC: u8 = 0x7f;
@@ -43,7 +43,7 @@ pub struct Binary<'a> {
 
 impl<'a> Binary<'a> {
     /// Starts at the beginning of a file whose byte order is known from [`byte_order`].
-    pub fn new(bytes: View<'a>, endian: Endian) -> Self {
+    pub fn new(bytes: ByteView<'a>, endian: Endian) -> Self {
         let start = 1 + size_of_val(&WORD);
         Self {
             cursor: Cursor::new(bytes, start, endian),
@@ -87,7 +87,7 @@ impl<'a> Binary<'a> {
         known.ok_or_else(|| self.fault(format!("text number {number} is not defined")))
     }
 
-    fn uniform(&mut self) -> Result<Event, ReadFault> {
+    fn uniform(&mut self) -> Result<JsonEvent, ReadFault> {
         let kind = self.byte()?;
         let count = self.length()?;
         let storage = match kind {
@@ -103,33 +103,33 @@ impl<'a> Binary<'a> {
             0x22 => Storage::Scalar(Scalar::U16),
             0x27 => {
                 self.texts = Some(count);
-                return self.begin(Event::List);
+                return self.begin(JsonEvent::List);
             }
             other => return Err(self.fault(format!("an array of unknown type {other:#x}"))),
         };
         let at = self.cursor.skip("an array", storage.bytes(count), 1)?;
-        Ok(Event::Numbers(Numbers { at, storage, count }))
+        Ok(JsonEvent::Numbers(JsonNumbers { at, storage, count }))
     }
 
-    fn begin(&mut self, event: Event) -> Result<Event, ReadFault> {
+    fn begin(&mut self, event: JsonEvent) -> Result<JsonEvent, ReadFault> {
         self.nesting.begin(event).map_err(|what| malformed(self.value_at, what))
     }
 
-    fn close(&mut self, begun: &Event) -> Result<Event, ReadFault> {
+    fn close(&mut self, begun: &JsonEvent) -> Result<JsonEvent, ReadFault> {
         self.nesting.end(begun).map_err(|what| malformed(self.value_at, what))
     }
 }
 
 impl Json for Binary<'_> {
-    fn next(&mut self) -> Result<Event, ReadFault> {
+    fn next(&mut self) -> Result<JsonEvent, ReadFault> {
         match self.texts {
             Some(0) => {
                 self.texts = None;
-                return self.close(&Event::List);
+                return self.close(&JsonEvent::List);
             }
             Some(left) => {
                 self.texts = Some(left - 1);
-                return self.text().map(Event::Text);
+                return self.text().map(JsonEvent::Text);
             }
             None => {}
         }
@@ -147,25 +147,25 @@ impl Json for Binary<'_> {
                     self.tokens.remove(&number);
                     continue;
                 }
-                0x5b => self.begin(Event::List)?,
-                0x7b => self.begin(Event::Map)?,
-                0x5d => self.close(&Event::List)?,
-                0x7d => self.close(&Event::Map)?,
-                0x00 => Event::Null,
-                0x10 => Event::Bool(self.byte()? != 0),
-                0x30 => Event::Bool(false),
-                0x31 => Event::Bool(true),
-                0x11 => Event::Integer(i8::from_le_bytes(self.array()?).into()),
-                0x12 => Event::Integer(i16::from_le_bytes(self.array()?).into()),
-                0x13 => Event::Integer(i32::from_le_bytes(self.array()?).into()),
-                0x14 => Event::Integer(i64::from_le_bytes(self.array()?)),
-                0x21 => Event::Integer(self.byte()?.into()),
-                0x22 => Event::Integer(u16::from_le_bytes(self.array()?).into()),
-                0x18 => Event::Real(f16::from_le_bytes(self.array()?).into()),
-                0x19 => Event::Real(f32::from_le_bytes(self.array()?).into()),
-                0x1a => Event::Real(f64::from_le_bytes(self.array()?)),
-                0x26 => Event::Text(self.token()?),
-                0x27 => Event::Text(self.text()?),
+                0x5b => self.begin(JsonEvent::List)?,
+                0x7b => self.begin(JsonEvent::Map)?,
+                0x5d => self.close(&JsonEvent::List)?,
+                0x7d => self.close(&JsonEvent::Map)?,
+                0x00 => JsonEvent::Null,
+                0x10 => JsonEvent::Bool(self.byte()? != 0),
+                0x30 => JsonEvent::Bool(false),
+                0x31 => JsonEvent::Bool(true),
+                0x11 => JsonEvent::Integer(i8::from_le_bytes(self.array()?).into()),
+                0x12 => JsonEvent::Integer(i16::from_le_bytes(self.array()?).into()),
+                0x13 => JsonEvent::Integer(i32::from_le_bytes(self.array()?).into()),
+                0x14 => JsonEvent::Integer(i64::from_le_bytes(self.array()?)),
+                0x21 => JsonEvent::Integer(self.byte()?.into()),
+                0x22 => JsonEvent::Integer(u16::from_le_bytes(self.array()?).into()),
+                0x18 => JsonEvent::Real(f16::from_le_bytes(self.array()?).into()),
+                0x19 => JsonEvent::Real(f32::from_le_bytes(self.array()?).into()),
+                0x1a => JsonEvent::Real(f64::from_le_bytes(self.array()?)),
+                0x26 => JsonEvent::Text(self.token()?),
+                0x27 => JsonEvent::Text(self.text()?),
                 0x40 => self.uniform()?,
                 other => return Err(self.fault(format!("a value of unknown type {other:#x}"))),
             });

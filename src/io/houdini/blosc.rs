@@ -20,14 +20,14 @@ const WRITTEN_BLOCK: usize = 1 << 19;
 
 /// An error of unpacking a chunk.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Fault {
+pub enum BloscFault {
     /// An unknown codec.
     Unknown(&'static str),
     /// Damaged data.
     Damaged(&'static str),
 }
 
-use Fault::Damaged;
+use BloscFault::Damaged;
 
 /// A compression codec.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +40,7 @@ enum Codec {
 
 /// The order of bytes in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Filter {
+enum Shuffle {
     None,
     /// The first bytes of all numbers, then the second ones, and so on.
     Bytes,
@@ -49,17 +49,17 @@ enum Filter {
 }
 
 /// The header of a chunk.
-struct Header {
+struct BloscHeader {
     codec: Codec,
-    filter: Filter,
+    filter: Shuffle,
     is_stored: bool,
     may_split: bool,
     type_size: usize,
     block: usize,
 }
 
-impl Header {
-    fn of(chunk: &[u8], length: usize) -> Result<Self, Fault> {
+impl BloscHeader {
+    fn of(chunk: &[u8], length: usize) -> Result<Self, BloscFault> {
         let header: &[u8; HEADER] = chunk.first_chunk().ok_or(Damaged("it has no header"))?;
         let number = |at: usize| {
             u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]])
@@ -82,15 +82,15 @@ impl Header {
         let codec = match flags >> 5 {
             0 => Codec::BloscLz,
             1 => Codec::Lz4,
-            2 => return Err(Fault::Unknown("Snappy")),
+            2 => return Err(BloscFault::Unknown("Snappy")),
             3 => Codec::Zlib,
             4 => Codec::Zstd,
             _ => return Err(Damaged("its compression has no name")),
         };
         let filter = match flags {
-            _ if flags & 4 != 0 => Filter::Bits,
-            _ if flags & 1 != 0 && type_size > 1 => Filter::Bytes,
-            _ => Filter::None,
+            _ if flags & 4 != 0 => Shuffle::Bits,
+            _ if flags & 1 != 0 && type_size > 1 => Shuffle::Bytes,
+            _ => Shuffle::None,
         };
         let (is_stored, may_split) = (flags & 2 != 0, flags & 0x10 == 0);
         Ok(Self { codec, filter, is_stored, may_split, type_size, block })
@@ -107,8 +107,8 @@ impl Header {
 }
 
 /// Unpacks a chunk that fills `out`.
-pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), Fault> {
-    let header = Header::of(chunk, out.len())?;
+pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
+    let header = BloscHeader::of(chunk, out.len())?;
     let rest = &chunk[HEADER..];
     if header.is_stored {
         if rest.len() != out.len() {
@@ -127,14 +127,14 @@ pub fn unpack(chunk: &[u8], out: &mut [u8]) -> Result<(), Fault> {
         let at = u32::from_le_bytes([at[0], at[1], at[2], at[3]]) as usize;
         let packed = chunk.get(at..).filter(|_| at >= HEADER);
         let packed = packed.ok_or(Damaged("a block is outside"))?;
-        if header.filter == Filter::None {
+        if header.filter == Shuffle::None {
             unpack_block(&header, packed, block)?;
             continue;
         }
         shuffled.resize(block.len(), 0);
         unpack_block(&header, packed, &mut shuffled)?;
         match header.filter {
-            Filter::Bits => restore_bits(&shuffled, header.type_size, block),
+            Shuffle::Bits => restore_bits(&shuffled, header.type_size, block),
             _ => restore_bytes(&shuffled, header.type_size, block),
         }
     }
@@ -173,7 +173,7 @@ pub fn pack(bytes: &[u8]) -> Vec<u8> {
     [header(0x31, length), starts, packed].concat()
 }
 
-fn unpack_block(header: &Header, mut packed: &[u8], out: &mut [u8]) -> Result<(), Fault> {
+fn unpack_block(header: &BloscHeader, mut packed: &[u8], out: &mut [u8]) -> Result<(), BloscFault> {
     let streams = header.streams(out.len());
     // The number of bytes of a split block is a multiple of its streams, except in the last block.
     let each = out.len() / streams;

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 
 use rayon::prelude::*;
 
-use crate::io::bytes::{Bytes, Kept, Unpacked, Unpacking, View, unpacked_limit};
+use crate::io::bytes::{ByteView, Bytes, PrivateBytes, UnpackBuffer, Unpacking, unpacked_limit};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadFault, malformed};
@@ -30,7 +30,7 @@ const CHUNK: usize = 1 << 20;
 
 /// The chunks of a container with their unpacked sizes.
 struct Chunks<'a> {
-    view: View<'a>,
+    view: ByteView<'a>,
     /// The start of each chunk, and the end of the last.
     bounds: Vec<usize>,
     each: u64,
@@ -42,7 +42,7 @@ struct Chunks<'a> {
 /// # Errors
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damage; [`ReadFault::Compression`] for
 /// a compression ratio that is too high; [`ReadFault::Unsupported`] for an unknown codec.
-pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
+pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFault> {
     let view = bytes.view();
     let chunks = Chunks::of(view)?;
     let total = chunks.total();
@@ -58,9 +58,9 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
     let unpacked = if total <= unpacking.in_memory {
         let mut whole = vec![0; total as usize];
         chunks.unpack(0, &mut whole, unpacking)?;
-        Kept::Owned(whole)
+        PrivateBytes::Owned(whole)
     } else {
-        let mut unpacked = Unpacked::new(unpacking);
+        let mut unpacked = UnpackBuffer::new(unpacking);
         let count = chunks.bounds.len() - 1;
         let room = (unpacking.in_memory / chunks.each.max(1)) as usize;
         let at_once = room.clamp(1, 2 * rayon::current_num_threads());
@@ -78,7 +78,7 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<Kept, ReadFault> {
 }
 
 impl<'a> Chunks<'a> {
-    fn of(view: View<'a>) -> Result<Self, ReadFault> {
+    fn of(view: ByteView<'a>) -> Result<Self, ReadFault> {
         let len = view.len() as u64;
         let mut cursor = Cursor::new(view, MAGIC.len(), Endian::Big);
         let metadata = cursor.u64("the container's start")?;
@@ -143,11 +143,11 @@ impl<'a> Chunks<'a> {
             let packed = self.view.read(start..end)?;
             self.view.release(start..end);
             blosc::unpack(&packed, piece).map_err(|fault| match fault {
-                blosc::Fault::Unknown(name) => ReadFault::Unsupported(format!(
+                blosc::BloscFault::Unknown(name) => ReadFault::Unsupported(format!(
                     "compressed by {name}, which is not supported; save it uncompressed as \
                      .bgeo"
                 )),
-                blosc::Fault::Damaged(what) => malformed(start, format!("chunk: {what}")),
+                blosc::BloscFault::Damaged(what) => malformed(start, format!("chunk: {what}")),
             })
         });
         // The first error in order, with any number of threads.
@@ -157,7 +157,7 @@ impl<'a> Chunks<'a> {
 }
 
 /// Writes a container: compresses a few chunks at once, on all threads.
-pub struct Packing<'a> {
+pub struct ContainerWriter<'a> {
     out: &'a mut dyn Write,
     /// Bytes that are not compressed yet.
     waiting: Vec<u8>,
@@ -169,7 +169,7 @@ pub struct Packing<'a> {
     last: usize,
 }
 
-impl<'a> Packing<'a> {
+impl<'a> ContainerWriter<'a> {
     /// Starts a container.
     ///
     /// # Errors
@@ -210,7 +210,7 @@ impl<'a> Packing<'a> {
     }
 }
 
-impl Write for Packing<'_> {
+impl Write for ContainerWriter<'_> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let taken = buffer.len().min(self.at_once - self.waiting.len());
         self.waiting.extend_from_slice(&buffer[..taken]);

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use half::f16;
 
 use crate::io::ReadFault;
-use crate::io::bytes::View;
+use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 
 /// Maximum depth of nested lists and maps. Nested packed geometry needs about ten levels each.
@@ -16,7 +16,7 @@ const DEEPEST: usize = 1024;
 
 /// A step through a JSON document.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event {
+pub enum JsonEvent {
     /// The start of a list.
     List,
     /// The start of a map, in which keys and values alternate.
@@ -29,7 +29,7 @@ pub enum Event {
     Real(f64),
     Text(Rc<str>),
     /// A list of numbers of one type.
-    Numbers(Numbers),
+    Numbers(JsonNumbers),
 }
 
 /// A type of numbers.
@@ -64,7 +64,7 @@ impl Storage {
 
 /// Consecutive numbers in the document's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Numbers {
+pub struct JsonNumbers {
     /// Offset of the first.
     pub at: usize,
     pub storage: Storage,
@@ -73,7 +73,7 @@ pub struct Numbers {
 
 /// A number in a list.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Number {
+pub enum JsonNumber {
     Integer(i64),
     Real(f64),
 }
@@ -84,7 +84,7 @@ pub trait Json {
     ///
     /// # Errors
     /// Damage of the document, and errors of reading its bytes.
-    fn next(&mut self) -> Result<Event, ReadFault>;
+    fn next(&mut self) -> Result<JsonEvent, ReadFault>;
 
     /// A fault at the last position.
     fn fault(&self, what: String) -> ReadFault;
@@ -98,10 +98,10 @@ pub trait Json {
 
 /// The open lists and maps.
 #[derive(Debug, Default)]
-pub struct Nesting(Vec<Event>);
+pub struct Nesting(Vec<JsonEvent>);
 
 impl Nesting {
-    pub fn begin(&mut self, event: Event) -> Result<Event, String> {
+    pub fn begin(&mut self, event: JsonEvent) -> Result<JsonEvent, String> {
         if self.0.len() == DEEPEST {
             return Err(format!("lists in more than {DEEPEST} lists"));
         }
@@ -109,9 +109,9 @@ impl Nesting {
         Ok(event)
     }
 
-    pub fn end(&mut self, begun: &Event) -> Result<Event, String> {
+    pub fn end(&mut self, begun: &JsonEvent) -> Result<JsonEvent, String> {
         match self.0.pop() {
-            Some(open) if open == *begun => Ok(Event::End),
+            Some(open) if open == *begun => Ok(JsonEvent::End),
             _ => Err("the end of a list or map that did not begin".to_owned()),
         }
     }
@@ -120,7 +120,7 @@ impl Nesting {
 /// Numbers per read.
 const AT_ONCE: u64 = 1 << 12;
 
-impl Numbers {
+impl JsonNumbers {
     /// A range of `count` numbers from `first` on.
     pub fn part(self, first: u64, count: u64) -> Self {
         Self { at: self.at + self.storage.bytes(first) as usize, count, ..self }
@@ -132,9 +132,9 @@ impl Numbers {
     /// Those of `take` and of reading.
     pub fn each(
         self,
-        bytes: View,
+        bytes: ByteView,
         endian: Endian,
-        mut take: impl FnMut(Number) -> Result<(), ReadFault>,
+        mut take: impl FnMut(JsonNumber) -> Result<(), ReadFault>,
     ) -> Result<(), ReadFault> {
         for first in (0..self.count).step_by(AT_ONCE as usize) {
             let part = self.part(first, AT_ONCE.min(self.count - first));
@@ -153,25 +153,25 @@ macro_rules! numbers {
         impl Storage {
             /// The number at an index among stored numbers.
             #[allow(clippy::cast_lossless)] // One line for all types, u64 among them.
-            fn number(self, stored: &[u8], index: usize, endian: Endian) -> Number {
+            fn number(self, stored: &[u8], index: usize, endian: Endian) -> JsonNumber {
                 match self {
                     Self::Bits => {
                         let word = u32::from_bytes(&stored[index / 32 * 4..], endian);
-                        Number::Integer(i64::from(word >> (index % 32) & 1))
+                        JsonNumber::Integer(i64::from(word >> (index % 32) & 1))
                     }
                     Self::Half | Self::Scalar(Scalar::F16) => {
                         let bits = u16::from_bytes(&stored[index * 2..], endian);
-                        Number::Real(f16::from_bits(bits).into())
+                        JsonNumber::Real(f16::from_bits(bits).into())
                     }
                     $(Self::Scalar(Scalar::$scalar) => {
                         let at = index * size_of::<$type>();
-                        Number::$number($type::from_bytes(&stored[at..], endian) as _)
+                        JsonNumber::$number($type::from_bytes(&stored[at..], endian) as _)
                     })*
                 }
             }
         }
 
-        $(impl Stored for $type {
+        $(impl FromStoredBytes for $type {
             fn from_bytes(bytes: &[u8], endian: Endian) -> Self {
                 let mut own = [0; size_of::<Self>()];
                 own.copy_from_slice(&bytes[..size_of::<Self>()]);
@@ -182,7 +182,7 @@ macro_rules! numbers {
             }
         })*
 
-        impl Number {
+        impl JsonNumber {
             /// Appends the number as little-endian bytes; `None` if the type cannot represent it.
             pub fn put(self, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
                 match scalar {
@@ -200,7 +200,7 @@ macro_rules! numbers {
 }
 
 /// A type of stored numbers.
-trait Stored: Sized {
+trait FromStoredBytes: Sized {
     fn from_bytes(bytes: &[u8], endian: Endian) -> Self;
 }
 
@@ -210,18 +210,18 @@ numbers!(
 );
 
 /// A type to which numbers of a text are converted.
-trait OfNumber: Sized {
-    fn of(number: Number) -> Option<Self>;
+trait FromJsonNumber: Sized {
+    fn of(number: JsonNumber) -> Option<Self>;
 }
 
 macro_rules! whole {
     ($($type:ident),*) => {
-        $(impl OfNumber for $type {
-            fn of(number: Number) -> Option<Self> {
+        $(impl FromJsonNumber for $type {
+            fn of(number: JsonNumber) -> Option<Self> {
                 match number {
-                    Number::Integer(whole) => Self::try_from(whole).ok(),
+                    JsonNumber::Integer(whole) => Self::try_from(whole).ok(),
                     // As `1.0` or `1e3`.
-                    Number::Real(real) => {
+                    JsonNumber::Real(real) => {
                         let whole = real as i64;
                         (whole as f64 == real).then(|| Self::try_from(whole).ok())?
                     }
@@ -233,17 +233,17 @@ macro_rules! whole {
 
 whole!(i8, u8, i16, u16, i32, u32, i64, u64);
 
-impl OfNumber for f32 {
-    fn of(number: Number) -> Option<Self> {
+impl FromJsonNumber for f32 {
+    fn of(number: JsonNumber) -> Option<Self> {
         f64::of(number).map(|wide| wide as Self)
     }
 }
 
-impl OfNumber for f64 {
-    fn of(number: Number) -> Option<Self> {
+impl FromJsonNumber for f64 {
+    fn of(number: JsonNumber) -> Option<Self> {
         Some(match number {
-            Number::Integer(whole) => whole as Self,
-            Number::Real(real) => real,
+            JsonNumber::Integer(whole) => whole as Self,
+            JsonNumber::Real(real) => real,
         })
     }
 }

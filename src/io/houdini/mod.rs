@@ -18,15 +18,15 @@ use std::path::Path;
 use crate::particles::AttributeInfo;
 use crate::particles::sieve::Sieve;
 
-use super::bytes::{Bytes, Kept, Unpacked, Unpacking, View, unpacked_limit};
-use super::columns::{Column, ColumnStore, Endian, Rows};
-use super::wanted::{Wanted, WantedAttributes};
-use super::windows::Source;
-use super::{LeftOut, ParticleFile, ReadError, ReadFault, bgeo, malformed};
+use super::bytes::{ByteView, Bytes, PrivateBytes, UnpackBuffer, Unpacking, unpacked_limit};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows};
+use super::wanted::{WantedAttributes, WantedParticles};
+use super::windows::InputBytes;
+use super::{ParticleFile, ReadError, ReadFault, UnreadPart, bgeo, malformed};
 use binary::Binary;
-use json::Number;
-use points::{Columns, Stores};
-use schema::{Attribute, Geometry, Place};
+use json::JsonNumber;
+use points::{NumberBytes, UnpackedColumns};
+use schema::{Geometry, HoudiniAttribute, NumberLocation};
 use text::Text;
 pub use write::{attribute_names, write_mesh};
 
@@ -36,15 +36,15 @@ const HEAD: usize = 64;
 const POSITION: u64 = 12;
 
 /// A form of a geometry.
-enum Form {
+enum GeometryForm {
     Classic,
     Binary(Endian),
     Text,
     Container,
 }
 
-impl Form {
-    fn of(view: View) -> Result<Self, ReadFault> {
+impl GeometryForm {
+    fn of(view: ByteView) -> Result<Self, ReadFault> {
         let head = view.read(0..view.len().min(HEAD))?;
         if head.starts_with(b"BgeoV") {
             return Ok(Self::Classic);
@@ -74,7 +74,7 @@ impl Form {
 pub(super) fn open_particles(
     path: &Path,
     bytes: Bytes,
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     read_particles(bytes, wanted.attributes, unpacking).map_err(|fault| ReadError::new(path, fault))
@@ -90,10 +90,10 @@ pub fn read_particles(
     wanted: WantedAttributes,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
-    match Form::of(bytes.view())? {
-        Form::Classic => bgeo::read_particles(bytes),
+    match GeometryForm::of(bytes.view())? {
+        GeometryForm::Classic => bgeo::read_particles(bytes),
         form => {
-            let opened = Opened::of(bytes, form, unpacking)?;
+            let opened = OpenedGeometry::of(bytes, form, unpacking)?;
             let loose = opened.loose()?;
             opened.arrange(loose, wanted, unpacking)
         }
@@ -110,45 +110,45 @@ pub fn read_points(
     wanted: WantedAttributes,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
-    let form = Form::of(bytes.view())?;
-    Opened::of(bytes, form, unpacking)?.arrange(None, wanted, unpacking)
+    let form = GeometryForm::of(bytes.view())?;
+    OpenedGeometry::of(bytes, form, unpacking)?.arrange(None, wanted, unpacking)
 }
 
 /// A geometry with the bytes of its numbers.
-struct Opened {
+struct OpenedGeometry {
     geometry: Geometry,
     bytes: Bytes,
     endian: Endian,
-    gathered: Kept,
+    gathered: PrivateBytes,
     /// The name of the format.
     format: &'static str,
 }
 
-impl Opened {
-    fn of(bytes: Bytes, form: Form, unpacking: Unpacking) -> Result<Self, ReadFault> {
+impl OpenedGeometry {
+    fn of(bytes: Bytes, form: GeometryForm, unpacking: Unpacking) -> Result<Self, ReadFault> {
         let (bytes, form, format) = match form {
-            Form::Container => {
+            GeometryForm::Container => {
                 let unpacked = Bytes::Kept(container::unpack(bytes, unpacking)?);
-                let form = Form::of(unpacked.view())?;
+                let form = GeometryForm::of(unpacked.view())?;
                 (unpacked, form, "Houdini .bgeo.sc")
             }
             // A text is read as a whole, so that other programs cannot change it meanwhile.
-            Form::Text => (Bytes::Kept(bytes.read_whole(unpacking)?), form, "Houdini .geo"),
+            GeometryForm::Text => (Bytes::Kept(bytes.read_whole(unpacking)?), form, "Houdini .geo"),
             form => (bytes, form, "Houdini .bgeo"),
         };
-        let mut gathered = Unpacked::new(unpacking);
+        let mut gathered = UnpackBuffer::new(unpacking);
         let view = bytes.view();
         let (geometry, endian) = match form {
-            Form::Text => {
+            GeometryForm::Text => {
                 let document = (view, Endian::Little);
                 (schema::read(&mut Text::new(view.kept()?), document, &mut gathered)?, document.1)
             }
-            Form::Binary(endian) => {
+            GeometryForm::Binary(endian) => {
                 let document = (view, endian);
                 let mut json = Binary::new(view, endian);
                 (schema::read(&mut json, document, &mut gathered)?, endian)
             }
-            Form::Classic | Form::Container => {
+            GeometryForm::Classic | GeometryForm::Container => {
                 return Err(malformed(0, "contains no geometry of version 12 or later"));
             }
         };
@@ -162,8 +162,8 @@ impl Opened {
         Ok(Self { geometry, bytes, endian, gathered, format })
     }
 
-    fn stores(&self) -> Stores<'_> {
-        Stores { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
+    fn stores(&self) -> NumberBytes<'_> {
+        NumberBytes { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
     /// The points that belong to no primitive, or to a particle system; `None` if all do.
@@ -183,8 +183,10 @@ impl Opened {
         let (bytes, endian) = self.stores().of(run.place);
         run.numbers.each(bytes, endian, |number| {
             let point = match number {
-                Number::Integer(point) => u64::try_from(point).ok().filter(|point| *point < points),
-                Number::Real(_) => None,
+                JsonNumber::Integer(point) => {
+                    u64::try_from(point).ok().filter(|point| *point < points)
+                }
+                JsonNumber::Real(_) => None,
             };
             let point = point.ok_or_else(|| {
                 run.fault(format!("vertex {vertex} refers to point {number:?} of {points}"))
@@ -219,7 +221,7 @@ impl Opened {
     ) -> Result<ParticleFile, ReadFault> {
         let stores = self.stores();
         let Geometry { points, attributes, time, .. } = &self.geometry;
-        let is_position = |a: &&Attribute| &*a.name == "P" && a.texts.is_none();
+        let is_position = |a: &&HoudiniAttribute| &*a.name == "P" && a.texts.is_none();
         let position = attributes.iter().find(is_position).ok_or_else(|| {
             ReadFault::Unsupported("the point attribute P (the position) is missing".to_owned())
         })?;
@@ -228,16 +230,17 @@ impl Opened {
             return Err(ReadFault::Unsupported(what));
         }
         let others = || attributes.iter().filter(|a| &*a.name != "P");
-        let numeric: Vec<&Attribute> = others().filter(|a| a.texts.is_none()).collect();
-        let info = |a: &&Attribute| AttributeInfo::new(&*a.name, a.values.components as usize);
+        let numeric: Vec<&HoudiniAttribute> = others().filter(|a| a.texts.is_none()).collect();
+        let info =
+            |a: &&HoudiniAttribute| AttributeInfo::new(&*a.name, a.values.components as usize);
         let infos: Vec<_> = numeric.iter().map(info).collect();
         let is_read = wanted.among(&infos);
-        let read: Vec<&Attribute> =
+        let read: Vec<&HoudiniAttribute> =
             numeric.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(*a)).collect();
         let labels = others().filter(|a| a.texts.is_some() && wanted.hold_label(&a.name));
-        let labels: Vec<&Attribute> = labels.collect();
+        let labels: Vec<&HoudiniAttribute> = labels.collect();
 
-        let found = |attribute: &&Attribute| stores.columns(&attribute.values);
+        let found = |attribute: &&HoudiniAttribute| stores.columns(&attribute.values);
         let in_place: Option<Vec<_>> = [position].iter().chain(&read).map(found).collect();
         let in_place = in_place.filter(|found| {
             labels.is_empty() && found.iter().all(|(place, _)| *place == found[0].0)
@@ -248,7 +251,7 @@ impl Opened {
                 (found.into_iter().map(|(_, columns)| columns).collect(), Err(place), Vec::new())
             }
             None => {
-                let mut columns = Columns::new(stores, *points, unpacking);
+                let mut columns = UnpackedColumns::new(stores, *points, unpacking);
                 let all = [position].into_iter().chain(read.iter().copied());
                 let numbers: Vec<Vec<Column>> =
                     all.map(|attribute| columns.push(attribute)).collect::<Result<_, _>>()?;
@@ -260,10 +263,10 @@ impl Opened {
                 (numbers, Ok(columns.finish()?), found)
             }
         };
-        let source: Source = match unpacked {
+        let source: InputBytes = match unpacked {
             Ok(unpacked) => unpacked.into(),
-            Err(Place::Gathered) => self.gathered.into(),
-            Err(Place::Document) => self.bytes.into(),
+            Err(NumberLocation::Gathered) => self.gathered.into(),
+            Err(NumberLocation::Document) => self.bytes.into(),
         };
         let mut columns = columns.into_iter();
         let position = columns.next().expect("the position is the first");
@@ -271,10 +274,10 @@ impl Opened {
         let infos_read = read.iter().map(info);
         let attributes = infos_read.zip(columns).collect();
         let (rows, left_out) = match selected {
-            None => (Rows::All(*points as usize), None),
+            None => (ParticleRows::All(*points as usize), None),
             Some(sieve) => {
                 let count = *points - sieve.count() as u64;
-                (Rows::Selected(sieve), Some(left_out(&self.geometry, count)))
+                (ParticleRows::Selected(sieve), Some(left_out(&self.geometry, count)))
             }
         };
         let store: ColumnStore = ColumnStore::new(source, rows, position, attributes);
@@ -306,8 +309,8 @@ fn counted(geometry: &Geometry) -> Vec<(String, u64)> {
     all
 }
 
-fn left_out(geometry: &Geometry, points: u64) -> LeftOut {
-    LeftOut::Primitives { kinds: counted(geometry), points }
+fn left_out(geometry: &Geometry, points: u64) -> UnreadPart {
+    UnreadPart::Primitives { kinds: counted(geometry), points }
 }
 
 fn no_particles(geometry: &Geometry) -> ReadFault {

@@ -5,52 +5,54 @@ use std::collections::BTreeSet;
 use std::rc::Rc;
 
 use crate::io::ReadFault;
-use crate::io::bytes::{Kept, Unpacked, Unpacking, View, unpacked_limit};
+use crate::io::bytes::{ByteView, PrivateBytes, UnpackBuffer, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::particles::Label;
 
-use super::json::{Number, Numbers, Storage};
-use super::schema::{Attribute, Data, MOST_TEXTS, Pages, Place, Run, Values};
+use super::json::{JsonNumber, JsonNumbers, Storage};
+use super::schema::{
+    HoudiniAttribute, MOST_TEXTS, NumberLocation, NumberRun, Pages, PointValues, ValueLayout,
+};
 
 /// Points of a page per step.
 const ROWS: u64 = 1 << 13;
 
 /// The bytes that contain numbers.
 #[derive(Clone, Copy)]
-pub struct Stores<'a> {
-    pub document: View<'a>,
+pub struct NumberBytes<'a> {
+    pub document: ByteView<'a>,
     pub endian: Endian,
-    pub gathered: &'a Kept,
+    pub gathered: &'a PrivateBytes,
 }
 
-impl<'a> Stores<'a> {
+impl<'a> NumberBytes<'a> {
     /// The bytes at a place, with their byte order.
-    pub fn of(&self, place: Place) -> (View<'a>, Endian) {
+    pub fn of(&self, place: NumberLocation) -> (ByteView<'a>, Endian) {
         match place {
-            Place::Document => (self.document, self.endian),
-            Place::Gathered => (self.gathered.view(), Endian::Little),
+            NumberLocation::Document => (self.document, self.endian),
+            NumberLocation::Gathered => (self.gathered.view(), Endian::Little),
         }
     }
 
     /// The columns of an attribute, if its numbers are stored like columns.
-    pub fn columns(&self, values: &Values) -> Option<(Place, Vec<Column>)> {
-        let column = |run: Run, components: u64| {
+    pub fn columns(&self, values: &PointValues) -> Option<(NumberLocation, Vec<Column>)> {
+        let column = |run: NumberRun, components: u64| {
             let Storage::Scalar(scalar) = run.numbers.storage else { return None };
             let stride = components as usize * scalar.size();
             let endian = self.of(run.place).1;
             Some(Column { offset: run.numbers.at, stride, scalar, endian })
         };
-        let tuples = |run: Run| {
+        let tuples = |run: NumberRun| {
             let first = column(run, values.components)?;
             Some((run.place, components(first, values)))
         };
         match &values.data {
-            Data::Tuples(run) => tuples(*run),
-            Data::Pages(Pages { run, groups, .. }) => match &groups[..] {
+            ValueLayout::Tuples(run) => tuples(*run),
+            ValueLayout::Pages(Pages { run, groups, .. }) => match &groups[..] {
                 [only] if !only.has_constants() => tuples(*run),
                 _ => None,
             },
-            Data::Arrays(runs) => {
+            ValueLayout::Arrays(runs) => {
                 let place = runs.first()?.place;
                 let alike = runs.iter().all(|run| run.place == place);
                 let columns = runs.iter().map(|&run| column(run, 1)).collect::<Option<_>>()?;
@@ -60,8 +62,8 @@ impl<'a> Stores<'a> {
     }
 
     /// The bytes of some numbers; 16-bit numbers are widened to 32 bits.
-    fn stored(&self, run: Run) -> Result<Cow<'a, [u8]>, ReadFault> {
-        let Run { place, numbers } = run;
+    fn stored(&self, run: NumberRun) -> Result<Cow<'a, [u8]>, ReadFault> {
+        let NumberRun { place, numbers } = run;
         let (bytes, endian) = self.of(place);
         let end = numbers.at + numbers.storage.bytes(numbers.count) as usize;
         if let Storage::Scalar(_) = numbers.storage {
@@ -69,7 +71,7 @@ impl<'a> Stores<'a> {
         }
         let mut wide = Vec::with_capacity(numbers.count as usize * size_of::<f32>());
         numbers.each(bytes, endian, |number| {
-            let Number::Real(real) = number else { return Ok(()) };
+            let JsonNumber::Real(real) = number else { return Ok(()) };
             wide.extend_from_slice(&match endian {
                 Endian::Little => (real as f32).to_le_bytes(),
                 Endian::Big => (real as f32).to_be_bytes(),
@@ -80,11 +82,11 @@ impl<'a> Stores<'a> {
     }
 
     /// Passes the numbers of a run to `take`, in batches.
-    fn each(&self, run: Run, take: &mut Take) -> Result<(), ReadFault> {
-        let Run { place, numbers } = run;
+    fn each(&self, run: NumberRun, take: &mut Take) -> Result<(), ReadFault> {
+        let NumberRun { place, numbers } = run;
         for first in (0..numbers.count).step_by(ROWS as usize) {
             let part = numbers.part(first, ROWS.min(numbers.count - first));
-            take(&self.stored(Run { place, numbers: part })?)?;
+            take(&self.stored(NumberRun { place, numbers: part })?)?;
         }
         let end = numbers.at + numbers.storage.bytes(numbers.count) as usize;
         self.of(place).0.release(numbers.at..end);
@@ -93,7 +95,7 @@ impl<'a> Stores<'a> {
 
     /// Passes the tuples of all pages to `take`, in batches.
     fn each_of_pages(&self, pages: &Pages, points: u64, take: &mut Take) -> Result<(), ReadFault> {
-        let Run { place, numbers } = pages.run;
+        let NumberRun { place, numbers } = pages.run;
         let width = numbers.storage.scalar().size();
         let stride =
             width * pages.groups.iter().map(|group| group.components as usize).sum::<usize>();
@@ -113,7 +115,7 @@ impl<'a> Stores<'a> {
                     let is_constant = group.is_constant(page);
                     let (from, read) = if is_constant { (0, 1) } else { (first, count) };
                     let part = numbers.part(group_at + from * components, read * components);
-                    let stored = self.stored(Run { place, numbers: part })?;
+                    let stored = self.stored(NumberRun { place, numbers: part })?;
                     let mut values = stored.chunks_exact(own).cycle();
                     for tuple in tuples.chunks_exact_mut(stride) {
                         tuple[within..within + own]
@@ -140,7 +142,7 @@ impl<'a> Stores<'a> {
 type Take<'a> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 'a;
 
 /// A column for each component of an attribute, from its first column.
-fn components(first: Column, values: &Values) -> Vec<Column> {
+fn components(first: Column, values: &PointValues) -> Vec<Column> {
     (0..values.components as usize).map(|index| first.component(index)).collect()
 }
 
@@ -148,23 +150,23 @@ fn components(first: Column, values: &Values) -> Vec<Column> {
 type LabelColumn = (Label, (Column, Vec<u32>));
 
 /// Unpacked numbers, attribute by attribute.
-pub struct Columns<'a> {
-    stores: Stores<'a>,
-    unpacked: Unpacked<'a>,
+pub struct UnpackedColumns<'a> {
+    stores: NumberBytes<'a>,
+    unpacked: UnpackBuffer<'a>,
     points: u64,
     /// Bytes that may still be added.
     left: u64,
 }
 
-impl<'a> Columns<'a> {
+impl<'a> UnpackedColumns<'a> {
     /// Starts without attributes, for a number of points.
-    pub fn new(stores: Stores<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
+    pub fn new(stores: NumberBytes<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
         let left = unpacked_limit(stores.document.len() as u64);
-        Self { stores, unpacked: Unpacked::new(unpacking), points, left }
+        Self { stores, unpacked: UnpackBuffer::new(unpacking), points, left }
     }
 
     /// The bytes of all columns.
-    pub fn finish(self) -> Result<Kept, ReadFault> {
+    pub fn finish(self) -> Result<PrivateBytes, ReadFault> {
         self.unpacked.finish()
     }
 
@@ -173,12 +175,12 @@ impl<'a> Columns<'a> {
     /// # Errors
     /// [`ReadFault::Compression`] for more bytes than a file of this size may unpack to, and errors
     /// of reading and of the scratch file.
-    pub fn push(&mut self, attribute: &Attribute) -> Result<Vec<Column>, ReadFault> {
-        let Attribute { name, values, .. } = attribute;
+    pub fn push(&mut self, attribute: &HoudiniAttribute) -> Result<Vec<Column>, ReadFault> {
+        let HoudiniAttribute { name, values, .. } = attribute;
         let run = match &values.data {
-            Data::Tuples(run) => run,
-            Data::Pages(pages) => &pages.run,
-            Data::Arrays(runs) => {
+            ValueLayout::Tuples(run) => run,
+            ValueLayout::Pages(pages) => &pages.run,
+            ValueLayout::Arrays(runs) => {
                 // Without points, there may be no arrays.
                 let none = self.start(name, Scalar::F64, Endian::Little, 1)?;
                 let mut columns = vec![none; values.components as usize];
@@ -195,7 +197,9 @@ impl<'a> Columns<'a> {
         let first = self.start(name, scalar, endian, values.components as usize)?;
         let mut take = |stored: &[u8]| self.unpacked.push(stored);
         match &values.data {
-            Data::Pages(pages) => self.stores.each_of_pages(pages, self.points, &mut take)?,
+            ValueLayout::Pages(pages) => {
+                self.stores.each_of_pages(pages, self.points, &mut take)?
+            }
             _ => self.stores.each(*run, &mut take)?,
         }
         Ok(components(first, values))
@@ -209,15 +213,18 @@ impl<'a> Columns<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Malformed`] for a number without a text, and those of [`push`](Self::push).
-    pub fn push_texts(&mut self, attribute: &Attribute) -> Result<Option<LabelColumn>, ReadFault> {
-        let Attribute { name, values, texts } = attribute;
+    pub fn push_texts(
+        &mut self,
+        attribute: &HoudiniAttribute,
+    ) -> Result<Option<LabelColumn>, ReadFault> {
+        let HoudiniAttribute { name, values, texts } = attribute;
         let texts = texts.as_ref().filter(|texts| texts.len() <= MOST_TEXTS);
         let Some(texts) = texts.filter(|_| values.components == 1) else { return Ok(None) };
         let column = self.start(name, Scalar::U32, Endian::Little, 1)?;
         let (run, pages) = match &values.data {
-            Data::Tuples(run) => (*run, None),
-            Data::Pages(pages) => (pages.run, Some(pages)),
-            Data::Arrays(runs) => match &runs[..] {
+            ValueLayout::Tuples(run) => (*run, None),
+            ValueLayout::Pages(pages) => (pages.run, Some(pages)),
+            ValueLayout::Arrays(runs) => match &runs[..] {
                 [only] => (*only, None),
                 _ => return Ok(None),
             },
@@ -228,9 +235,9 @@ impl<'a> Columns<'a> {
         let mut take = |stored: &[u8]| {
             numbers.clear();
             let count = (stored.len() / scalar.size()) as u64;
-            let part = Numbers { at: 0, storage: Storage::Scalar(scalar), count };
+            let part = JsonNumbers { at: 0, storage: Storage::Scalar(scalar), count };
             part.each(stored.into(), endian, |number| {
-                let Number::Integer(number @ -1..) = number else {
+                let JsonNumber::Integer(number @ -1..) = number else {
                     let what =
                         format!("attribute {name}: {number:?} is not the number of a string");
                     return Err(run.fault(what));

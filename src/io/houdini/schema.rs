@@ -6,12 +6,12 @@
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use crate::io::bytes::{Unpacked, View};
+use crate::io::bytes::{ByteView, UnpackBuffer};
 use crate::io::columns::{Endian, Scalar};
 use crate::io::{ReadFault, malformed};
 use crate::particles::sieve::Sieve;
 
-use super::json::{Event, Json, Number, Numbers, Storage};
+use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
 
 /// Maximum number of attributes; production files have a few hundred.
 const MOST_ATTRIBUTES: usize = 1 << 16;
@@ -32,11 +32,11 @@ const CHUNK: usize = 1 << 13;
 #[derive(Debug)]
 pub struct Geometry {
     pub points: u64,
-    pub attributes: Vec<Attribute>,
+    pub attributes: Vec<HoudiniAttribute>,
     /// Number of primitives of each kind, with the file's names, without particle systems.
     pub kinds: BTreeMap<Rc<str>, u64>,
     /// The point of each vertex.
-    pub vertex_points: Run,
+    pub vertex_points: NumberRun,
     /// A bit for each vertex, set in particle systems; empty without particle systems.
     pub particle_vertices: Vec<u64>,
     /// The time in seconds.
@@ -45,28 +45,28 @@ pub struct Geometry {
 
 /// A value of every point.
 #[derive(Debug)]
-pub struct Attribute {
+pub struct HoudiniAttribute {
     pub name: Rc<str>,
-    pub values: Values,
+    pub values: PointValues,
     /// The texts for the values, if they are numbers of texts; empty if there are too many.
     pub texts: Option<Vec<Rc<str>>>,
 }
 
 /// The numbers of all points.
 #[derive(Debug)]
-pub struct Values {
+pub struct PointValues {
     /// Numbers per point.
     pub components: u64,
-    pub data: Data,
+    pub data: ValueLayout,
 }
 
 /// The arrangement of numbers.
 #[derive(Debug)]
-pub enum Data {
+pub enum ValueLayout {
     /// Point by point.
-    Tuples(Run),
+    Tuples(NumberRun),
     /// Component by component.
-    Arrays(Vec<Run>),
+    Arrays(Vec<NumberRun>),
     /// Page by page.
     Pages(Pages),
 }
@@ -74,21 +74,21 @@ pub enum Data {
 /// Pages of points, divided into groups of components.
 #[derive(Debug)]
 pub struct Pages {
-    pub run: Run,
+    pub run: NumberRun,
     /// Points per page.
     pub size: u64,
-    pub groups: Vec<Group>,
+    pub groups: Vec<ComponentGroup>,
 }
 
 /// Components that are stored together.
 #[derive(Debug)]
-pub struct Group {
+pub struct ComponentGroup {
     pub components: u64,
     /// A bit for each page that stores one tuple for all of its points; empty if no page does.
     constant: Vec<u64>,
 }
 
-impl Group {
+impl ComponentGroup {
     /// Whether a page stores one tuple for all points.
     pub fn is_constant(&self, page: u64) -> bool {
         let word = self.constant.get((page / 64) as usize).copied().unwrap_or_default();
@@ -119,7 +119,7 @@ impl Pages {
 
 /// The location of numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
+pub enum NumberLocation {
     /// In the document.
     Document,
     /// In the buffer of numbers from lists.
@@ -128,23 +128,23 @@ pub enum Place {
 
 /// Consecutive numbers.
 #[derive(Debug, Clone, Copy)]
-pub struct Run {
-    pub place: Place,
-    pub numbers: Numbers,
+pub struct NumberRun {
+    pub place: NumberLocation,
+    pub numbers: JsonNumbers,
 }
 
-impl Run {
+impl NumberRun {
     /// A fault of a number in it. Numbers from lists have no position.
     pub fn fault(self, what: String) -> ReadFault {
         match self.place {
-            Place::Document => malformed(self.numbers.at, what),
-            Place::Gathered => ReadFault::Unsupported(what),
+            NumberLocation::Document => malformed(self.numbers.at, what),
+            NumberLocation::Gathered => ReadFault::Unsupported(what),
         }
     }
 
     const NONE: Self = Self {
-        place: Place::Document,
-        numbers: Numbers { at: 0, storage: Storage::Scalar(Scalar::I32), count: 0 },
+        place: NumberLocation::Document,
+        numbers: JsonNumbers { at: 0, storage: Storage::Scalar(Scalar::I32), count: 0 },
     };
 }
 
@@ -154,11 +154,11 @@ impl Run {
 /// Damage, with its position.
 pub fn read(
     json: &mut dyn Json,
-    document: (View, Endian),
-    gathered: &mut Unpacked,
+    document: (ByteView, Endian),
+    gathered: &mut UnpackBuffer,
 ) -> Result<Geometry, ReadFault> {
-    let mut reader = Reader { json, document, gathered, flag_words: 0 };
-    let mut head = Head::default();
+    let mut reader = SchemaReader { json, document, gathered, flag_words: 0 };
+    let mut head = GeometryHead::default();
     reader.entries("a geometry", |reader, key| reader.part(key, &mut head))?;
     reader.json.end()?;
     let missing = |what: &str| reader.json.fault(format!("the geometry has no {what}"));
@@ -167,7 +167,7 @@ pub fn read(
         points,
         attributes: head.attributes.ok_or_else(|| missing("point attributes"))?,
         kinds: head.kinds,
-        vertex_points: head.vertex_points.unwrap_or(Run::NONE),
+        vertex_points: head.vertex_points.unwrap_or(NumberRun::NONE),
         particle_vertices: head.particle_vertices,
         time: head.time,
     })
@@ -175,36 +175,36 @@ pub fn read(
 
 /// The parts of a geometry that were read so far.
 #[derive(Default)]
-struct Head {
+struct GeometryHead {
     points: Option<u64>,
-    vertex_points: Option<Run>,
-    attributes: Option<Vec<Attribute>>,
+    vertex_points: Option<NumberRun>,
+    attributes: Option<Vec<HoudiniAttribute>>,
     kinds: BTreeMap<Rc<str>, u64>,
     particle_vertices: Vec<u64>,
     time: Option<f64>,
 }
 
-struct Reader<'j, 'v, 'u> {
+struct SchemaReader<'j, 'v, 'u> {
     json: &'j mut dyn Json,
-    document: (View<'v>, Endian),
-    gathered: &'j mut Unpacked<'u>,
+    document: (ByteView<'v>, Endian),
+    gathered: &'j mut UnpackBuffer<'u>,
     flag_words: usize,
 }
 
-impl Reader<'_, '_, '_> {
-    fn part(&mut self, key: &str, head: &mut Head) -> Result<(), ReadFault> {
+impl SchemaReader<'_, '_, '_> {
+    fn part(&mut self, key: &str, head: &mut GeometryHead) -> Result<(), ReadFault> {
         match key {
             "pointcount" => head.points = Some(self.count("pointcount")?),
             "info" => {
                 // Only the time matters.
                 let first = self.json.next()?;
-                if matches!(first, Event::List | Event::Map) {
+                if matches!(first, JsonEvent::List | JsonEvent::Map) {
                     self.entries_within(|reader, key| match (key, reader.json.next()?) {
-                        ("time", Event::Real(time)) => {
+                        ("time", JsonEvent::Real(time)) => {
                             head.time = Some(time).filter(|time| time.is_finite());
                             Ok(())
                         }
-                        ("time", Event::Integer(time)) => {
+                        ("time", JsonEvent::Integer(time)) => {
                             head.time = Some(time as f64);
                             Ok(())
                         }
@@ -249,9 +249,9 @@ impl Reader<'_, '_, '_> {
         take: impl FnMut(&mut Self, &str) -> Result<(), ReadFault>,
     ) -> Result<(), ReadFault> {
         match self.json.next()? {
-            Event::List | Event::Map => self.entries_within(take),
+            JsonEvent::List | JsonEvent::Map => self.entries_within(take),
             // Some writers write an empty list like this.
-            Event::Numbers(Numbers { count: 0, .. }) => Ok(()),
+            JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => Ok(()),
             _ => Err(self.json.fault(format!("expected {what} as a list of keys and values"))),
         }
     }
@@ -263,8 +263,8 @@ impl Reader<'_, '_, '_> {
     ) -> Result<(), ReadFault> {
         loop {
             match self.json.next()? {
-                Event::End => return Ok(()),
-                Event::Text(key) => take(self, &key)?,
+                JsonEvent::End => return Ok(()),
+                JsonEvent::Text(key) => take(self, &key)?,
                 _ => return Err(self.json.fault("expected a key".to_owned())),
             }
         }
@@ -276,16 +276,16 @@ impl Reader<'_, '_, '_> {
     }
 
     /// Skips the rest of a value that starts with this event.
-    fn skip(&mut self, first: Event) -> Result<(), ReadFault> {
+    fn skip(&mut self, first: JsonEvent) -> Result<(), ReadFault> {
         let mut event = first;
         let mut depth = 0_usize;
         loop {
             match event {
-                Event::List | Event::Map => depth += 1,
-                Event::End if depth == 0 => {
+                JsonEvent::List | JsonEvent::Map => depth += 1,
+                JsonEvent::End if depth == 0 => {
                     return Err(self.json.fault("a list ends where a value should be".to_owned()));
                 }
-                Event::End => depth -= 1,
+                JsonEvent::End => depth -= 1,
                 _ => {}
             }
             if depth == 0 {
@@ -297,36 +297,38 @@ impl Reader<'_, '_, '_> {
 
     fn count(&mut self, what: &str) -> Result<u64, ReadFault> {
         match self.json.next()? {
-            Event::Integer(count @ 0..) => Ok(count as u64),
+            JsonEvent::Integer(count @ 0..) => Ok(count as u64),
             other => Err(self.json.fault(format!("{what} is {}", shown(&other)))),
         }
     }
 
     fn text(&mut self, what: &str) -> Result<Rc<str>, ReadFault> {
         match self.json.next()? {
-            Event::Text(text) => Ok(text),
+            JsonEvent::Text(text) => Ok(text),
             other => Err(self.json.fault(format!("{what} is {}", shown(&other)))),
         }
     }
 
     /// A list of numbers; those of a JSON list are copied as `storage`.
-    fn numbers(&mut self, what: &str, storage: Storage) -> Result<Run, ReadFault> {
+    fn numbers(&mut self, what: &str, storage: Storage) -> Result<NumberRun, ReadFault> {
         let first = self.json.next()?;
         self.numbers_from(first, what, storage)
     }
 
     fn numbers_from(
         &mut self,
-        first: Event,
+        first: JsonEvent,
         what: &str,
         storage: Storage,
-    ) -> Result<Run, ReadFault> {
+    ) -> Result<NumberRun, ReadFault> {
         match first {
-            Event::Numbers(Numbers { storage: Storage::Bits, .. }) => {
+            JsonEvent::Numbers(JsonNumbers { storage: Storage::Bits, .. }) => {
                 return Err(self.json.fault(format!("{what} is an array of truths")));
             }
-            Event::Numbers(numbers) => return Ok(Run { place: Place::Document, numbers }),
-            Event::List => {}
+            JsonEvent::Numbers(numbers) => {
+                return Ok(NumberRun { place: NumberLocation::Document, numbers });
+            }
+            JsonEvent::List => {}
             other => {
                 return Err(self
                     .json
@@ -338,10 +340,10 @@ impl Reader<'_, '_, '_> {
         let mut chunk = Vec::new();
         loop {
             let number = match self.json.next()? {
-                Event::End => break,
-                Event::Integer(whole) => Number::Integer(whole),
-                Event::Real(real) => Number::Real(real),
-                Event::Bool(truth) => Number::Integer(truth.into()),
+                JsonEvent::End => break,
+                JsonEvent::Integer(whole) => JsonNumber::Integer(whole),
+                JsonEvent::Real(real) => JsonNumber::Real(real),
+                JsonEvent::Bool(truth) => JsonNumber::Integer(truth.into()),
                 other => {
                     return Err(self
                         .json
@@ -358,12 +360,12 @@ impl Reader<'_, '_, '_> {
             }
         }
         self.gathered.push(&chunk)?;
-        let numbers = Numbers { at, storage: Storage::Scalar(scalar), count };
-        Ok(Run { place: Place::Gathered, numbers })
+        let numbers = JsonNumbers { at, storage: Storage::Scalar(scalar), count };
+        Ok(NumberRun { place: NumberLocation::Gathered, numbers })
     }
 
     /// Copies numbers of the document, as one of several lists.
-    fn gather(&mut self, numbers: Numbers) -> Result<Run, ReadFault> {
+    fn gather(&mut self, numbers: JsonNumbers) -> Result<NumberRun, ReadFault> {
         let (bytes, endian) = self.document;
         let scalar = numbers.storage.scalar();
         let at = self.gathered.len() as usize;
@@ -377,42 +379,42 @@ impl Reader<'_, '_, '_> {
             Ok(())
         })?;
         self.gathered.push(&chunk)?;
-        let numbers = Numbers { at, storage: Storage::Scalar(scalar), ..numbers };
-        Ok(Run { place: Place::Gathered, numbers })
+        let numbers = JsonNumbers { at, storage: Storage::Scalar(scalar), ..numbers };
+        Ok(NumberRun { place: NumberLocation::Gathered, numbers })
     }
 
     /// Passes each number of a list, or a single number, to `take`.
-    fn each(&mut self, mut take: impl FnMut(Number)) -> Result<(), ReadFault> {
+    fn each(&mut self, mut take: impl FnMut(JsonNumber)) -> Result<(), ReadFault> {
         let (bytes, endian) = self.document;
         match self.json.next()? {
-            Event::Numbers(numbers) => {
+            JsonEvent::Numbers(numbers) => {
                 return numbers.each(bytes, endian, |number| {
                     take(number);
                     Ok(())
                 });
             }
-            Event::Integer(whole) => {
-                take(Number::Integer(whole));
+            JsonEvent::Integer(whole) => {
+                take(JsonNumber::Integer(whole));
                 return Ok(());
             }
-            Event::List => {}
+            JsonEvent::List => {}
             other => {
                 return Err(self.json.fault(format!("expected numbers, found {}", shown(&other))));
             }
         }
         loop {
             match self.json.next()? {
-                Event::End => return Ok(()),
-                Event::Integer(whole) => take(Number::Integer(whole)),
-                Event::Real(real) => take(Number::Real(real)),
-                Event::Bool(truth) => take(Number::Integer(truth.into())),
+                JsonEvent::End => return Ok(()),
+                JsonEvent::Integer(whole) => take(JsonNumber::Integer(whole)),
+                JsonEvent::Real(real) => take(JsonNumber::Real(real)),
+                JsonEvent::Bool(truth) => take(JsonNumber::Integer(truth.into())),
                 other => self.skip(other)?,
             }
         }
     }
 
     /// Reads definitions of attributes with their data.
-    fn attributes(&mut self, points: u64) -> Result<Vec<Attribute>, ReadFault> {
+    fn attributes(&mut self, points: u64) -> Result<Vec<HoudiniAttribute>, ReadFault> {
         let mut attributes = Vec::new();
         self.pairs("the point attributes", |reader| {
             let (mut kind, mut name) = (None, None);
@@ -452,20 +454,20 @@ impl Reader<'_, '_, '_> {
         mut take: impl FnMut(&mut Self) -> Result<(), ReadFault>,
     ) -> Result<(), ReadFault> {
         match self.json.next()? {
-            Event::List => {}
-            Event::Numbers(Numbers { count: 0, .. }) => return Ok(()),
+            JsonEvent::List => {}
+            JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => return Ok(()),
             other => {
                 return Err(self.json.fault(format!("expected {what}, found {}", shown(&other))));
             }
         }
         loop {
             match self.json.next()? {
-                Event::End => return Ok(()),
-                Event::List => take(self)?,
+                JsonEvent::End => return Ok(()),
+                JsonEvent::List => take(self)?,
                 other => return Err(self.json.fault(format!("{} among {what}", shown(&other)))),
             }
             match self.json.next()? {
-                Event::End => {}
+                JsonEvent::End => {}
                 other => {
                     return Err(self.json.fault(format!("{} in a pair of {what}", shown(&other))));
                 }
@@ -473,7 +475,11 @@ impl Reader<'_, '_, '_> {
         }
     }
 
-    fn numeric(&mut self, name: Rc<str>, points: u64) -> Result<Option<Attribute>, ReadFault> {
+    fn numeric(
+        &mut self,
+        name: Rc<str>,
+        points: u64,
+    ) -> Result<Option<HoudiniAttribute>, ReadFault> {
         let mut values = None;
         self.entries("an attribute's data", |reader, key| match key {
             "values" => {
@@ -482,10 +488,14 @@ impl Reader<'_, '_, '_> {
             }
             _ => reader.skip_value(),
         })?;
-        Ok(values.map(|values| Attribute { name, values, texts: None }))
+        Ok(values.map(|values| HoudiniAttribute { name, values, texts: None }))
     }
 
-    fn strings(&mut self, name: Rc<str>, points: u64) -> Result<Option<Attribute>, ReadFault> {
+    fn strings(
+        &mut self,
+        name: Rc<str>,
+        points: u64,
+    ) -> Result<Option<HoudiniAttribute>, ReadFault> {
         let (mut values, mut texts) = (None, Vec::new());
         self.entries("an attribute's data", |reader, key| match key {
             "indices" => {
@@ -495,23 +505,23 @@ impl Reader<'_, '_, '_> {
             "strings" => reader.texts(&mut texts),
             _ => reader.skip_value(),
         })?;
-        Ok(values.map(|values| Attribute { name, values, texts: Some(texts) }))
+        Ok(values.map(|values| HoudiniAttribute { name, values, texts: Some(texts) }))
     }
 
     fn texts(&mut self, texts: &mut Vec<Rc<str>>) -> Result<(), ReadFault> {
         match self.json.next()? {
-            Event::List => {}
-            Event::Numbers(Numbers { count: 0, .. }) => return Ok(()),
+            JsonEvent::List => {}
+            JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => return Ok(()),
             other => {
                 return Err(self.json.fault(format!("expected texts, found {}", shown(&other))));
             }
         }
         loop {
             match self.json.next()? {
-                Event::End => break,
+                JsonEvent::End => break,
                 // One additional text shows that there are too many.
-                Event::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
-                Event::Text(_) => {}
+                JsonEvent::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
+                JsonEvent::Text(_) => {}
                 other => return Err(self.json.fault(format!("{} among texts", shown(&other)))),
             }
         }
@@ -520,7 +530,7 @@ impl Reader<'_, '_, '_> {
 
     /// The values of an attribute, one per point. `None` for an attribute without numbers per
     /// point.
-    fn values(&mut self, name: &str, points: u64) -> Result<Option<Values>, ReadFault> {
+    fn values(&mut self, name: &str, points: u64) -> Result<Option<PointValues>, ReadFault> {
         let (mut components, mut page) = (None, None);
         let mut storage = Storage::Scalar(Scalar::F64);
         let (mut packing, mut flags) = (Vec::new(), Vec::new());
@@ -532,7 +542,7 @@ impl Reader<'_, '_, '_> {
                 "pagesize" => page = Some(reader.count("pagesize")?),
                 "packing" => reader.each(|number| {
                     // Negative and large values are rejected below.
-                    if let Number::Integer(count) = number
+                    if let JsonNumber::Integer(count) = number
                         && packing.len() <= MOST_COMPONENTS as usize
                     {
                         packing.push(u64::try_from(count).unwrap_or(u64::MAX));
@@ -567,7 +577,7 @@ impl Reader<'_, '_, '_> {
                 if Some(run.numbers.count) != all {
                     return Err(wrong_count(run.numbers.count, all));
                 }
-                Data::Tuples(run)
+                ValueLayout::Tuples(run)
             }
             (None, Some(arrays), None) => {
                 // Without points, there may be no arrays.
@@ -577,7 +587,7 @@ impl Reader<'_, '_, '_> {
                 if let Some(run) = arrays.iter().find(|run| run.numbers.count != points) {
                     return Err(wrong_count(run.numbers.count, Some(points)));
                 }
-                Data::Arrays(arrays)
+                ValueLayout::Arrays(arrays)
             }
             (None, None, Some(run)) => {
                 if packing.is_empty() {
@@ -605,19 +615,19 @@ impl Reader<'_, '_, '_> {
                     )));
                 }
                 let groups = packing.into_iter().zip(flags);
-                let groups =
-                    groups.map(|(components, (_, constant))| Group { components, constant });
+                let groups = groups
+                    .map(|(components, (_, constant))| ComponentGroup { components, constant });
                 let pages = Pages { run, size, groups: groups.collect() };
                 let expected = pages.count(points);
                 if Some(run.numbers.count) != expected {
                     return Err(wrong_count(run.numbers.count, expected));
                 }
-                Data::Pages(pages)
+                ValueLayout::Pages(pages)
             }
             (None, None, None) => return Ok(None),
             _ => return Err(fault("several arrangements of its values".to_owned())),
         };
-        Ok(Some(Values { components, data }))
+        Ok(Some(PointValues { components, data }))
     }
 
     fn storage(&mut self, name: &str) -> Result<Storage, ReadFault> {
@@ -642,8 +652,8 @@ impl Reader<'_, '_, '_> {
     /// The number of flags and their bits, for each group of components.
     fn page_flags(&mut self) -> Result<Vec<(u64, Vec<u64>)>, ReadFault> {
         match self.json.next()? {
-            Event::List => {}
-            Event::Numbers(Numbers { count: 0, .. }) => return Ok(Vec::new()),
+            JsonEvent::List => {}
+            JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => return Ok(Vec::new()),
             other => {
                 let what = format!("expected constantpageflags, found {}", shown(&other));
                 return Err(self.json.fault(what));
@@ -654,28 +664,28 @@ impl Reader<'_, '_, '_> {
         loop {
             let (mut count, mut bits) = (0_u64, Vec::new());
             let left = MOST_FLAGS - self.flag_words;
-            let mut take = |number: Number| {
+            let mut take = |number: JsonNumber| {
                 let word = (count / 64) as usize;
                 if word < left {
                     if word == bits.len() {
                         bits.push(0);
                     }
-                    let truth = number != Number::Integer(0);
+                    let truth = number != JsonNumber::Integer(0);
                     bits[word] |= u64::from(truth) << (count % 64);
                 }
                 count += 1;
             };
             match self.json.next()? {
-                Event::End => return Ok(groups),
-                Event::Numbers(numbers) => numbers.each(bytes, endian, |number| {
+                JsonEvent::End => return Ok(groups),
+                JsonEvent::Numbers(numbers) => numbers.each(bytes, endian, |number| {
                     take(number);
                     Ok(())
                 })?,
-                Event::List => loop {
+                JsonEvent::List => loop {
                     match self.json.next()? {
-                        Event::End => break,
-                        Event::Bool(truth) => take(Number::Integer(truth.into())),
-                        Event::Integer(whole) => take(Number::Integer(whole)),
+                        JsonEvent::End => break,
+                        JsonEvent::Bool(truth) => take(JsonNumber::Integer(truth.into())),
+                        JsonEvent::Integer(whole) => take(JsonNumber::Integer(whole)),
                         other => {
                             let what = format!("{} among constantpageflags", shown(&other));
                             return Err(self.json.fault(what));
@@ -696,24 +706,27 @@ impl Reader<'_, '_, '_> {
     }
 
     /// Lists with one number for each component, and the number of components.
-    fn tuples(&mut self, name: &str, storage: Storage) -> Result<(u64, Run), ReadFault> {
-        if self.json.next()? != Event::List {
+    fn tuples(&mut self, name: &str, storage: Storage) -> Result<(u64, NumberRun), ReadFault> {
+        if self.json.next()? != JsonEvent::List {
             return Err(self.json.fault(format!("attribute {name}: expected a list of tuples")));
         }
-        let mut all: Option<(u64, Run)> = None;
+        let mut all: Option<(u64, NumberRun)> = None;
         loop {
             let first = match self.json.next()? {
-                Event::End => {
-                    return Ok(all.unwrap_or((0, Run { place: Place::Gathered, ..Run::NONE })));
+                JsonEvent::End => {
+                    return Ok(all.unwrap_or((
+                        0,
+                        NumberRun { place: NumberLocation::Gathered, ..NumberRun::NONE },
+                    )));
                 }
                 first => first,
             };
-            let Run { place, numbers } = match self.numbers_from(first, name, storage)? {
-                Run { place: Place::Document, numbers } => self.gather(numbers)?,
+            let NumberRun { place, numbers } = match self.numbers_from(first, name, storage)? {
+                NumberRun { place: NumberLocation::Document, numbers } => self.gather(numbers)?,
                 gathered => gathered,
             };
             match &mut all {
-                None => all = Some((numbers.count, Run { place, numbers })),
+                None => all = Some((numbers.count, NumberRun { place, numbers })),
                 Some((components, run)) => {
                     let own = run.numbers;
                     let end = own.part(own.count, 0).at;
@@ -731,11 +744,11 @@ impl Reader<'_, '_, '_> {
     }
 
     /// A list of numbers for each component.
-    fn arrays(&mut self, name: &str, storage: Storage) -> Result<Vec<Run>, ReadFault> {
+    fn arrays(&mut self, name: &str, storage: Storage) -> Result<Vec<NumberRun>, ReadFault> {
         let mut arrays = Vec::new();
         match self.json.next()? {
-            Event::List => {}
-            Event::Numbers(Numbers { count: 0, .. }) => return Ok(arrays),
+            JsonEvent::List => {}
+            JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => return Ok(arrays),
             _ => {
                 return Err(self
                     .json
@@ -744,7 +757,7 @@ impl Reader<'_, '_, '_> {
         }
         loop {
             let first = match self.json.next()? {
-                Event::End => return Ok(arrays),
+                JsonEvent::End => return Ok(arrays),
                 _ if arrays.len() as u64 == MOST_COMPONENTS => {
                     return Err(self.json.fault(format!("attribute {name}: too many arrays")));
                 }
@@ -755,7 +768,7 @@ impl Reader<'_, '_, '_> {
     }
 
     /// Counts primitives by their kinds, and marks the vertices of particle systems.
-    fn primitives(&mut self, head: &mut Head) -> Result<(), ReadFault> {
+    fn primitives(&mut self, head: &mut GeometryHead) -> Result<(), ReadFault> {
         let vertices = head.vertex_points.map_or(0, |run| run.numbers.count);
         self.pairs("the primitives", |reader| {
             let (mut kind, mut of_run) = (None, None);
@@ -775,8 +788,8 @@ impl Reader<'_, '_, '_> {
                 _ => (kind, false),
             };
             let is_particles = &*kind == "Part";
-            let mut mark = |number: Number| {
-                if let Number::Integer(vertex) = number
+            let mut mark = |number: JsonNumber| {
+                if let JsonNumber::Integer(vertex) = number
                     && let Ok(vertex) = u64::try_from(vertex)
                     && vertex < vertices
                 {
@@ -811,8 +824,8 @@ impl Reader<'_, '_, '_> {
     /// The number of values in a list, which are skipped.
     fn items(&mut self) -> Result<u64, ReadFault> {
         match self.json.next()? {
-            Event::Numbers(numbers) => return Ok(numbers.count),
-            Event::List => {}
+            JsonEvent::Numbers(numbers) => return Ok(numbers.count),
+            JsonEvent::List => {}
             other => {
                 return Err(self.json.fault(format!("expected a list, found {}", shown(&other))));
             }
@@ -820,7 +833,7 @@ impl Reader<'_, '_, '_> {
         let mut count = 0;
         loop {
             match self.json.next()? {
-                Event::End => return Ok(count),
+                JsonEvent::End => return Ok(count),
                 other => self.skip(other)?,
             }
             count += 1;
@@ -829,16 +842,16 @@ impl Reader<'_, '_, '_> {
 }
 
 /// The description of an event for a message.
-fn shown(event: &Event) -> String {
+fn shown(event: &JsonEvent) -> String {
     match event {
-        Event::List => "a list".to_owned(),
-        Event::Map => "a map".to_owned(),
-        Event::End => "the end of a list".to_owned(),
-        Event::Null => "null".to_owned(),
-        Event::Bool(truth) => truth.to_string(),
-        Event::Integer(whole) => whole.to_string(),
-        Event::Real(real) => real.to_string(),
-        Event::Text(text) => format!("{:?}", text.chars().take(40).collect::<String>()),
-        Event::Numbers(numbers) => format!("an array of {} numbers", numbers.count),
+        JsonEvent::List => "a list".to_owned(),
+        JsonEvent::Map => "a map".to_owned(),
+        JsonEvent::End => "the end of a list".to_owned(),
+        JsonEvent::Null => "null".to_owned(),
+        JsonEvent::Bool(truth) => truth.to_string(),
+        JsonEvent::Integer(whole) => whole.to_string(),
+        JsonEvent::Real(real) => real.to_string(),
+        JsonEvent::Text(text) => format!("{:?}", text.chars().take(40).collect::<String>()),
+        JsonEvent::Numbers(numbers) => format!("an array of {} numbers", numbers.count),
     }
 }

@@ -4,9 +4,9 @@ use std::rc::Rc;
 
 use crate::io::ReadFault;
 use crate::io::bytes::Slice;
-use crate::io::number::Number as _;
+use crate::io::number::ParseNumber;
 
-use super::json::{Event, Json, Nesting};
+use super::json::{Json, JsonEvent, Nesting};
 
 /// Bytes after which memory is released.
 const PASSED: usize = 1 << 20;
@@ -63,7 +63,7 @@ impl<'a> Text<'a> {
             .map_err(|fault| self.fault(format!("a text that is no JSON: {fault}")))
     }
 
-    fn word(&mut self) -> Result<Event, ReadFault> {
+    fn word(&mut self) -> Result<JsonEvent, ReadFault> {
         let rest = self.rest();
         let is_part = |byte: &&u8| {
             byte.is_ascii_alphanumeric()
@@ -73,12 +73,12 @@ impl<'a> Text<'a> {
         self.at += length;
         let word = &rest[..length];
         Ok(match word {
-            b"true" => Event::Bool(true),
-            b"false" => Event::Bool(false),
-            b"null" => Event::Null,
+            b"true" => JsonEvent::Bool(true),
+            b"false" => JsonEvent::Bool(false),
+            b"null" => JsonEvent::Null,
             _ => match (i64::of(word), f64::of(word)) {
-                (Some(whole), _) => Event::Integer(whole),
-                (None, Some(real)) => Event::Real(real),
+                (Some(whole), _) => JsonEvent::Integer(whole),
+                (None, Some(real)) => JsonEvent::Real(real),
                 (None, None) => {
                     let found = &rest[..length.clamp(1, 40)];
                     let found = String::from_utf8_lossy(found);
@@ -90,18 +90,18 @@ impl<'a> Text<'a> {
 }
 
 impl Json for Text<'_> {
-    fn next(&mut self) -> Result<Event, ReadFault> {
+    fn next(&mut self) -> Result<JsonEvent, ReadFault> {
         self.skip_blanks();
         self.value_at = self.at;
         let Some(first) = self.rest().first() else {
             return Err(self.fault("the file ends within the geometry".to_owned()));
         };
         let nested = match first {
-            b'"' => return self.quoted().map(Event::Text),
-            b'[' => self.nesting.begin(Event::List),
-            b'{' => self.nesting.begin(Event::Map),
-            b']' => self.nesting.end(&Event::List),
-            b'}' => self.nesting.end(&Event::Map),
+            b'"' => return self.quoted().map(JsonEvent::Text),
+            b'[' => self.nesting.begin(JsonEvent::List),
+            b'{' => self.nesting.begin(JsonEvent::Map),
+            b']' => self.nesting.end(&JsonEvent::List),
+            b'}' => self.nesting.end(&JsonEvent::Map),
             _ => return self.word(),
         };
         self.at += 1;

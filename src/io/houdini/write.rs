@@ -11,24 +11,24 @@ use crate::io::up::note;
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
-use super::container::Packing;
+use super::container::ContainerWriter;
 
 /// Points per page, as in Houdini's files.
 const PAGE: u64 = 1024;
 
 /// Values of every point.
-struct Array {
+struct PointArray {
     name: String,
     components: usize,
     storage: Type,
     /// Houdini's name of the values' meaning.
     meaning: &'static str,
-    numbers: Numbers,
+    numbers: ValueSource,
 }
 
 /// The source of an array's values.
 #[derive(Clone, Copy)]
-enum Numbers {
+enum ValueSource {
     Positions(CoordinateWidth),
     Normals,
     Attribute(usize),
@@ -67,7 +67,7 @@ pub fn write_mesh(
     mesh: &dyn MeshSource,
     width: CoordinateWidth,
 ) -> io::Result<()> {
-    let mut packing = Packing::new(out)?;
+    let mut packing = ContainerWriter::new(out)?;
     write_document(&mut packing, mesh, width)?;
     packing.finish()
 }
@@ -153,28 +153,29 @@ fn identifier(name: &str) -> String {
     if is_begun { plain } else { format!("_{plain}") }
 }
 
-fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<Array> {
+fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
     let attributes = mesh.attributes();
     let storage = match width {
         CoordinateWidth::F32 => Type::F32,
         CoordinateWidth::F64 => Type::F64,
     };
-    let array = |name: &str, components, meaning, numbers| Array {
+    let array = |name: &str, components, meaning, numbers| PointArray {
         name: name.to_owned(),
         components,
         storage: Type::F32,
         meaning,
         numbers,
     };
-    let mut all = vec![Array { storage, ..array("P", 3, "point", Numbers::Positions(width)) }];
-    all.extend(mesh.has_normals().then(|| array("N", 3, "normal", Numbers::Normals)));
+    let mut all =
+        vec![PointArray { storage, ..array("P", 3, "point", ValueSource::Positions(width)) }];
+    all.extend(mesh.has_normals().then(|| array("N", 3, "normal", ValueSource::Normals)));
     let names = attribute_names(&attributes, mesh.has_normals());
     let colour = colour_attribute(&attributes);
     for (index, (info, name)) in attributes.iter().zip(&names).enumerate() {
         if colour == Some(index) {
-            all.push(array("Cd", 3, "color", Numbers::Shares(index, [0, 3])));
+            all.push(array("Cd", 3, "color", ValueSource::Shares(index, [0, 3])));
             if info.components == 4 {
-                all.push(array("Alpha", 1, "", Numbers::Shares(index, [3, 4])));
+                all.push(array("Alpha", 1, "", ValueSource::Shares(index, [3, 4])));
             }
             continue;
         }
@@ -185,13 +186,13 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<Array> {
             AttributeKind::Unsigned => Type::I64,
             _ => Type::F32,
         };
-        let numbers = Numbers::Attribute(index);
-        all.push(Array { storage, ..array(name, info.components, meaning, numbers) });
+        let numbers = ValueSource::Attribute(index);
+        all.push(PointArray { storage, ..array(name, info.components, meaning, numbers) });
     }
     all
 }
 
-impl Array {
+impl PointArray {
     fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
         let (storage, _) = self.storage.spelled();
         let size = self.components as u64;
@@ -213,13 +214,13 @@ impl Array {
         head.array(self.storage, size * mesh.vertex_count());
         out.write_all(&head.0)?;
         match self.numbers {
-            Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
+            ValueSource::Positions(width) => write_vertices(out, mesh, |vertices, out| {
                 vertices.positions.iter().for_each(|&position| put_position(out, position, width));
             })?,
-            Numbers::Normals => {
+            ValueSource::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())?;
             }
-            Numbers::Attribute(index) => {
+            ValueSource::Attribute(index) => {
                 let kind = mesh.attributes()[index].kind;
                 match self.storage {
                     Type::I64 => write_vertices(out, mesh, |vertices, out| {
@@ -230,7 +231,7 @@ impl Array {
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }
             }
-            Numbers::Shares(index, [first, end]) => {
+            ValueSource::Shares(index, [first, end]) => {
                 let info = &mesh.attributes()[index];
                 write_vertices(out, mesh, |vertices, out| {
                     for colour in vertices.attributes[index].chunks(info.components) {

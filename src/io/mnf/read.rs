@@ -14,7 +14,7 @@ use crate::field::calibration::refuse_finest;
 use crate::field::indicator::{Indicator, SampledDif};
 use crate::grid::units::{MeanCount, positive_length};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey, Periodic};
-use crate::io::bytes::{Bytes, Kept, open_bytes};
+use crate::io::bytes::{Bytes, PrivateBytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
@@ -46,7 +46,7 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
     let fail = |fault| ReadError::new(path, fault);
     let kept = match open_bytes(path)? {
         Bytes::File(file) => {
-            file.file().map_err(ReadFault::from).and_then(|file| Ok(Kept::map(&file)?))
+            file.file().map_err(ReadFault::from).and_then(|file| Ok(PrivateBytes::map(&file)?))
         }
         Bytes::Kept(kept) => Ok(kept),
     };
@@ -61,18 +61,18 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
 /// # Errors
 /// Those of [`open_frame`] about the index.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
-    let Index { facts, indicator, infos, pages } = read_index(Kept::map(file)?)?;
+    let Index { facts, indicator, infos, pages } = read_index(PrivateBytes::map(file)?)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
 /// A map whose memory is released repeatedly.
 #[derive(Debug)]
-struct Window {
-    bytes: Kept,
+struct MapWindow {
+    bytes: PrivateBytes,
     looked_at: AtomicU64,
 }
 
-impl Window {
+impl MapWindow {
     /// Must be called after every access, with the number of bytes.
     fn looked_at(&self, bytes: u64) {
         if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
@@ -92,7 +92,7 @@ impl Window {
 /// The compressed pages of a frame.
 #[derive(Debug)]
 struct MappedPages {
-    window: Window,
+    window: MapWindow,
     shape: PageShape,
     /// The start of each page, and the end of the last one.
     first: Vec<u64>,
@@ -166,9 +166,9 @@ struct Index {
     pages: MappedPages,
 }
 
-fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
+fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let (version, side) = read_header(&bytes)?;
-    let window = Window { bytes, looked_at: AtomicU64::new(0) };
+    let window = MapWindow { bytes, looked_at: AtomicU64::new(0) };
     let footer = read_tail(&window)?;
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
@@ -249,7 +249,7 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
 }
 
 /// The start of the footer, after checking it.
-fn read_tail(window: &Window) -> Result<usize, ReadFault> {
+fn read_tail(window: &MapWindow) -> Result<usize, ReadFault> {
     let bytes = &window.bytes;
     let have = bytes.len() as u64;
     let needed = (HEADER + FACTS + TAIL) as u64;
@@ -349,7 +349,7 @@ fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {
 }
 
 /// A page's entry in the index.
-struct Entry {
+struct PageEntry {
     info: PageInfo,
     offset: u64,
     length: u64,
@@ -361,7 +361,7 @@ fn read_entry(
     cursor: &mut Cursor<'_>,
     side: BrickSide,
     facts: &FrameFacts,
-) -> Result<Entry, ReadFault> {
+) -> Result<PageEntry, ReadFault> {
     let at = cursor.at();
     let key = MortonKey(cursor.u64("a page's key")?);
     let offset = cursor.u64("a page's place")?;
@@ -395,6 +395,6 @@ fn read_entry(
     ];
     match wrong.into_iter().find(|&(wrong, _)| wrong) {
         Some((_, what)) => Err(malformed(at, what)),
-        None => Ok(Entry { info, offset, length, checksum }),
+        None => Ok(PageEntry { info, offset, length, checksum }),
     }
 }

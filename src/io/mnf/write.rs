@@ -34,7 +34,7 @@ pub struct FrameWriter<W> {
 }
 
 /// Consecutive compressed pages.
-struct Compressed {
+struct CompressedPages {
     bytes: Vec<u8>,
     /// Length and checksum of each page.
     parts: Vec<(usize, u32)>,
@@ -70,10 +70,10 @@ impl<W: Write> FrameWriter<W> {
             self.last = Some(*info);
         }
         let shape = self.shape;
-        let compressed: Vec<io::Result<Compressed>> =
+        let compressed: Vec<io::Result<CompressedPages>> =
             pages.par_chunks(CHUNK).map(|pages| compress(pages, &samples, shape)).collect();
         for (pages, compressed) in pages.chunks(CHUNK).zip(compressed) {
-            let Compressed { bytes, parts } = compressed?;
+            let CompressedPages { bytes, parts } = compressed?;
             self.out.write_all(&bytes)?;
             for ((info, _), (length, checksum)) in pages.iter().zip(parts) {
                 self.enter(info, length, checksum);
@@ -157,11 +157,12 @@ fn compress<'a, P>(
     pages: &'a [(PageInfo, P)],
     samples: impl Fn(&'a P) -> Cow<'a, [u16]>,
     shape: PageShape,
-) -> io::Result<Compressed> {
+) -> io::Result<CompressedPages> {
     let mut compressor = Compressor::new(LEVEL)?;
     // The index has the size.
     compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
-    let mut compressed = Compressed { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
+    let mut compressed =
+        CompressedPages { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
     for (info, page) in pages {
         let samples = samples(page);
         assert_eq!(samples.len(), info.samples(shape), "samples of {info:?}");

@@ -1,7 +1,7 @@
 //! The header of a .ply file: the elements and their properties.
 
 use crate::io::ReadFault;
-use crate::io::bytes::View;
+use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::scan::Lines;
 
@@ -17,7 +17,7 @@ pub(super) enum Encoding {
 
 /// A value of a row, or a list of values with a length prefix.
 #[derive(Debug, Clone)]
-pub(super) struct Property {
+pub(super) struct PlyProperty {
     pub name: String,
     pub scalar: Scalar,
     /// The type of a list's length; `None` for a value.
@@ -29,7 +29,7 @@ pub(super) struct Property {
 pub(super) struct Element {
     pub name: String,
     pub count: usize,
-    pub properties: Vec<Property>,
+    pub properties: Vec<PlyProperty>,
 }
 
 impl Element {
@@ -53,15 +53,15 @@ impl Element {
 
 /// The contents of the header.
 #[derive(Debug)]
-pub(super) struct Header {
+pub(super) struct PlyHeader {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
     /// Start of the data, in bytes from the start of the file.
     pub body: usize,
 }
 
-impl Header {
-    pub fn parse(bytes: View) -> Result<Self, ReadFault> {
+impl PlyHeader {
+    pub fn parse(bytes: ByteView) -> Result<Self, ReadFault> {
         let mut lines = Lines::new(bytes, 0);
         if lines.line()?.as_deref().map(str::trim_end) != Some("ply") {
             return Err(lines.fault(0, "a .ply file starts with `ply`".into()));
@@ -124,13 +124,13 @@ fn encoding_named(name: &str) -> Option<Encoding> {
     })
 }
 
-fn property(words: &[&str]) -> Option<Property> {
+fn property(words: &[&str]) -> Option<PlyProperty> {
     let (list, scalar, name) = match words {
         ["list", list, scalar, name] => (Some(integer_named(list)?), scalar, name),
         [scalar, name] => (None, scalar, name),
         _ => return None,
     };
-    Some(Property { name: (*name).to_owned(), scalar: scalar_named(scalar)?, list })
+    Some(PlyProperty { name: (*name).to_owned(), scalar: scalar_named(scalar)?, list })
 }
 
 fn scalar_named(name: &str) -> Option<Scalar> {

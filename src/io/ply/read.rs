@@ -2,16 +2,16 @@
 
 use std::ops::{ControlFlow, Range};
 
-use crate::io::bytes::{Bytes, Kept, Slice, Unpacked, Unpacking, View};
+use crate::io::bytes::{ByteView, Bytes, PrivateBytes, Slice, UnpackBuffer, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::{Lines, Scanner};
 use crate::io::text::decode_pieces;
-use crate::io::vertices::{Triangles, Vertices, columns, integer};
+use crate::io::vertices::{FileVertices, Triangles, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::Mesh;
 
-use super::header::{Element, Encoding, Header, Property};
+use super::header::{Element, Encoding, PlyHeader, PlyProperty};
 use super::{GROUPS, NORMAL};
 use crate::io::names::{COLOUR, COLOURS};
 
@@ -23,7 +23,7 @@ const PIECE: usize = 1 << 16;
 /// # Errors
 /// [`ReadFault::Mesh`] if there are faces, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let header = Header::parse(bytes.view())?;
+    let header = PlyHeader::parse(bytes.view())?;
     let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
     let counts = header.elements.iter().filter(is_of_mesh).map(|element| element.count as u64);
     match counts.fold(0, u64::saturating_add) {
@@ -46,11 +46,15 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// [`ReadFault::Scratch`] if rows of text, or rows with lists, are decoded and the scratch file
 /// fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let header = Header::parse(bytes.view())?;
+    let header = PlyHeader::parse(bytes.view())?;
     points(bytes, &header, unpacking)
 }
 
-fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+fn points(
+    bytes: Bytes,
+    header: &PlyHeader,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
     let format = match header.encoding {
         Encoding::Ascii => "PLY, ASCII",
         Encoding::Binary(Endian::Little) => "PLY, binary little-endian",
@@ -69,8 +73,8 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
 ///
 /// # Errors
 /// Those of [`read_mesh`] about the header.
-pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
-    Ok(faces(&Header::parse(bytes)?)?.is_some())
+pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
+    Ok(faces(&PlyHeader::parse(bytes)?)?.is_some())
 }
 
 /// Reads vertices and faces. Polygons are divided into triangles from their first corner.
@@ -79,8 +83,8 @@ pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
 /// Those of [`read_points`], [`ReadFault::Malformed`] for a face with a missing vertex, and
 /// [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    let view = View::from(bytes);
-    let header = Header::parse(view)?;
+    let view = ByteView::from(bytes);
+    let header = PlyHeader::parse(view)?;
     let vertices = vertices(view, &header, Unpacking::in_memory())?;
     let mut triangles = Triangles::new(vertices.count)?;
     if let Some((element, list)) = faces(&header)? {
@@ -93,10 +97,10 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
 }
 
 pub(super) fn vertices(
-    bytes: View,
-    header: &Header,
+    bytes: ByteView,
+    header: &PlyHeader,
     unpacking: Unpacking,
-) -> Result<Vertices, ReadFault> {
+) -> Result<FileVertices, ReadFault> {
     let element = header.elements.iter().find(|element| element.name == "vertex");
     let element =
         element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
@@ -134,11 +138,11 @@ pub(super) fn vertices(
     let normals =
         attributes.iter().position(|(info, _)| info.name == NORMAL && info.components == 3);
     let position = position.map(|index| columns[index]);
-    Ok(Vertices { decoded, count: element.count, position, attributes, normals })
+    Ok(FileVertices { decoded, count: element.count, position, attributes, normals })
 }
 
 /// The attributes formed by `properties` except `position`: names, and indices of properties.
-fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
+fn group(properties: &[PlyProperty], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
     let named = |name: &str| properties.iter().position(|p| p.name.eq_ignore_ascii_case(name));
     let whole = |members: [&str; 3]| members.into_iter().map(named).collect::<Option<Vec<_>>>();
     let groups = GROUPS.iter().filter_map(|(name, members)| Some((*name, whole(*members)?)));
@@ -173,7 +177,7 @@ fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usiz
 
 /// The properties `a_0`, `a_1`, ... from index `first` on as `a`, or a single property under its
 /// own name.
-fn numbered_run(properties: &[Property], taken: &[bool], first: usize) -> (String, Vec<usize>) {
+fn numbered_run(properties: &[PlyProperty], taken: &[bool], first: usize) -> (String, Vec<usize>) {
     let name = &properties[first].name;
     let Some(base) = name.strip_suffix("_0") else {
         return (name.clone(), vec![first]);
@@ -211,9 +215,9 @@ fn plain_rows(
     element: &Element,
     at: usize,
     unpacking: Unpacking,
-) -> Result<Kept, ReadFault> {
+) -> Result<PrivateBytes, ReadFault> {
     let mut scan = Scanner::new(bytes, at);
-    let mut rows = Unpacked::new(unpacking);
+    let mut rows = UnpackBuffer::new(unpacking);
     let mut piece = Vec::with_capacity(2 * PIECE);
     for _ in 0..element.count {
         for property in &element.properties {
@@ -239,13 +243,13 @@ fn decode(
     at: usize,
     element: &Element,
     unpacking: Unpacking,
-) -> Result<Kept, ReadFault> {
+) -> Result<PrivateBytes, ReadFault> {
     let scan = Scanner::new(source.bytes(), at);
     let words = element.count.saturating_mul(element.properties.len());
     scan.expect_numbers(words, "the text of `vertex`")?;
     let width = element.properties.iter().filter(|property| property.list.is_none()).count();
     let all = Scalar::F64.size() * width * element.count;
-    let mut decoded = Unpacked::new(unpacking);
+    let mut decoded = UnpackBuffer::new(unpacking);
     let decode = |piece| decode_rows(source, piece, element);
     decode_pieces(
         source,
@@ -312,7 +316,7 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
 }
 
 /// The element of faces, if there are any, and the index of the property with the corners.
-pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
+pub(super) fn faces(header: &PlyHeader) -> Result<Option<(&Element, usize)>, ReadFault> {
     let filled =
         |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
     if filled("tristrips").is_some() {
@@ -323,7 +327,7 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
     let Some(element) = filled("face") else {
         return Ok(None);
     };
-    let is_corners = |p: &Property| {
+    let is_corners = |p: &PlyProperty| {
         ["vertex_indices", "vertex_index"].contains(&p.name.as_str())
             && p.list.is_some()
             && !matches!(p.scalar, Scalar::F32 | Scalar::F64)
@@ -339,13 +343,22 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
 }
 
 /// The start of the rows of `element`, after all elements before it.
-pub(super) fn start(bytes: View, header: &Header, element: &Element) -> Result<usize, ReadFault> {
+pub(super) fn start(
+    bytes: ByteView,
+    header: &PlyHeader,
+    element: &Element,
+) -> Result<usize, ReadFault> {
     let mut before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
     before.try_fold(header.body, |at, other| skip(bytes, header.encoding, other, at))
 }
 
 /// The end of the rows of `element` that start at byte `at`.
-fn skip(bytes: View, encoding: Encoding, element: &Element, at: usize) -> Result<usize, ReadFault> {
+fn skip(
+    bytes: ByteView,
+    encoding: Encoding,
+    element: &Element,
+    at: usize,
+) -> Result<usize, ReadFault> {
     let what = || format!("{} rows of `{}`", element.count, element.name);
     match (encoding, element.row()) {
         _ if element.properties.is_empty() => Ok(at),
@@ -414,7 +427,7 @@ fn list_length(
     scan: &mut Scanner,
     encoding: Encoding,
     element: &Element,
-    property: &Property,
+    property: &PlyProperty,
 ) -> Result<usize, ReadFault> {
     let Some(scalar) = property.list else { return Ok(1) };
     let at = scan.at();

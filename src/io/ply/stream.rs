@@ -5,12 +5,12 @@ use std::io;
 use crate::io::bytes::{Bytes, Unpacking};
 use crate::io::columns::{Endian, Scalar};
 use crate::io::pieces::Pieces;
-use crate::io::windows::{Source, Windows};
+use crate::io::windows::{InputBytes, Windows};
 use crate::io::{ReadFault, malformed};
-use crate::particles::{AttributeInfo, AttributeKind, Particles, Unread, velocity_attribute};
+use crate::particles::{AttributeInfo, AttributeKind, Particles, RereadError, velocity_attribute};
 use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 
-use super::header::{Encoding, Header};
+use super::header::{Encoding, PlyHeader};
 use super::read::{faces, start, vertices};
 
 /// Vertices or triangles per piece.
@@ -25,7 +25,7 @@ pub struct StreamedMesh {
     /// The numbers of the vertices' attributes: of the normals, and of all others.
     normals: Option<usize>,
     others: Vec<usize>,
-    faces: Source,
+    faces: InputBytes,
     /// The start of the triangles.
     at: usize,
     outline: Outline,
@@ -39,9 +39,9 @@ impl StreamedMesh {
     /// # Errors
     /// Those of [`read_mesh`](super::read_mesh) about the header.
     pub fn open(bytes: Bytes, again: Bytes) -> Result<Option<Self>, ReadFault> {
-        let header = Header::parse(bytes.view())?;
+        let header = PlyHeader::parse(bytes.view())?;
         let Some((element, _)) = faces(&header)? else { return Ok(None) };
-        let is_list = |of: &super::header::Property| {
+        let is_list = |of: &super::header::PlyProperty| {
             of.list == Some(Scalar::U8) && matches!(of.scalar, Scalar::I32 | Scalar::U32)
         };
         let fits = header.encoding == Encoding::Binary(Endian::Little)
@@ -139,6 +139,6 @@ fn range(piece: usize, of: u64) -> std::ops::Range<usize> {
     (piece * PIECE).min(of as usize)..((piece + 1) * PIECE).min(of as usize)
 }
 
-fn unread(fault: Unread) -> io::Error {
+fn unread(fault: RereadError) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, fault)
 }

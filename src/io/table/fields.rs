@@ -104,7 +104,7 @@ fn trimmed(line: &[u8]) -> &[u8] {
 /// Quotes around a field hide separators. A comment starts with `#` after a blank, or at the start
 /// of a field after the last expected one; before that, `#` may be a value. A separator at the end
 /// of the line starts another field only if one is missing.
-pub struct Fields<'a> {
+pub struct LineFields<'a> {
     line: &'a [u8],
     at: usize,
     separator: Separator,
@@ -116,7 +116,7 @@ pub struct Fields<'a> {
     marked: bool,
 }
 
-impl<'a> Fields<'a> {
+impl<'a> LineFields<'a> {
     pub fn new(line: &'a [u8], separator: Separator, expected: usize) -> Self {
         let line = match separator {
             // The first and the last cell may be empty.
@@ -163,7 +163,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-impl<'a> Iterator for Fields<'a> {
+impl<'a> Iterator for LineFields<'a> {
     type Item = &'a [u8];
 
     fn next(&mut self) -> Option<&'a [u8]> {
@@ -207,7 +207,7 @@ mod tests {
             b' ' => Separator::Blanks,
             byte => Separator::Byte(byte),
         };
-        Fields::new(line.as_bytes(), separator, expected)
+        LineFields::new(line.as_bytes(), separator, expected)
             .map(|field| std::str::from_utf8(field).unwrap())
             .collect()
     }

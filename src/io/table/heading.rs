@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 
 use crate::io::ReadFault;
-use crate::io::bytes::View;
+use crate::io::bytes::ByteView;
 use crate::io::names::{Quantity, quantities, repeated_position};
 use crate::io::number::{Decimal, is_overflow};
 
 use super::excerpt;
-use super::fields::{Fields, Separator, Syntax, is_comment, lines, unquoted};
+use super::fields::{LineFields, Separator, Syntax, is_comment, lines, unquoted};
 
 /// Maximum number of lines before the names of the columns, without blank lines and comments.
 const HEADER_LINES: usize = 32;
@@ -29,12 +29,12 @@ pub struct Heading {
     /// The number of lines above it.
     pub lines_above: u64,
     pub syntax: Syntax,
-    pub columns: Named,
+    pub columns: TableColumns,
 }
 
 /// The columns of a table with their quantities.
 #[derive(Debug)]
-pub struct Named {
+pub struct TableColumns {
     /// Names of all columns.
     pub names: Vec<String>,
     pub position: Quantity,
@@ -42,21 +42,21 @@ pub struct Named {
 }
 
 /// A line that is not a row of numbers.
-struct Title {
+struct TitleLine {
     line: u64,
     names: Vec<String>,
 }
 
 /// A row of a table without names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Unnamed {
+struct UnnamedColumns {
     syntax: Syntax,
     /// The column of x.
     first: usize,
     fields: usize,
 }
 
-impl Named {
+impl TableColumns {
     /// Columns with these names; `None` without a position, or with several. Attributes with equal
     /// names are distinguished by the numbers of their columns: `a_column4` and `a_column7`.
     pub fn of(names: Vec<String>) -> Option<Self> {
@@ -98,7 +98,7 @@ impl Named {
 
 impl Heading {
     /// Finds the head of a text, and reads no more than necessary.
-    pub fn of(text: View, start: usize) -> Result<Self, ReadFault> {
+    pub fn of(text: ByteView, start: usize) -> Result<Self, ReadFault> {
         let mut looked_at = HEAD;
         loop {
             let end = text.len().min(start.saturating_add(looked_at));
@@ -122,7 +122,7 @@ impl Heading {
 
     fn find(text: &[u8]) -> Result<Self, ReadFault> {
         let (mut comment, mut named) = (None, None);
-        let mut titles: Vec<Title> = Vec::new();
+        let mut titles: Vec<TitleLine> = Vec::new();
         let mut first = None;
         let mut units = 1;
         let mut left = HEADER_LINES;
@@ -132,9 +132,9 @@ impl Heading {
                 let marks = content.iter().take_while(|byte| b"#%!/".contains(byte)).count();
                 let names = names_of(&content[marks..], separator_of(content));
                 if repeated_position(&names).is_some() {
-                    titles.push(Title { line, names });
+                    titles.push(TitleLine { line, names });
                 } else {
-                    comment = Named::of(names).or(comment);
+                    comment = TableColumns::of(names).or(comment);
                 }
                 continue;
             }
@@ -162,7 +162,7 @@ impl Heading {
                     named = Some((names, content));
                     first = None;
                 } else if first.is_none() {
-                    titles.push(Title { line, names });
+                    titles.push(TitleLine { line, names });
                 }
             }
             left -= 1;
@@ -171,35 +171,35 @@ impl Heading {
             }
         }
         let Some((line, start, row)) = first else {
-            let names = named.and_then(|(names, _)| Named::of(names)).or(comment);
+            let names = named.and_then(|(names, _)| TableColumns::of(names)).or(comment);
             return match (names, titles.first()) {
                 (None, Some(title)) => Err(title.refused()),
                 (names, _) => Ok(Self {
                     start: text.len(),
                     lines_above: 0,
                     syntax: Syntax::BLANKS,
-                    columns: names.unwrap_or_else(|| Named::unnamed(0, 3)),
+                    columns: names.unwrap_or_else(|| TableColumns::unnamed(0, 3)),
                 }),
             };
         };
         let rows = &text[start..];
-        let at = |syntax: Syntax, columns: Named| {
+        let at = |syntax: Syntax, columns: TableColumns| {
             let syntax = with_decimals(syntax, rows, &columns);
             Self { start, lines_above: line - 1, syntax, columns }
         };
         if let Some((names, content)) = named {
-            let columns = Named::of(names).expect("they name a position");
+            let columns = TableColumns::of(names).expect("they name a position");
             let found = Syntax::of_row(row, &columns).map(|syntax| (syntax, columns));
             // Tabs may align names that are separated by blanks.
             let aligned = || {
-                let columns = Named::of(names_of(content, Separator::Blanks))?;
+                let columns = TableColumns::of(names_of(content, Separator::Blanks))?;
                 Some((Syntax::of_row(row, &columns)?, columns))
             };
             let (syntax, columns) = match found.or_else(aligned) {
                 Some(found) => found,
                 None => {
                     let separator = separator_of(content);
-                    let columns = Named::of(names_of(content, separator)).expect("as above");
+                    let columns = TableColumns::of(names_of(content, separator)).expect("as above");
                     let shown = Separator::of(row);
                     let separator = if row.contains(&b'\t') { separator } else { shown };
                     (Syntax { separator, decimal: Decimal::Point }, columns)
@@ -215,7 +215,7 @@ impl Heading {
         }
         let found = unnamed(row);
         let fields = found.map_or_else(
-            || Fields::new(row, Separator::of(row), 0).count(),
+            || LineFields::new(row, Separator::of(row), 0).count(),
             |unnamed| unnamed.fields,
         );
         if let Some(title) = titles.iter().rfind(|title| title.names.len() == fields) {
@@ -231,7 +231,7 @@ impl Heading {
         }
         refuse_rows_above(&titles, unnamed.fields)?;
         let first = if counts(rows, unnamed) { 1 } else { unnamed.first };
-        Ok(at(unnamed.syntax, Named::unnamed(first, unnamed.fields)))
+        Ok(at(unnamed.syntax, TableColumns::unnamed(first, unnamed.fields)))
     }
 }
 
@@ -239,7 +239,7 @@ impl Heading {
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] if integers precede the possible position.
-pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault> {
+pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, TableColumns)>, ReadFault> {
     let Some((_, _, row)) = lines(rows).next() else { return Ok(None) };
     let Some(found) = unnamed(row) else { return Ok(None) };
     let numbers_only = found.first == 0 && found.fields > 3;
@@ -253,14 +253,14 @@ pub fn unnamed_columns(rows: &[u8]) -> Result<Option<(Syntax, Named)>, ReadFault
         (true, true) if are_elements(rows, found) || counts(rows, found) => 1,
         _ => found.first,
     };
-    let syntax = with_decimals(found.syntax, rows, &Named::unnamed(first, found.fields));
-    Ok(Some((syntax, Named::unnamed(first, found.fields))))
+    let syntax = with_decimals(found.syntax, rows, &TableColumns::unnamed(first, found.fields));
+    Ok(Some((syntax, TableColumns::unnamed(first, found.fields))))
 }
 
 /// The names in a line.
 pub fn names_of(line: &[u8], separator: Separator) -> Vec<String> {
     let name = |name| String::from_utf8_lossy(unquoted(name)).into_owned();
-    Fields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
+    LineFields::new(line, separator, 0).take(MOST_FIELDS).map(name).collect()
 }
 
 /// The separator of a line of names: tabs if there are any, because names may contain blanks.
@@ -274,10 +274,10 @@ fn separator_of(line: &[u8]) -> Separator {
 impl Syntax {
     /// The syntax with which a row has a field for each column, and numbers in the columns of the
     /// position.
-    fn of_row(row: &[u8], columns: &Named) -> Option<Self> {
+    fn of_row(row: &[u8], columns: &TableColumns) -> Option<Self> {
         Self::ALL.into_iter().find(|syntax| {
             let mut fields = 0;
-            let fits = Fields::new(row, syntax.separator, columns.names.len()).all(|field| {
+            let fits = LineFields::new(row, syntax.separator, columns.names.len()).all(|field| {
                 fields += 1;
                 !columns.position.columns.contains(&(fields - 1)) || syntax.number(field).is_some()
             });
@@ -294,11 +294,11 @@ fn rows_of(
 ) -> impl Iterator<Item = impl Iterator<Item = &[u8]>> {
     lines(rows)
         .filter(|(.., content)| !is_comment(content))
-        .map(move |(.., content)| Fields::new(content, syntax.separator, expected))
+        .map(move |(.., content)| LineFields::new(content, syntax.separator, expected))
 }
 
 /// The syntax with decimal commas, if the first number with a decimal separator has one.
-fn with_decimals(syntax: Syntax, rows: &[u8], columns: &Named) -> Syntax {
+fn with_decimals(syntax: Syntax, rows: &[u8], columns: &TableColumns) -> Syntax {
     let comma = Syntax { decimal: Decimal::Comma, ..syntax };
     if syntax.separator == Separator::Byte(b',') {
         return syntax;
@@ -323,12 +323,12 @@ fn with_decimals(syntax: Syntax, rows: &[u8], columns: &Named) -> Syntax {
 
 /// The layout of a row without names: three numbers come first, or after a word, or after an
 /// integer and a word.
-fn unnamed(row: &[u8]) -> Option<Unnamed> {
+fn unnamed(row: &[u8]) -> Option<UnnamedColumns> {
     let all = Syntax::ALL.map(|syntax| {
-        let fields = Fields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
+        let fields = LineFields::new(row, syntax.separator, 0).take(MOST_FIELDS + 1);
         (syntax, fields.collect::<Vec<_>>())
     });
-    let between_blanks = Fields::new(row, Separator::Blanks, 0).count();
+    let between_blanks = LineFields::new(row, Separator::Blanks, 0).count();
     let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
         all.iter().find_map(|(syntax, fields)| {
             // Tabs are blanks, unless there are empty cells or blanks within cells.
@@ -338,7 +338,7 @@ fn unnamed(row: &[u8]) -> Option<Unnamed> {
             let first = first(*syntax, fields)?;
             let position = fields.get(first..first + 3)?;
             let are_numbers = position.iter().all(|field| syntax.is_number(field));
-            are_numbers.then_some(Unnamed { syntax: *syntax, first, fields: fields.len() })
+            are_numbers.then_some(UnnamedColumns { syntax: *syntax, first, fields: fields.len() })
         })
     };
     found(|_, _| Some(0)).or_else(|| {
@@ -354,7 +354,7 @@ fn unnamed(row: &[u8]) -> Option<Unnamed> {
 pub fn is_row(line: &[u8]) -> bool {
     unnamed(line).is_some_and(|row| row.first == 0) || {
         let syntax = Syntax { separator: Separator::of(line), decimal: Decimal::Point };
-        Fields::new(line, syntax.separator, 0).take(3).all(|field| syntax.is_number(field))
+        LineFields::new(line, syntax.separator, 0).take(3).all(|field| syntax.is_number(field))
     }
 }
 
@@ -369,7 +369,7 @@ fn is_row_of_words(line: &[u8], rows: &[u8]) -> bool {
 /// Whether no field of a line below names is a number, so that it contains units.
 fn is_units(line: &[u8]) -> bool {
     Syntax::ALL.iter().all(|syntax| {
-        Fields::new(line, syntax.separator, 0).all(|field| {
+        LineFields::new(line, syntax.separator, 0).all(|field| {
             let field = unquoted(field);
             !is_overflow(field) && syntax.number(field).is_none_or(|_| field.is_empty())
         })
@@ -386,14 +386,14 @@ fn is_whole(field: &[u8]) -> bool {
 }
 
 /// Whether the first column of the first rows has only integers.
-fn has_whole_first(rows: &[u8], row: Unnamed) -> bool {
+fn has_whole_first(rows: &[u8], row: UnnamedColumns) -> bool {
     rows_of(rows, row.syntax, row.fields)
         .take(SAMPLED_ROWS)
         .all(|mut fields| fields.next().is_some_and(is_whole))
 }
 
 /// Whether the first column of the first rows may be atomic numbers.
-fn are_elements(rows: &[u8], row: Unnamed) -> bool {
+fn are_elements(rows: &[u8], row: UnnamedColumns) -> bool {
     let number = |field: &[u8]| std::str::from_utf8(field).ok()?.parse::<u64>().ok();
     rows_of(rows, row.syntax, row.fields)
         .take(SAMPLED_ROWS)
@@ -401,7 +401,7 @@ fn are_elements(rows: &[u8], row: Unnamed) -> bool {
 }
 
 /// Whether each of the next three columns has numbers with fractions.
-fn has_fractions(rows: &[u8], row: Unnamed) -> bool {
+fn has_fractions(rows: &[u8], row: UnnamedColumns) -> bool {
     let mut fractions = [false; 3];
     for fields in rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS) {
         for (field, has) in fields.skip(1).zip(&mut fractions) {
@@ -412,7 +412,7 @@ fn has_fractions(rows: &[u8], row: Unnamed) -> bool {
 }
 
 /// Whether the first column of rows without names counts them, and the next three are the position.
-fn counts(rows: &[u8], row: Unnamed) -> bool {
+fn counts(rows: &[u8], row: UnnamedColumns) -> bool {
     let mut seen = std::collections::HashSet::new();
     let sample = || rows_of(rows, row.syntax, row.fields).take(SAMPLED_ROWS);
     let are_different =
@@ -426,7 +426,7 @@ fn counts(rows: &[u8], row: Unnamed) -> bool {
 }
 
 /// Rejects a line before the first row that looks like a row with an invalid field.
-fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
+fn refuse_rows_above(titles: &[TitleLine], fields: usize) -> Result<(), ReadFault> {
     let is_number =
         |name: &String| is_overflow(name.as_bytes()) || Syntax::BLANKS.is_number(name.as_bytes());
     let row = titles
@@ -435,7 +435,7 @@ fn refuse_rows_above(titles: &[Title], fields: usize) -> Result<(), ReadFault> {
     row.map_or(Ok(()), |row| Err(row.refused()))
 }
 
-impl Title {
+impl TitleLine {
     fn refused(&self) -> ReadFault {
         if let Some(name) = repeated_position(&self.names) {
             let what = format!(

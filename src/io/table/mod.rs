@@ -17,32 +17,32 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Kept, Unpacked, Unpacking};
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{Bytes, PrivateBytes, UnpackBuffer, Unpacking};
+use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::names::Quantity;
 use super::number::{Decimal, is_overflow};
 use super::text::decode_windows;
 use super::wanted::WantedAttributes;
-use super::windows::Source;
+use super::windows::InputBytes;
 use super::{ParticleFile, ReadFault};
 
-use fields::{Fields, is_comment, lines, unquoted};
+use fields::{LineFields, is_comment, lines, unquoted};
 use heading::Heading;
 use labels::{Known, Texts};
 
 pub(super) use fields::{Separator, Syntax};
-pub(super) use heading::{HEAD, Named, is_row, names_of, unnamed_columns};
+pub(super) use heading::{HEAD, TableColumns, is_row, names_of, unnamed_columns};
 
 /// Bytes of a number.
 const WIDTH: usize = size_of::<f64>();
 
 /// The rows of a text, with the meaning of their fields.
-pub(super) struct Table {
+pub(super) struct TextTable {
     /// Bytes of the rows, and number of lines before them.
     pub rows: Range<usize>,
     pub lines_above: u64,
     pub syntax: Syntax,
-    pub columns: Named,
+    pub columns: TableColumns,
     /// The number of rows, if the file has it.
     pub count: Option<u64>,
     /// The box, if the coordinates are fractions of it.
@@ -80,21 +80,21 @@ pub(super) fn read(
     let view = bytes.view();
     let Heading { start, lines_above, syntax, columns } = Heading::of(view, start)?;
     let rows = start..view.len();
-    let table = Table { rows, lines_above, syntax, columns, count: None, cell: None };
+    let table = TextTable { rows, lines_above, syntax, columns, count: None, cell: None };
     table.read(bytes, wanted, unpacking, "text table")
 }
 
 /// The target of a parsed field.
 #[derive(Debug, Clone, Copy)]
-struct Slot {
+struct FieldTarget {
     /// The index among the numbers of a row.
     place: usize,
     /// The treatment of a field that is not a number.
-    otherwise: Otherwise,
+    otherwise: BadFieldPolicy,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Otherwise {
+enum BadFieldPolicy {
     Refuse,
     /// The column has text and is dropped as an attribute.
     Drop,
@@ -102,7 +102,7 @@ enum Otherwise {
     Label(usize),
 }
 
-impl Table {
+impl TextTable {
     /// Decodes the rows.
     ///
     /// # Errors
@@ -121,32 +121,32 @@ impl Table {
         texts.retain(|text| text.columns.len() == 1 && wanted.hold_label(&text.name));
         drop(head);
         let table = Self { columns, ..self };
-        let Named { names, position, attributes } = &table.columns;
+        let TableColumns { names, position, attributes } = &table.columns;
         let info = |q: &Quantity| AttributeInfo::new(&q.name, q.columns.len());
         let infos: Vec<_> = attributes.iter().map(info).collect();
         let is_read = wanted.among(&infos);
         let asked = wanted.asked_among(&infos).unwrap_or_else(|| vec![false; infos.len()]);
         let read = || attributes.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(a));
-        let otherwise = asked
-            .iter()
-            .zip(&is_read)
-            .filter(|(_, read)| **read)
-            .map(|(asked, _)| if *asked { Otherwise::Refuse } else { Otherwise::Drop });
+        let otherwise =
+            asked.iter().zip(&is_read).filter(|(_, read)| **read).map(|(asked, _)| {
+                if *asked { BadFieldPolicy::Refuse } else { BadFieldPolicy::Drop }
+            });
         let attribute_columns = read()
             .zip(otherwise)
             .flat_map(|(a, otherwise)| a.columns.iter().map(move |column| (column, otherwise)));
         let label_columns = texts.iter().enumerate();
-        let label_columns = label_columns.map(|(n, t)| (&t.columns[0], Otherwise::Label(n)));
+        let label_columns = label_columns.map(|(n, t)| (&t.columns[0], BadFieldPolicy::Label(n)));
         let attribute_columns = attribute_columns.chain(label_columns);
-        let position_columns = position.columns.iter().map(|column| (column, Otherwise::Refuse));
+        let position_columns =
+            position.columns.iter().map(|column| (column, BadFieldPolicy::Refuse));
         let mut slots = vec![None; names.len()];
         let mut width = 0;
         for (&column, otherwise) in position_columns.chain(attribute_columns) {
-            slots[column] = Some(Slot { place: width, otherwise });
+            slots[column] = Some(FieldTarget { place: width, otherwise });
             width += 1;
         }
         let text: Vec<AtomicBool> = (0..width).map(|_| AtomicBool::new(false)).collect();
-        let source = Source::from(bytes);
+        let source = InputBytes::from(bytes);
         let labels: Vec<_> = texts.iter().map(|_| Texts::default()).collect();
         let rows = table.decode(&source, &slots, (&text, &labels), unpacking)?;
         let stride = width * WIDTH;
@@ -171,7 +171,8 @@ impl Table {
         });
         let labels: Vec<_> = labels.collect();
         let position = [0, 1, 2].map(|axis| first.component(axis));
-        let store: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, attributes);
+        let store: ColumnStore =
+            ColumnStore::new(rows, ParticleRows::All(count), position, attributes);
         let store = store.with_labels(labels);
         let unread = infos.into_iter().zip(is_read).filter(|(_, read)| !read);
         let unread = unread.map(|(info, _)| info).collect();
@@ -181,12 +182,12 @@ impl Table {
     /// Decodes all rows, in their order.
     fn decode(
         &self,
-        source: &Source,
-        slots: &[Option<Slot>],
+        source: &InputBytes,
+        slots: &[Option<FieldTarget>],
         text: (&[AtomicBool], &[Texts]),
         unpacking: Unpacking,
-    ) -> Result<Kept, ReadFault> {
-        let mut rows = Unpacked::new(unpacking);
+    ) -> Result<PrivateBytes, ReadFault> {
+        let mut rows = UnpackBuffer::new(unpacking);
         let mut lines_above = self.lines_above;
         decode_windows(
             source,
@@ -208,7 +209,7 @@ impl Table {
     fn decode_piece(
         &self,
         piece: &[u8],
-        slots: &[Option<Slot>],
+        slots: &[Option<FieldTarget>],
         (text, labels): (&[AtomicBool], &[Texts]),
     ) -> Result<(Vec<u8>, u64), (u64, String)> {
         let width = text.len() * WIDTH;
@@ -221,10 +222,10 @@ impl Table {
             let row = rows.len();
             rows.resize(row + width, 0);
             let mut fields = 0;
-            for field in Fields::new(content, self.syntax.separator, slots.len()) {
-                if let Some(&Some(Slot { place, otherwise })) = slots.get(fields) {
+            for field in LineFields::new(content, self.syntax.separator, slots.len()) {
+                if let Some(&Some(FieldTarget { place, otherwise })) = slots.get(fields) {
                     let number = match otherwise {
-                        Otherwise::Label(label) => {
+                        BadFieldPolicy::Label(label) => {
                             let field = unquoted(field);
                             Some(labels[label].number(&mut known[label], field).into())
                         }
@@ -232,7 +233,7 @@ impl Table {
                     };
                     let number = match (number, otherwise) {
                         (Some(number), _) => number,
-                        (None, Otherwise::Refuse) => {
+                        (None, BadFieldPolicy::Refuse) => {
                             return Err((line, self.not_a_number(field, fields)));
                         }
                         (None, _) => {

@@ -22,9 +22,9 @@ const ATTRIBUTE: i32 = 1;
 
 /// A value: its type, and its position or inline content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Value(u64);
+pub(super) struct UsdValue(u64);
 
-impl Value {
+impl UsdValue {
     fn at(kind: u64, offset: u64) -> Self {
         Self(kind << 48 | offset)
     }
@@ -59,12 +59,12 @@ impl Value {
 }
 
 /// The end of a file: values other than arrays, and all tables.
-pub(super) struct Tail {
+pub(super) struct FileTail {
     /// The position of the section.
     at: u64,
     values: Vec<u8>,
     tokens: Vec<String>,
-    fields: Vec<(u32, Value)>,
+    fields: Vec<(u32, UsdValue)>,
     /// Numbers of fields; each set ends with -1.
     field_sets: Vec<i32>,
     /// For each path, its element's token (negative for a property), and the jump to the next path.
@@ -73,7 +73,7 @@ pub(super) struct Tail {
     specs: Vec<(i32, i32)>,
 }
 
-impl Tail {
+impl FileTail {
     pub fn new(at: u64) -> Self {
         Self {
             at,
@@ -95,26 +95,26 @@ impl Tail {
         }) as u32
     }
 
-    pub fn token(&mut self, token: &str) -> Value {
-        Value::inlined(TOKEN, self.token_index(token).into())
+    pub fn token(&mut self, token: &str) -> UsdValue {
+        UsdValue::inlined(TOKEN, self.token_index(token).into())
     }
 
-    pub fn tokens(&mut self, tokens: &[&str]) -> Value {
+    pub fn tokens(&mut self, tokens: &[&str]) -> UsdValue {
         let indices: Vec<u32> = tokens.iter().map(|token| self.token_index(token)).collect();
         let at = self.end();
         self.values.extend((tokens.len() as u64).to_le_bytes());
         self.values.extend(indices.iter().flat_map(|index| index.to_le_bytes()));
-        Value::at(TOKEN_VECTOR, at)
+        UsdValue::at(TOKEN_VECTOR, at)
     }
 
     /// `value` at time 0.
-    pub fn sample(&mut self, value: Value) -> Value {
+    pub fn sample(&mut self, value: UsdValue) -> UsdValue {
         let times = self.end();
         self.put(&[1, 0f64.to_bits()]);
         let at = self.end();
         // Each part is preceded by its relative offset; the parts are adjacent.
-        self.put(&[8, Value::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
-        Value::at(TIME_SAMPLES, at)
+        self.put(&[8, UsdValue::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
+        UsdValue::at(TIME_SAMPLES, at)
     }
 
     fn put(&mut self, words: &[u64]) {
@@ -125,22 +125,22 @@ impl Tail {
         self.at + self.values.len() as u64
     }
 
-    pub fn root(&mut self, fields: &[(&str, Value)]) {
+    pub fn root(&mut self, fields: &[(&str, UsdValue)]) {
         self.spec(0, -1, fields, PSEUDO_ROOT);
     }
 
     /// The only prim. Its properties follow.
-    pub fn prim(&mut self, name: &str, fields: &[(&str, Value)]) {
+    pub fn prim(&mut self, name: &str, fields: &[(&str, UsdValue)]) {
         let element = self.token_index(name) as i32;
         self.spec(element, -1, fields, PRIM);
     }
 
-    pub fn property(&mut self, name: &str, fields: &[(&str, Value)]) {
+    pub fn property(&mut self, name: &str, fields: &[(&str, UsdValue)]) {
         let element = self.token_index(name) as i32;
         self.spec(-element, 0, fields, ATTRIBUTE);
     }
 
-    fn spec(&mut self, element: i32, jump: i32, fields: &[(&str, Value)], kind: i32) {
+    fn spec(&mut self, element: i32, jump: i32, fields: &[(&str, UsdValue)], kind: i32) {
         self.paths.push((element, jump));
         self.specs.push((self.field_sets.len() as i32, kind));
         for &(name, value) in fields {

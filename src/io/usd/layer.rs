@@ -9,8 +9,8 @@ use crate::io::encode::{write_floats, write_pieces, write_triangles, write_verti
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
-use super::crate_file::{FLOAT, HEADER, INT, Tail, UINT, VEC3F, Value, header};
-use super::{PRIM, Property, properties};
+use super::crate_file::{FLOAT, FileTail, HEADER, INT, UINT, UsdValue, VEC3F, header};
+use super::{PRIM, UsdProperty, properties};
 
 /// Triangles per write of corner counts.
 const COUNTS: u64 = 1 << 16;
@@ -29,7 +29,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io:
     let properties = properties(mesh.has_normals(), &mesh.attributes());
     let arrays = arrays(mesh, properties.len());
     let mut end = HEADER;
-    let mut place = |array: &Array| {
+    let mut place = |array: &UsdArray| {
         let at = end;
         end += array.bytes();
         at
@@ -48,15 +48,15 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io:
 }
 
 /// An array of values, in the order of the properties.
-struct Array {
+struct UsdArray {
     kind: u64,
     length: u64,
     /// Bytes of an element.
     width: u64,
-    values: Values,
+    values: UsdValues,
 }
 
-enum Values {
+enum UsdValues {
     Points,
     CornerCounts,
     Corners,
@@ -70,32 +70,32 @@ enum Values {
     Opacity(usize),
 }
 
-fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
+fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<UsdArray> {
     let (vertices, triangles) = (mesh.vertex_count(), mesh.triangle_count());
-    let vectors = |values| Array { kind: VEC3F, length: vertices, width: 12, values };
-    let integers = |length, values| Array { kind: INT, length, width: 4, values };
+    let vectors = |values| UsdArray { kind: VEC3F, length: vertices, width: 12, values };
+    let integers = |length, values| UsdArray { kind: INT, length, width: 4, values };
     let mut arrays = vec![
-        vectors(Values::Points),
-        integers(triangles, Values::CornerCounts),
-        integers(3 * triangles, Values::Corners),
-        Array { length: 2, ..vectors(Values::Extent) },
+        vectors(UsdValues::Points),
+        integers(triangles, UsdValues::CornerCounts),
+        integers(3 * triangles, UsdValues::Corners),
+        UsdArray { length: 2, ..vectors(UsdValues::Extent) },
     ];
-    arrays.extend(mesh.has_normals().then(|| vectors(Values::Normals)));
+    arrays.extend(mesh.has_normals().then(|| vectors(UsdValues::Normals)));
     let infos = mesh.attributes();
     let colour = colour_attribute(&infos);
-    let floats = |length, values| Array { kind: FLOAT, length, width: 4, values };
+    let floats = |length, values| UsdArray { kind: FLOAT, length, width: 4, values };
     for (index, attribute) in infos.iter().enumerate() {
         if colour == Some(index) {
-            arrays.push(vectors(Values::Colour(index)));
-            let opacity = || floats(vertices, Values::Opacity(index));
+            arrays.push(vectors(UsdValues::Colour(index)));
+            let opacity = || floats(vertices, UsdValues::Opacity(index));
             arrays.extend((attribute.components == 4).then(opacity));
             continue;
         }
-        let values = Values::Attribute(index);
+        let values = UsdValues::Attribute(index);
         let numbers = floats(vertices * attribute.components as u64, values);
         arrays.push(match (attribute.kind, attribute.components) {
-            (AttributeKind::Unsigned, _) => Array { kind: UINT, ..numbers },
-            (kind, _) if kind.is_whole() => Array { kind: INT, ..numbers },
+            (AttributeKind::Unsigned, _) => UsdArray { kind: UINT, ..numbers },
+            (kind, _) if kind.is_whole() => UsdArray { kind: INT, ..numbers },
             (_, 3) => vectors(numbers.values),
             _ => numbers,
         });
@@ -105,19 +105,19 @@ fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
 }
 
 fn tail(
-    properties: &[Property],
-    arrays: &[Array],
+    properties: &[UsdProperty],
+    arrays: &[UsdArray],
     offsets: &[u64],
     at: u64,
     up: UpAxis,
 ) -> (Vec<u8>, u64) {
-    let mut tail = Tail::new(at);
+    let mut tail = FileTail::new(at);
     let children = tail.tokens(&[PRIM]);
     let prim = tail.token(PRIM);
     let up = tail.token(&up.to_string());
     tail.root(&[
         ("defaultPrim", prim),
-        ("metersPerUnit", Value::double(1.0)),
+        ("metersPerUnit", UsdValue::double(1.0)),
         ("upAxis", up),
         ("primChildren", children),
     ]);
@@ -126,28 +126,28 @@ fn tail(
         [SCHEME].into_iter().chain(properties.iter().map(|p| p.name.as_str())).collect();
     let names = tail.tokens(&names);
     let mesh = tail.token("Mesh");
-    tail.prim(PRIM, &[("specifier", Value::def()), ("typeName", mesh), ("properties", names)]);
+    tail.prim(PRIM, &[("specifier", UsdValue::def()), ("typeName", mesh), ("properties", names)]);
     let (token, none) = (tail.token("token"), tail.token("none"));
     tail.property(
         SCHEME,
-        &[("typeName", token), ("variability", Value::uniform()), ("default", none)],
+        &[("typeName", token), ("variability", UsdValue::uniform()), ("default", none)],
     );
     for ((property, array), &offset) in properties.iter().zip(arrays).zip(offsets) {
-        let value = Value::array(array.kind, offset, array.length);
+        let value = UsdValue::array(array.kind, offset, array.length);
         let mut fields = vec![("typeName", tail.token(property.kind)), ("default", value)];
         fields.push(("timeSamples", tail.sample(value)));
         if let Some(interpolation) = property.interpolation {
             fields.push(("interpolation", tail.token(interpolation)));
         }
         if let Some(size) = property.element_size {
-            fields.push(("elementSize", Value::int(size as u32)));
+            fields.push(("elementSize", UsdValue::int(size as u32)));
         }
         tail.property(&property.name, &fields);
     }
     tail.finish()
 }
 
-impl Array {
+impl UsdArray {
     /// Bytes of the length, the values and the padding to a multiple of 8.
     fn bytes(&self) -> u64 {
         8 + self.length * self.width + self.padding()
@@ -165,7 +165,7 @@ impl Array {
     ) -> io::Result<()> {
         let extent = || extent.lock().unwrap_or_else(PoisonError::into_inner);
         match self.values {
-            Values::Points => write_vertices(out, mesh, |vertices, out| {
+            UsdValues::Points => write_vertices(out, mesh, |vertices, out| {
                 let mut own = *extent();
                 for point in vertices.positions.iter().map(|point| point.map(|x| x as f32)) {
                     for (axis, x) in point.into_iter().enumerate() {
@@ -180,20 +180,20 @@ impl Array {
                     all[1][axis] = all[1][axis].max(own[1][axis]);
                 }
             }),
-            Values::CornerCounts => {
+            UsdValues::CornerCounts => {
                 write_pieces(out, self.length.div_ceil(COUNTS) as usize, |piece, out| {
                     let count = COUNTS.min(self.length - piece as u64 * COUNTS);
                     out.extend(3i32.to_le_bytes().repeat(count as usize));
                     Ok(())
                 })
             }
-            Values::Corners => write_triangles(out, mesh, |triangles, out| {
+            UsdValues::Corners => write_triangles(out, mesh, |triangles, out| {
                 triangles
                     .as_flattened()
                     .iter()
                     .for_each(|&corner| out.extend((corner as i32).to_le_bytes()));
             }),
-            Values::Extent => out.write_all(
+            UsdValues::Extent => out.write_all(
                 extent()
                     .as_flattened()
                     .iter()
@@ -201,12 +201,14 @@ impl Array {
                     .collect::<Vec<_>>()
                     .as_flattened(),
             ),
-            Values::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
-            Values::Attribute(index) => {
+            UsdValues::Normals => {
+                write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
+            }
+            UsdValues::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])
             }
-            Values::Colour(index) => write_shares(out, mesh, index, 0..3),
-            Values::Opacity(index) => write_shares(out, mesh, index, 3..4),
+            UsdValues::Colour(index) => write_shares(out, mesh, index, 0..3),
+            UsdValues::Opacity(index) => write_shares(out, mesh, index, 3..4),
         }
     }
 }

@@ -18,7 +18,7 @@ const PRIM: &str = "fluid";
 
 /// An attribute of the mesh with values for every frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Property {
+struct UsdProperty {
     name: String,
     kind: &'static str,
     /// `vertex`, if it must be specified.
@@ -28,8 +28,8 @@ struct Property {
 }
 
 /// The properties of a mesh with these normals and attributes, in the order of a layer.
-fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> {
-    let plain = |name: &str, kind| Property {
+fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdProperty> {
+    let plain = |name: &str, kind| UsdProperty {
         name: name.into(),
         kind,
         interpolation: None,
@@ -42,13 +42,13 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> 
         plain("extent", "float3[]"),
     ];
     if has_normals {
-        all.push(Property { interpolation: Some("vertex"), ..plain("normals", "normal3f[]") });
+        all.push(UsdProperty { interpolation: Some("vertex"), ..plain("normals", "normal3f[]") });
     }
     let colour = colour_attribute(attributes);
     for (index, attribute) in attributes.iter().enumerate() {
         if colour == Some(index) {
             let vertex =
-                |name, kind| Property { interpolation: Some("vertex"), ..plain(name, kind) };
+                |name, kind| UsdProperty { interpolation: Some("vertex"), ..plain(name, kind) };
             all.push(vertex("primvars:displayColor", "color3f[]"));
             if attribute.components == 4 {
                 all.push(vertex("primvars:displayOpacity", "float[]"));
@@ -72,7 +72,7 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> 
         };
         let says = *components == 1 || kind == "float3[]";
         let element_size = Some(*components).filter(|_| !says);
-        all.push(Property { name, kind, interpolation: Some("vertex"), element_size });
+        all.push(UsdProperty { name, kind, interpolation: Some("vertex"), element_size });
     }
     all
 }

@@ -1,6 +1,6 @@
 //! Finds the arrays of a legacy .vtk file, in one pass over its sections.
 
-use crate::io::bytes::View;
+use crate::io::bytes::ByteView;
 use crate::io::columns::{Endian, Scalar};
 use crate::io::ghosts::is_flag;
 use crate::io::names::percent_decoded;
@@ -17,31 +17,31 @@ const TIMES: [&str; 2] = ["TIME", "TimeValue"];
 
 /// The sections that are used.
 #[derive(Debug)]
-pub(super) struct Layout {
+pub(super) struct VtkLayout {
     pub ascii: bool,
-    pub points: Array,
+    pub points: VtkArray,
     /// Arrays of `POINT_DATA`, with one tuple per point.
-    pub attributes: Vec<Array>,
+    pub attributes: Vec<VtkArray>,
     /// The number of the attribute in `NORMALS`.
     pub normals: Option<usize>,
     /// Names of arrays of text, on points or elsewhere.
     pub texts: Vec<String>,
     /// The last `VERTICES` section.
-    pub vertices: Option<Corners>,
+    pub vertices: Option<CellCorners>,
     /// Whether there are `LINES`, or several `VERTICES`.
     pub has_others: bool,
-    pub cells: Vec<Cells>,
+    pub cells: Vec<VtkCells>,
     /// Types of the cells of an `UNSTRUCTURED_GRID`.
-    pub cell_types: Option<Array>,
+    pub cell_types: Option<VtkArray>,
     /// Arrays of `CELL_DATA` that flag ghosts.
-    pub flags: Vec<Array>,
+    pub flags: Vec<VtkArray>,
     /// The time, an array of one number.
-    pub time: Option<Array>,
+    pub time: Option<VtkArray>,
 }
 
 /// Consecutive numbers.
 #[derive(Debug, Clone)]
-pub(super) struct Array {
+pub(super) struct VtkArray {
     pub name: String,
     /// Start and end, in bytes from the start of the file.
     pub at: usize,
@@ -53,9 +53,9 @@ pub(super) struct Array {
 
 /// Cells as lists of point numbers.
 #[derive(Debug)]
-pub(super) struct Cells {
+pub(super) struct VtkCells {
     pub kind: CellKind,
-    pub corners: Corners,
+    pub corners: CellCorners,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,11 +67,11 @@ pub(super) enum CellKind {
 }
 
 #[derive(Debug)]
-pub(super) enum Corners {
+pub(super) enum CellCorners {
     /// `cells` records of the number of corners and the corners (before version 5).
-    Counted { cells: usize, stream: Array },
+    Counted { cells: usize, stream: VtkArray },
     /// Cell i has the corners from offset i to offset i + 1.
-    Offsets { offsets: Array, connectivity: Array },
+    Offsets { offsets: VtkArray, connectivity: VtkArray },
 }
 
 /// The target of a section of attributes, with its count.
@@ -81,8 +81,8 @@ enum Owner {
     Cells(usize),
 }
 
-struct Walk<'a> {
-    bytes: View<'a>,
+struct LayoutParser<'a> {
+    bytes: ByteView<'a>,
     lines: Lines<'a>,
     /// Start of the current line.
     line_at: usize,
@@ -91,26 +91,26 @@ struct Walk<'a> {
     owner: Option<Owner>,
     /// Number of components of the last array.
     components: usize,
-    points: Option<Array>,
-    attributes: Vec<Array>,
+    points: Option<VtkArray>,
+    attributes: Vec<VtkArray>,
     normals: Option<usize>,
     texts: Vec<String>,
-    vertices: Option<Corners>,
+    vertices: Option<CellCorners>,
     has_others: bool,
-    cells: Vec<Cells>,
-    cell_types: Option<Array>,
-    flags: Vec<Array>,
-    time: Option<Array>,
+    cells: Vec<VtkCells>,
+    cell_types: Option<VtkArray>,
+    flags: Vec<VtkArray>,
+    time: Option<VtkArray>,
 }
 
 /// Whether the arrays are text, from the header.
-pub fn is_text(bytes: View) -> bool {
-    Walk::start(bytes).is_ok_and(|walk| walk.ascii)
+pub fn is_text(bytes: ByteView) -> bool {
+    LayoutParser::start(bytes).is_ok_and(|walk| walk.ascii)
 }
 
-impl Layout {
-    pub fn parse(bytes: View) -> Result<Self, ReadFault> {
-        let mut walk = Walk::start(bytes)?;
+impl VtkLayout {
+    pub fn parse(bytes: ByteView) -> Result<Self, ReadFault> {
+        let mut walk = LayoutParser::start(bytes)?;
         while let Some(line) = walk.next_line()? {
             walk.section(&words(&line))?;
         }
@@ -118,8 +118,8 @@ impl Layout {
     }
 }
 
-impl<'a> Walk<'a> {
-    fn start(bytes: View<'a>) -> Result<Self, ReadFault> {
+impl<'a> LayoutParser<'a> {
+    fn start(bytes: ByteView<'a>) -> Result<Self, ReadFault> {
         let mut lines = Lines::new(bytes, 0);
         let first = lines.line()?.unwrap_or_default();
         let version = first.strip_prefix("# vtk DataFile Version ");
@@ -267,7 +267,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    fn finish(self) -> Result<Layout, ReadFault> {
+    fn finish(self) -> Result<VtkLayout, ReadFault> {
         let end = self.lines.at();
         let points = self.points.ok_or_else(|| malformed(end, "the file ends without POINTS"))?;
         let typed = self.cells.iter().filter(|cells| cells.kind == CellKind::Typed);
@@ -279,7 +279,7 @@ impl<'a> Walk<'a> {
                 format!("the file has {cells} CELLS, but {types} CELL_TYPES"),
             ));
         }
-        Ok(Layout {
+        Ok(VtkLayout {
             ascii: self.ascii,
             points,
             attributes: self.attributes,
@@ -356,7 +356,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    fn keep(&mut self, array: Option<Array>) -> Option<usize> {
+    fn keep(&mut self, array: Option<VtkArray>) -> Option<usize> {
         let array = array?;
         if let Some(Owner::Cells(_)) = self.owner {
             self.flags.extend(Some(array).filter(|a| is_flag(&a.name, a.components, a.scalar)));
@@ -373,24 +373,24 @@ impl<'a> Walk<'a> {
 
     fn cells(&mut self, kind: CellKind, count: &str, size: &str) -> Result<(), ReadFault> {
         let corners = self.corners(count, size)?;
-        self.cells.push(Cells { kind, corners });
+        self.cells.push(VtkCells { kind, corners });
         Ok(())
     }
 
-    fn corners(&mut self, count: &str, size: &str) -> Result<Corners, ReadFault> {
+    fn corners(&mut self, count: &str, size: &str) -> Result<CellCorners, ReadFault> {
         let (count, size) = (self.count(count)?, self.count(size)?);
         if !self.offsets {
-            return Ok(Corners::Counted {
+            return Ok(CellCorners::Counted {
                 cells: count,
                 stream: self.numbers("cells", size, 1, "int")?,
             });
         }
         let offsets = self.cell_array("OFFSETS", count)?;
         let connectivity = self.cell_array("CONNECTIVITY", size)?;
-        Ok(Corners::Offsets { offsets, connectivity })
+        Ok(CellCorners::Offsets { offsets, connectivity })
     }
 
-    fn cell_array(&mut self, keyword: &str, count: usize) -> Result<Array, ReadFault> {
+    fn cell_array(&mut self, keyword: &str, count: usize) -> Result<VtkArray, ReadFault> {
         let line = self.line_of(keyword)?;
         match *words(&line) {
             [word, kind] if is(word, keyword) => self.numbers(keyword, count, 1, kind),
@@ -405,7 +405,7 @@ impl<'a> Walk<'a> {
         tuples: usize,
         components: usize,
         kind: &str,
-    ) -> Result<Array, ReadFault> {
+    ) -> Result<VtkArray, ReadFault> {
         let array = self.array(name, tuples, components, kind)?;
         array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
     }
@@ -418,7 +418,7 @@ impl<'a> Walk<'a> {
         tuples: usize,
         components: usize,
         kind: &str,
-    ) -> Result<Option<Array>, ReadFault> {
+    ) -> Result<Option<VtkArray>, ReadFault> {
         self.components = components;
         let values = tuples.saturating_mul(components);
         let scalar = match kind.to_ascii_lowercase().as_str() {
@@ -452,7 +452,7 @@ impl<'a> Walk<'a> {
             }
         }
         let end = self.lines.at();
-        Ok(scalar.map(|scalar| Array {
+        Ok(scalar.map(|scalar| VtkArray {
             name: name.to_owned(),
             at,
             end,
@@ -502,14 +502,14 @@ impl<'a> Walk<'a> {
     }
 }
 
-impl Array {
+impl VtkArray {
     /// Count of numbers. It was checked against the file, so this cannot overflow.
     pub fn values(&self) -> usize {
         self.tuples * self.components
     }
 }
 
-impl Corners {
+impl CellCorners {
     /// The number of cells.
     pub fn cells(&self) -> usize {
         match self {
@@ -549,9 +549,9 @@ pub(super) const AT_ONCE: usize = 1 << 14;
 
 /// Passes on the numbers of an array, each with its index.
 pub(super) fn each_integer(
-    bytes: View,
+    bytes: ByteView,
     ascii: bool,
-    array: &Array,
+    array: &VtkArray,
     mut take: impl FnMut(usize, i64),
 ) -> Result<(), ReadFault> {
     let (count, size) = (array.values(), array.scalar.size());
@@ -576,8 +576,8 @@ pub(super) fn each_integer(
 pub(super) type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;
 
 /// The integers of an array in a file in memory.
-pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> Integers<'a> {
-    let Array { at, scalar, .. } = *array;
+pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a VtkArray) -> Integers<'a> {
+    let VtkArray { at, scalar, .. } = *array;
     if ascii {
         let mut scan = Scanner::new(bytes, at);
         return Box::new((0..array.values()).map(move |_| {
@@ -591,7 +591,7 @@ pub(super) fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> In
 /// The integers in these bytes of a binary array.
 pub(super) fn stored<'b>(
     bytes: &'b [u8],
-    array: &'b Array,
+    array: &'b VtkArray,
 ) -> impl Iterator<Item = Result<i64, ReadFault>> + 'b {
     bytes.chunks_exact(array.scalar.size()).map(|stored| {
         let value = integer(array.scalar, Endian::Big, stored);

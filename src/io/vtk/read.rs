@@ -2,18 +2,18 @@
 
 use std::ops::Range;
 
-use crate::io::bytes::{Bytes, Unpacked, Unpacking, View};
+use crate::io::bytes::{ByteView, Bytes, UnpackBuffer, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints};
-use crate::io::number::Number;
+use crate::io::number::ParseNumber;
 use crate::io::text::decode_numbers;
-use crate::io::vertices::{Triangles, Vertices, columns, integer};
+use crate::io::vertices::{FileVertices, Triangles, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
 use super::layout::{AT_ONCE, each_integer, integers, stored};
-use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
+use super::layout::{CellCorners, CellKind, VtkArray, VtkCells, VtkLayout, is_text};
 
 /// Reads a file of particles with [`read_points`].
 ///
@@ -21,7 +21,7 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
 /// [`ReadFault::Mesh`] if a cell has an area or a volume, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
-    let layout = Layout::parse(bytes.view())?;
+    let layout = VtkLayout::parse(bytes.view())?;
     let sum =
         |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
     let faces = faces(bytes.view(), &layout).try_fold(0, sum)?;
@@ -45,7 +45,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// decoded and the scratch file fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let bytes = unless_text(bytes, unpacking)?;
-    let layout = Layout::parse(bytes.view())?;
+    let layout = VtkLayout::parse(bytes.view())?;
     points(bytes, &layout, unpacking)
 }
 
@@ -54,7 +54,11 @@ pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<B
     if is_text(bytes.view()) { bytes.read_whole(unpacking).map(Bytes::Kept) } else { Ok(bytes) }
 }
 
-fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+fn points(
+    bytes: Bytes,
+    layout: &VtkLayout,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadFault> {
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
     let time =
         layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
@@ -66,8 +70,8 @@ fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<Particl
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh.
-pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
-    for found in faces(bytes, &Layout::parse(bytes)?) {
+pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
+    for found in faces(bytes, &VtkLayout::parse(bytes)?) {
         if found? > 0 {
             return Ok(true);
         }
@@ -77,8 +81,8 @@ pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
 
 /// Counts of cells with an area or a volume, to be summed.
 fn faces<'a>(
-    bytes: View<'a>,
-    layout: &'a Layout,
+    bytes: ByteView<'a>,
+    layout: &'a VtkLayout,
 ) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
     let untyped = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
     let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
@@ -105,8 +109,8 @@ fn faces<'a>(
 /// Those of [`read_points`], [`ReadFault::Malformed`] for a cell with a missing point, and
 /// [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    let view = View::from(bytes);
-    let layout = Layout::parse(view)?;
+    let view = ByteView::from(bytes);
+    let layout = VtkLayout::parse(view)?;
     let mut triangles = Triangles::new(layout.points.tuples)?;
     let mut types = layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types));
     for cells in &layout.cells {
@@ -142,10 +146,14 @@ fn is_thin(kind: i64) -> bool {
     (0..TRIANGLE).contains(&kind)
 }
 
-fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
-    let mut decoded = Unpacked::new(unpacking);
-    let mut place = |array: &Array| -> Result<Vec<Column>, ReadFault> {
-        let Array { at, components, scalar, .. } = *array;
+fn vertices(
+    bytes: ByteView,
+    layout: &VtkLayout,
+    unpacking: Unpacking,
+) -> Result<FileVertices, ReadFault> {
+    let mut decoded = UnpackBuffer::new(unpacking);
+    let mut place = |array: &VtkArray| -> Result<Vec<Column>, ReadFault> {
+        let VtkArray { at, components, scalar, .. } = *array;
         if !layout.ascii {
             return Ok(columns(at, components * scalar.size(), components, scalar, Endian::Big));
         }
@@ -160,13 +168,13 @@ fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertic
         ))
     };
     let position = place(&layout.points)?;
-    let attribute = |array: &Array| {
+    let attribute = |array: &VtkArray| {
         let info = AttributeInfo::new(&array.name, array.components);
         Ok((info, place(array)?))
     };
     let attributes =
         layout.attributes.iter().map(attribute).collect::<Result<Vec<_>, ReadFault>>()?;
-    Ok(Vertices {
+    Ok(FileVertices {
         decoded: layout.ascii.then(|| decoded.finish()).transpose()?,
         count: layout.points.tuples,
         position: [position[0], position[1], position[2]],
@@ -176,7 +184,7 @@ fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertic
 }
 
 /// The only number of an array.
-fn number(bytes: View, ascii: bool, array: &Array) -> Result<Option<f64>, ReadFault> {
+fn number(bytes: ByteView, ascii: bool, array: &VtkArray) -> Result<Option<f64>, ReadFault> {
     let stored = bytes.read(array.at..array.end)?;
     if ascii {
         return Ok(f64::of(stored.trim_ascii()));
@@ -192,12 +200,12 @@ fn number(bytes: View, ascii: bool, array: &Array) -> Result<Option<f64>, ReadFa
 fn visit(
     bytes: &[u8],
     ascii: bool,
-    cells: &Cells,
+    cells: &VtkCells,
     mut each: impl FnMut(usize, usize, &[i64]) -> Result<(), ReadFault>,
 ) -> Result<(), ReadFault> {
     let (stream, mut ends, count) = match &cells.corners {
-        Corners::Counted { cells, stream } => (stream, None, *cells),
-        Corners::Offsets { offsets, connectivity } => {
+        CellCorners::Counted { cells, stream } => (stream, None, *cells),
+        CellCorners::Offsets { offsets, connectivity } => {
             let mut ends = integers(bytes, ascii, offsets);
             if ends.next().transpose()?.is_some_and(|first| first != 0) {
                 return Err(malformed(offsets.at, "the first of OFFSETS is not 0"));
@@ -237,22 +245,22 @@ fn visit(
 
 /// Ranges of the points that are kept; `None` if all are.
 pub(super) fn not_ghosts(
-    bytes: View,
-    layout: &Layout,
+    bytes: ByteView,
+    layout: &VtkLayout,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let corners = match (&layout.vertices, &*layout.cells, layout.has_others) {
         _ if layout.flags.is_empty() => return Ok(None),
         (Some(vertices), [], false) => vertices,
-        (None, [Cells { kind: CellKind::Typed, corners }], false) => corners,
+        (None, [VtkCells { kind: CellKind::Typed, corners }], false) => corners,
         _ => return Ok(None),
     };
-    let each = |array: &Array, take: &mut dyn FnMut(usize, i64)| {
+    let each = |array: &VtkArray, take: &mut dyn FnMut(usize, i64)| {
         each_integer(bytes, layout.ascii, array, take)
     };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
         // Every second number is a count of points.
-        Corners::Counted { stream, .. } => {
+        CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {
                 let what = format!("{cells} cells of a point each, but {} numbers", stream.tuples);
@@ -260,7 +268,7 @@ pub(super) fn not_ghosts(
             }
             stream
         }
-        Corners::Offsets { offsets, connectivity } => {
+        CellCorners::Offsets { offsets, connectivity } => {
             each(offsets, &mut |index, end| all_vertices &= end == index as i64)?;
             connectivity
         }
@@ -279,9 +287,9 @@ pub(super) fn not_ghosts(
     }
     let mut left = VertexPoints::new(&vertices, layout.points.tuples);
     each(points, &mut |index, point| match corners {
-        Corners::Counted { .. } if index % 2 == 0 => {}
-        Corners::Counted { .. } => left.take(index / 2, point),
-        Corners::Offsets { .. } => left.take(index, point),
+        CellCorners::Counted { .. } if index % 2 == 0 => {}
+        CellCorners::Counted { .. } => left.take(index / 2, point),
+        CellCorners::Offsets { .. } => left.take(index, point),
     })?;
     left.left().map(Some).map_err(|what| malformed(points.at, what))
 }

@@ -24,10 +24,10 @@ pub(in crate::io) struct Array<'a> {
     pub components: usize,
     /// Number of values, including all components.
     pub length: u64,
-    numbers: Numbers<'a>,
+    numbers: ArraySource<'a>,
 }
 
-enum Numbers<'a> {
+enum ArraySource<'a> {
     Normals,
     /// The attribute with this number, with its type in the file.
     Attribute(usize, Scalar),
@@ -70,23 +70,23 @@ pub(in crate::io) fn point_data(
     mesh: &dyn MeshSource,
     spelled: impl Fn(&str) -> String,
 ) -> Vec<Array<'static>> {
-    let array = |name: String, components: usize, numbers: Numbers<'static>| {
+    let array = |name: String, components: usize, numbers: ArraySource<'static>| {
         let length = mesh.vertex_count() * components as u64;
         Array { name, components, length, numbers }
     };
-    let normals = mesh.has_normals().then(|| array(NORMALS.to_owned(), 3, Numbers::Normals));
+    let normals = mesh.has_normals().then(|| array(NORMALS.to_owned(), 3, ArraySource::Normals));
     let infos = mesh.attributes();
     let names = attribute_names(&infos, mesh.has_normals(), spelled);
     let attributes = names.into_iter().zip(&infos).enumerate();
     let attributes = attributes.map(|(index, (name, info))| {
-        array(name, info.components, Numbers::Attribute(index, scalar(info)))
+        array(name, info.components, ArraySource::Attribute(index, scalar(info)))
     });
     normals.into_iter().chain(attributes).collect()
 }
 
 /// The positions.
 pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Array<'static> {
-    let numbers = Numbers::Positions(width);
+    let numbers = ArraySource::Positions(width);
     Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
 }
 
@@ -101,28 +101,35 @@ pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
         numbers,
     };
     [
-        array("connectivity", 3 * triangles, Numbers::Corners(width)),
-        array("offsets", triangles, Numbers::Ends(width)),
+        array("connectivity", 3 * triangles, ArraySource::Corners(width)),
+        array("offsets", triangles, ArraySource::Ends(width)),
     ]
 }
 
 /// The numbers of a piece's vertices in the whole mesh.
 pub(super) fn identifiers<'a>(name: &str, numbers: &'a [u64]) -> Array<'a> {
     let length = numbers.len() as u64;
-    Array { name: name.to_owned(), components: 1, length, numbers: Numbers::Identifiers(numbers) }
+    Array {
+        name: name.to_owned(),
+        components: 1,
+        length,
+        numbers: ArraySource::Identifiers(numbers),
+    }
 }
 
 impl Array<'_> {
     /// The type of its numbers.
     pub fn scalar(&self) -> Scalar {
         match self.numbers {
-            Numbers::Normals | Numbers::Positions(CoordinateWidth::F32) => Scalar::F32,
-            Numbers::Attribute(_, scalar) => scalar,
-            Numbers::Positions(CoordinateWidth::F64) => Scalar::F64,
-            Numbers::Corners(IndexWidth::I32) | Numbers::Ends(IndexWidth::I32) => Scalar::I32,
-            Numbers::Corners(IndexWidth::I64)
-            | Numbers::Ends(IndexWidth::I64)
-            | Numbers::Identifiers(_) => Scalar::I64,
+            ArraySource::Normals | ArraySource::Positions(CoordinateWidth::F32) => Scalar::F32,
+            ArraySource::Attribute(_, scalar) => scalar,
+            ArraySource::Positions(CoordinateWidth::F64) => Scalar::F64,
+            ArraySource::Corners(IndexWidth::I32) | ArraySource::Ends(IndexWidth::I32) => {
+                Scalar::I32
+            }
+            ArraySource::Corners(IndexWidth::I64)
+            | ArraySource::Ends(IndexWidth::I64)
+            | ArraySource::Identifiers(_) => Scalar::I64,
         }
     }
 
@@ -133,15 +140,17 @@ impl Array<'_> {
     /// Writes all numbers, little-endian.
     pub fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
         match self.numbers {
-            Numbers::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
-            Numbers::Attribute(index, _) => write_attribute(out, mesh, index),
-            Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
+            ArraySource::Normals => {
+                write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
+            }
+            ArraySource::Attribute(index, _) => write_attribute(out, mesh, index),
+            ArraySource::Positions(width) => write_vertices(out, mesh, |vertices, out| {
                 vertices.positions.iter().for_each(|&position| put_position(out, position, width));
             }),
-            Numbers::Corners(width) => write_triangles(out, mesh, |triangles, out| {
+            ArraySource::Corners(width) => write_triangles(out, mesh, |triangles, out| {
                 triangles.as_flattened().iter().for_each(|&corner| width.put(out, corner));
             }),
-            Numbers::Ends(width) => {
+            ArraySource::Ends(width) => {
                 write_pieces(out, self.length.div_ceil(ENDS) as usize, |piece, out| {
                     let first = piece as u64 * ENDS;
                     let ends = first + 1..=(first + ENDS).min(self.length);
@@ -149,7 +158,7 @@ impl Array<'_> {
                     Ok(())
                 })
             }
-            Numbers::Identifiers(numbers) => {
+            ArraySource::Identifiers(numbers) => {
                 let all: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
                 out.write_all(&all)
             }

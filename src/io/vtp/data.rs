@@ -13,16 +13,18 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::read::ZlibDecoder;
 
-use crate::io::bytes::{Kept, Passing, Slice, Unpacked, Unpacking, unpacked_limit};
+use crate::io::bytes::{
+    PrivateBytes, SequentialReader, Slice, UnpackBuffer, Unpacking, unpacked_limit,
+};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::compression::unpack_xz;
-use crate::io::number::Number;
+use crate::io::number::ParseNumber;
 use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
 use crate::io::{ReadFault, malformed};
 
-use super::layout::{Array, Compressor, Data, Layout, Piece};
+use super::layout::{Compressor, DataLocation, VtpArray, VtpLayout, VtpPiece};
 
 /// Bytes per decoding step.
 const CHUNK: usize = 1 << 16;
@@ -34,26 +36,26 @@ const MOST_LZ4: u64 = 64 << 20;
 const LZ4_RATIO: u64 = 255;
 
 /// The arrays with one name in all pieces with points.
-pub(super) struct Joined<'a> {
+pub(super) struct JoinedArray<'a> {
     pub components: usize,
-    pub parts: Vec<Part<'a>>,
+    pub parts: Vec<PieceArray<'a>>,
 }
 
 /// The array of one piece.
 #[derive(Clone, Copy)]
-pub(super) struct Part<'a> {
+pub(super) struct PieceArray<'a> {
     /// Number of points of the piece.
     pub points: usize,
     /// `None` if the piece lacks the array: its values are zeros.
-    pub array: Option<&'a Array>,
+    pub array: Option<&'a VtpArray>,
 }
 
-impl Joined<'_> {
+impl JoinedArray<'_> {
     /// The array, if it can be read in place.
-    fn raw(&self) -> Option<(usize, &Array)> {
+    fn raw(&self) -> Option<(usize, &VtpArray)> {
         match *self.parts {
-            [Part { points, array: Some(array) }] => {
-                matches!(array.data, Data::Raw(_)).then_some((points, array))
+            [PieceArray { points, array: Some(array) }] => {
+                matches!(array.data, DataLocation::Raw(_)).then_some((points, array))
             }
             _ => None,
         }
@@ -62,41 +64,42 @@ impl Joined<'_> {
 
 /// Decodes the arrays of a file sequentially.
 pub(super) struct Decoder<'a> {
-    layout: &'a Layout<'a>,
+    layout: &'a VtpLayout<'a>,
     /// The decoded data of arrays that cannot be read in place.
-    unpacked: Unpacked<'a>,
+    unpacked: UnpackBuffer<'a>,
     /// Bytes that may still be decoded: several arrays can refer to the same data, so a small file
     /// could require much memory.
     allowance: u64,
 }
 
 impl<'a> Decoder<'a> {
-    pub fn new(layout: &'a Layout<'a>, unpacking: Unpacking<'a>) -> Self {
+    pub fn new(layout: &'a VtpLayout<'a>, unpacking: Unpacking<'a>) -> Self {
         let allowance = unpacked_limit(layout.bytes.len() as u64);
-        Self { layout, unpacked: Unpacked::new(unpacking), allowance }
+        Self { layout, unpacked: UnpackBuffer::new(unpacking), allowance }
     }
 
     /// Whether all arrays of points can be read in place.
-    pub fn all_raw(layout: &Layout) -> bool {
-        let is_raw = |array: &Array| matches!(array.data, Data::Raw(_));
-        layout.compressor.is_none() && layout.pieces.iter().flat_map(Piece::of_points).all(is_raw)
+    pub fn all_raw(layout: &VtpLayout) -> bool {
+        let is_raw = |array: &VtpArray| matches!(array.data, DataLocation::Raw(_));
+        layout.compressor.is_none()
+            && layout.pieces.iter().flat_map(VtpPiece::of_points).all(is_raw)
     }
 
     /// Columns of the points, in the file or in the result of [`finish`](Self::finish).
-    pub fn columns(&mut self, arrays: &[Joined]) -> Result<Vec<Vec<Column>>, ReadFault> {
-        let raw: Option<Vec<_>> = arrays.iter().map(Joined::raw).collect();
+    pub fn columns(&mut self, arrays: &[JoinedArray]) -> Result<Vec<Vec<Column>>, ReadFault> {
+        let raw: Option<Vec<_>> = arrays.iter().map(JoinedArray::raw).collect();
         match raw.filter(|_| self.layout.compressor.is_none()) {
             Some(raw) => self.in_place(&raw),
             None => arrays.iter().map(|array| self.unpack(array)).collect(),
         }
     }
 
-    fn in_place(&self, arrays: &[(usize, &Array)]) -> Result<Vec<Vec<Column>>, ReadFault> {
+    fn in_place(&self, arrays: &[(usize, &VtpArray)]) -> Result<Vec<Vec<Column>>, ReadFault> {
         let mut claimed = 0;
         let mut all = Vec::new();
         for &(points, array) in arrays {
-            let &Array { scalar, components, .. } = array;
-            let span = Stored { layout: self.layout, array }.raw_span()?;
+            let &VtpArray { scalar, components, .. } = array;
+            let span = StoredArray { layout: self.layout, array }.raw_span()?;
             let expected = expected_bytes(array, points)?;
             if span.len() as u64 != expected {
                 return Err(array.wrong_count(points));
@@ -112,7 +115,7 @@ impl<'a> Decoder<'a> {
         Ok(all)
     }
 
-    fn unpack(&mut self, joined: &Joined) -> Result<Vec<Column>, ReadFault> {
+    fn unpack(&mut self, joined: &JoinedArray) -> Result<Vec<Column>, ReadFault> {
         let offset = self.unpacked.len();
         let mut kinds = joined.parts.iter().filter_map(|part| part.array).map(|a| self.kind(a));
         let first = kinds.next().unwrap_or(DOUBLE);
@@ -127,16 +130,16 @@ impl<'a> Decoder<'a> {
     }
 
     /// Type and byte order of an array when it is unpacked.
-    fn kind(&self, array: &Array) -> (Scalar, Endian) {
+    fn kind(&self, array: &VtpArray) -> (Scalar, Endian) {
         match array.data {
-            Data::Text(_) => DOUBLE,
+            DataLocation::Text(_) => DOUBLE,
             _ => (array.scalar, self.layout.endian),
         }
     }
 
     fn unpack_part(
         &mut self,
-        Part { points, array }: Part,
+        PieceArray { points, array }: PieceArray,
         components: usize,
         kind: (Scalar, Endian),
     ) -> Result<(), ReadFault> {
@@ -152,7 +155,7 @@ impl<'a> Decoder<'a> {
             return Ok(());
         };
         let expected = expected_bytes(array, points)?;
-        if let Data::Text(text) = &array.data {
+        if let DataLocation::Text(text) = &array.data {
             decode_numbers(self.layout.text(), text.clone(), &mut self.unpacked)?;
             let count = (self.unpacked.len() - offset) / Scalar::F64.size() as u64;
             if count.checked_mul(array.scalar.size() as u64) != Some(expected) {
@@ -160,7 +163,7 @@ impl<'a> Decoder<'a> {
             }
             return Ok(());
         }
-        let stored = Stored { layout: self.layout, array };
+        let stored = StoredArray { layout: self.layout, array };
         let (out, as_stored) = (&mut self.unpacked, (array.scalar, self.layout.endian));
         if kind == as_stored {
             let mut take = |chunk: &[u8]| out.push(chunk);
@@ -172,7 +175,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// The decoded data; `None` if all columns are in the file.
-    pub fn finish(self) -> Result<Option<Kept>, ReadFault> {
+    pub fn finish(self) -> Result<Option<PrivateBytes>, ReadFault> {
         if self.unpacked.is_empty() {
             return Ok(None);
         }
@@ -181,8 +184,8 @@ impl<'a> Decoder<'a> {
     }
 
     /// All numbers of an array of integers.
-    pub fn integers(&mut self, array: &Array) -> Result<Vec<i64>, ReadFault> {
-        if let Data::Text(text) = &array.data {
+    pub fn integers(&mut self, array: &VtpArray) -> Result<Vec<i64>, ReadFault> {
+        if let DataLocation::Text(text) = &array.data {
             return numbers(&self.layout.text()[..text.end], text.start);
         }
         let bytes = self.whole(array)?;
@@ -195,7 +198,7 @@ impl<'a> Decoder<'a> {
     /// Passes on the numbers of an array of integers, each with its index.
     pub fn each_integer(
         &mut self,
-        array: &Array,
+        array: &VtpArray,
         mut take: impl FnMut(usize, i64),
     ) -> Result<(), ReadFault> {
         let mut count = 0;
@@ -203,7 +206,7 @@ impl<'a> Decoder<'a> {
             take(count, number);
             count += 1;
         };
-        if let Data::Text(text) = &array.data {
+        if let DataLocation::Text(text) = &array.data {
             let mut scan = Scanner::releasing_to(self.layout.text(), text.clone());
             loop {
                 scan.skip_whitespace();
@@ -213,7 +216,7 @@ impl<'a> Decoder<'a> {
                 next(scan.number()?);
             }
         }
-        let (stored, endian) = (Stored { layout: self.layout, array }, self.layout.endian);
+        let (stored, endian) = (StoredArray { layout: self.layout, array }, self.layout.endian);
         stored.each_number(None, &mut self.allowance, &mut |number| {
             next(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?);
             Ok(())
@@ -221,8 +224,8 @@ impl<'a> Decoder<'a> {
     }
 
     /// The first number of an array.
-    pub fn first(&mut self, array: &Array) -> Result<Option<f64>, ReadFault> {
-        if let Data::Text(text) = &array.data {
+    pub fn first(&mut self, array: &VtpArray) -> Result<Option<f64>, ReadFault> {
+        if let DataLocation::Text(text) = &array.data {
             return Ok(numbers(&self.layout.text()[..text.end], text.start)?.first().copied());
         }
         let bytes = self.whole(array)?;
@@ -230,9 +233,9 @@ impl<'a> Decoder<'a> {
         Ok(first.map(|first| double((array.scalar, self.layout.endian), first)))
     }
 
-    fn whole(&mut self, array: &Array) -> Result<Vec<u8>, ReadFault> {
+    fn whole(&mut self, array: &VtpArray) -> Result<Vec<u8>, ReadFault> {
         let mut bytes = Vec::new();
-        let stored = Stored { layout: self.layout, array };
+        let stored = StoredArray { layout: self.layout, array };
         stored.read(None, &mut self.allowance, &mut |chunk| {
             bytes.extend_from_slice(chunk);
             Ok(())
@@ -255,18 +258,18 @@ fn double((scalar, endian): (Scalar, Endian), number: &[u8]) -> f64 {
 }
 
 /// Size of an array with a value for each of `points`.
-fn expected_bytes(array: &Array, points: usize) -> Result<u64, ReadFault> {
+fn expected_bytes(array: &VtpArray, points: usize) -> Result<u64, ReadFault> {
     let values = points.checked_mul(array.components).filter(|values| *values > 0);
     let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
     bytes.map(|bytes| bytes as u64).ok_or_else(|| array.wrong_count(points))
 }
 
-fn no_integers(array: &Array) -> ReadFault {
+fn no_integers(array: &VtpArray) -> ReadFault {
     malformed(array.place(), format!("array {} does not contain integers", array.name))
 }
 
 /// The numbers of a text from byte `at` on.
-fn numbers<T: Number>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
+fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
     let mut scan = Scanner::new(text, at);
     let mut numbers = Vec::new();
     loop {
@@ -281,12 +284,12 @@ fn numbers<T: Number>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
 type Take<'t> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 't;
 
 /// An array that is not text.
-struct Stored<'a> {
-    layout: &'a Layout<'a>,
-    array: &'a Array,
+struct StoredArray<'a> {
+    layout: &'a VtpLayout<'a>,
+    array: &'a VtpArray,
 }
 
-impl Stored<'_> {
+impl StoredArray<'_> {
     /// Passes on the bytes of each number, like [`read`](Self::read).
     fn each_number(
         &self,
@@ -315,8 +318,8 @@ impl Stored<'_> {
         take: &mut Take<'_>,
     ) -> Result<(), ReadFault> {
         let mut stream: Box<dyn Read> = match self.array.data {
-            Data::Base64(ref text) => {
-                let text = Ahead {
+            DataLocation::Base64(ref text) => {
+                let text = RemainingText {
                     bytes: self.layout.text(),
                     at: text.start,
                     end: text.end,
@@ -324,7 +327,7 @@ impl Stored<'_> {
                 };
                 Box::new(Base64 { text, plain: Vec::new(), given: 0 })
             }
-            _ => Box::new(Passing::new(self.layout.bytes, self.array.place())),
+            _ => Box::new(SequentialReader::new(self.layout.bytes, self.array.place())),
         };
         let expected = points.map(|points| expected_bytes(self.array, points)).transpose()?;
         let mut claim = |bytes: Option<u64>| match bytes {
@@ -346,7 +349,7 @@ impl Stored<'_> {
         match self.layout.compressor {
             None => {
                 // Without encoding, the number of missing bytes is known.
-                if let Data::Raw(_) = self.array.data {
+                if let DataLocation::Raw(_) = self.array.data {
                     self.raw_span()?;
                 }
                 let length = claim(Some(self.number(&mut stream)?))?;
@@ -474,7 +477,7 @@ impl Stored<'_> {
         if let Err(changed) = self.layout.bytes.check() {
             return changed;
         }
-        let Array { name, .. } = self.array;
+        let VtpArray { name, .. } = self.array;
         let what = match fault.kind() {
             io::ErrorKind::UnexpectedEof => format!("array {name} has less data than it says"),
             _ => format!("array {name}: {fault}"),
@@ -484,11 +487,11 @@ impl Stored<'_> {
 
     /// The position of the numbers of an array that is neither encoded nor compressed.
     fn raw_span(&self) -> Result<std::ops::Range<usize>, ReadFault> {
-        let Layout { bytes, header, endian, .. } = self.layout;
+        let VtpLayout { bytes, header, endian, .. } = self.layout;
         let have = bytes.len() as u64;
         let what = || format!("array {}", self.array.name);
         let truncated = |needed| ReadFault::Truncated { what: what(), needed, have };
-        let Data::Raw(at) = self.array.data else {
+        let DataLocation::Raw(at) = self.array.data else {
             return Err(malformed(self.array.place(), what()));
         };
         let start = at.saturating_add(header.size() as u64);
@@ -503,14 +506,14 @@ impl Stored<'_> {
 }
 
 /// The remaining bytes of a text; the memory of bytes that were read is released.
-struct Ahead<'a> {
+struct RemainingText<'a> {
     bytes: Slice<'a>,
     at: usize,
     end: usize,
     held: usize,
 }
 
-impl<'a> Ahead<'a> {
+impl<'a> RemainingText<'a> {
     fn rest(&self) -> &'a [u8] {
         &self.bytes.bytes()[self.at..self.end]
     }
@@ -527,7 +530,7 @@ impl<'a> Ahead<'a> {
 /// Decodes base64 with white space anywhere. Padding may end any group of four, because a header
 /// may be encoded separately and padded before the data.
 struct Base64<'a> {
-    text: Ahead<'a>,
+    text: RemainingText<'a>,
     plain: Vec<u8>,
     given: usize,
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use crate::io::bytes::{Kept, Slice, View};
+use crate::io::bytes::{ByteView, PrivateBytes, Slice};
 use crate::io::columns::{Endian, Scalar};
 use crate::io::{ReadFault, malformed};
 
@@ -27,16 +27,16 @@ pub(super) enum Section {
 }
 
 /// An array in the XML.
-pub(super) struct Array {
+pub(super) struct VtpArray {
     pub section: Section,
     pub name: String,
     pub scalar: Scalar,
     pub components: usize,
-    pub data: Data,
+    pub data: DataLocation,
 }
 
 /// The location of an array's data in the file.
-pub(super) enum Data {
+pub(super) enum DataLocation {
     /// Decimal numbers in this text.
     Text(Range<usize>),
     /// A header of lengths and the numbers, in base64 in this text.
@@ -47,17 +47,17 @@ pub(super) enum Data {
     Appended(u64),
 }
 
-impl Array {
+impl VtpArray {
     /// Whether the position of its data is unknown.
     fn is_to_come(&self) -> bool {
-        matches!(self.data, Data::Appended(_))
+        matches!(self.data, DataLocation::Appended(_))
     }
 
     /// A position for messages.
     pub fn place(&self) -> usize {
         match &self.data {
-            Data::Text(text) | Data::Base64(text) => text.start,
-            Data::Raw(at) | Data::Appended(at) => *at as usize,
+            DataLocation::Text(text) | DataLocation::Base64(text) => text.start,
+            DataLocation::Raw(at) | DataLocation::Appended(at) => *at as usize,
         }
     }
 
@@ -78,10 +78,10 @@ const TAG: usize = 4 << 10;
 const TAIL: usize = 1 << 10;
 
 /// The contents of the XML.
-pub(super) struct Layout<'a> {
-    pub bytes: View<'a>,
+pub(super) struct VtpLayout<'a> {
+    pub bytes: ByteView<'a>,
     /// The XML of a file that is not read as a whole.
-    head: Kept,
+    head: PrivateBytes,
     pub data_set: DataSet,
     pub endian: Endian,
     /// Type of the lengths before an array's data.
@@ -89,13 +89,13 @@ pub(super) struct Layout<'a> {
     /// Compression of blocks of data other than text.
     pub compressor: Option<Compressor>,
     /// The array with the file's time.
-    pub time: Option<Array>,
-    pub pieces: Vec<Piece>,
+    pub time: Option<VtpArray>,
+    pub pieces: Vec<VtpPiece>,
 }
 
 /// A piece of the data set: points, their attributes and cells.
 #[derive(Default)]
-pub(super) struct Piece {
+pub(super) struct VtpPiece {
     pub points: usize,
     /// Numbers of vertex cells, and lines, of a PolyData.
     pub vertices: usize,
@@ -107,7 +107,7 @@ pub(super) struct Piece {
     pub normals: Option<String>,
     /// Name of the array of global identifiers, by which pieces share points.
     pub global_ids: Option<String>,
-    pub arrays: Vec<Array>,
+    pub arrays: Vec<VtpArray>,
     /// Names of arrays of points that are not numbers.
     pub texts: Vec<String>,
 }
@@ -128,44 +128,44 @@ pub(super) enum Compressor {
     Lzma,
 }
 
-impl Piece {
+impl VtpPiece {
     /// Number of polygons and strips.
     pub fn faces(&self) -> usize {
         self.polygons.saturating_add(self.strips)
     }
 
     /// Arrays with a value for each point.
-    pub fn of_points(&self) -> impl Iterator<Item = &Array> {
+    pub fn of_points(&self) -> impl Iterator<Item = &VtpArray> {
         let of_points =
-            |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
+            |array: &&VtpArray| matches!(array.section, Section::Points | Section::PointData);
         self.arrays.iter().filter(of_points)
     }
 
     /// The array with this name.
-    pub fn array(&self, section: Section, name: &str) -> Option<&Array> {
+    pub fn array(&self, section: Section, name: &str) -> Option<&VtpArray> {
         self.arrays.iter().find(|array| array.section == section && array.name == name)
     }
 }
 
-impl<'a> Layout<'a> {
-    pub fn parse(bytes: View<'a>) -> Result<Self, ReadFault> {
+impl<'a> VtpLayout<'a> {
+    pub fn parse(bytes: ByteView<'a>) -> Result<Self, ReadFault> {
         if !ends_as_vtk(bytes)? {
             return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
         }
-        if let View::Kept(all) = bytes {
+        if let ByteView::Kept(all) = bytes {
             return Self::of_xml(bytes, all);
         }
-        let head = Kept::Owned(bytes.read(0..bytes.len().min(HEAD + TAG))?.into_owned());
+        let head = PrivateBytes::Owned(bytes.read(0..bytes.len().min(HEAD + TAG))?.into_owned());
         let layout = Self::of_xml(bytes, head.slice())?;
         Ok(Self { head, ..layout })
     }
 
     /// Parses the XML in `text`, which must contain the start of appended data.
-    fn of_xml(bytes: View<'a>, text: Slice) -> Result<Self, ReadFault> {
+    fn of_xml(bytes: ByteView<'a>, text: Slice) -> Result<Self, ReadFault> {
         let mut xml = Reader::from_reader(&*text);
-        let mut layout = Layout {
+        let mut layout = VtpLayout {
             bytes,
-            head: Kept::Owned(Vec::new()),
+            head: PrivateBytes::Owned(Vec::new()),
             data_set: DataSet::PolyData,
             endian: Endian::Little,
             header: Scalar::U32,
@@ -205,7 +205,7 @@ impl<'a> Layout<'a> {
                     layout.root(&tag)?;
                     seen_root = true;
                 }
-                ("Piece", _) => layout.pieces.push(Piece::of(&tag)?),
+                ("Piece", _) => layout.pieces.push(VtpPiece::of(&tag)?),
                 ("AppendedData", _) => {
                     layout.appended(&tag, &text, behind)?;
                     break;
@@ -230,7 +230,7 @@ impl<'a> Layout<'a> {
         }
     }
 
-    fn all_arrays(&mut self) -> impl Iterator<Item = &mut Array> {
+    fn all_arrays(&mut self) -> impl Iterator<Item = &mut VtpArray> {
         let of_pieces = self.pieces.iter_mut().flat_map(|piece| &mut piece.arrays);
         self.time.iter_mut().chain(of_pieces)
     }
@@ -314,14 +314,14 @@ impl<'a> Layout<'a> {
         let data = match tag.value("format")?.as_deref() {
             Some("appended") => {
                 let offset = tag.number("offset")?;
-                Data::Appended(
+                DataLocation::Appended(
                     offset
                         .ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
                 )
             }
             // VTK's own reader assumes this.
-            None | Some("ascii") => Data::Text(text(xml, behind)),
-            Some("binary") => Data::Base64(text(xml, behind)),
+            None | Some("ascii") => DataLocation::Text(text(xml, behind)),
+            Some("binary") => DataLocation::Base64(text(xml, behind)),
             Some(other) => {
                 return Err(malformed(
                     tag.at,
@@ -329,7 +329,7 @@ impl<'a> Layout<'a> {
                 ));
             }
         };
-        let array = Array { section, name, scalar, components, data };
+        let array = VtpArray { section, name, scalar, components, data };
         match arrays {
             Some(arrays) => arrays.push(array),
             None => self.time = Some(array),
@@ -354,11 +354,11 @@ impl<'a> Layout<'a> {
             }
         };
         for array in self.all_arrays() {
-            if let Data::Appended(offset) = array.data {
+            if let DataLocation::Appended(offset) = array.data {
                 let at = data.saturating_add(offset);
                 array.data = match &text {
-                    None => Data::Raw(at),
-                    Some(text) => Data::Base64((at as usize).min(text.end)..text.end),
+                    None => DataLocation::Raw(at),
+                    Some(text) => DataLocation::Base64((at as usize).min(text.end)..text.end),
                 };
             }
         }
@@ -368,13 +368,13 @@ impl<'a> Layout<'a> {
     /// The bytes of the texts: all, or those before appended data.
     pub fn text(&self) -> Slice<'_> {
         match self.bytes {
-            View::File(_) => self.head.slice(),
-            View::Kept(all) => all,
+            ByteView::File(_) => self.head.slice(),
+            ByteView::Kept(all) => all,
         }
     }
 }
 
-impl Piece {
+impl VtpPiece {
     fn of(tag: &Tag) -> Result<Self, ReadFault> {
         let count = |name: &str| Ok::<_, ReadFault>(tag.number(name)?.unwrap_or(0));
         let points = tag.number("NumberOfPoints")?;
@@ -391,7 +391,7 @@ impl Piece {
 }
 
 /// Whether a file ends with the end tag of VTK's element.
-fn ends_as_vtk(bytes: View) -> Result<bool, ReadFault> {
+fn ends_as_vtk(bytes: ByteView) -> Result<bool, ReadFault> {
     const END: &[u8] = b"</VTKFile>";
     let mut end = bytes.len();
     while end > 0 {

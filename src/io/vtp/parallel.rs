@@ -12,8 +12,8 @@ use crate::io::joined::refuse_other_scales;
 use crate::io::listed::resolved;
 use crate::io::pieces::join_files;
 use crate::io::vertices::Triangles;
-use crate::io::wanted::Wanted;
-use crate::io::{LeftOut, ParticleFile, Pieces, ReadError, ReadFault, malformed};
+use crate::io::wanted::WantedParticles;
+use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, UnreadPart, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::{Tag, each_tag};
@@ -30,7 +30,7 @@ use super::read::{NumberedMesh, counts, read_block, read_numbered, read_particle
 pub fn open_particles(
     path: &Path,
     bytes: Bytes,
-    wanted: Wanted,
+    wanted: WantedParticles,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
@@ -38,7 +38,7 @@ pub fn open_particles(
     let Sources { sources, format } = Sources::parse(path, &list)?;
     let opened = wanted.pieces.of(sources.len()).max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
-    let open = |(number, source): (usize, &Source)| {
+    let open = |(number, source): (usize, &ListedPiece)| {
         if wanted.pieces.hold(number) {
             source.open(share)
         } else {
@@ -108,7 +108,7 @@ pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 /// # Errors
 /// Those of [`read_mesh`](super::read_mesh) with the piece.
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
-    let mut all = Joined::default();
+    let mut all = JoinedMesh::default();
     for piece in pieces(path)? {
         let fail = |fault| ReadError::new(&piece, fault);
         let mesh = read_numbered(&open_whole(&piece)?).map_err(fail)?;
@@ -119,14 +119,14 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
 
 /// The joined mesh of the pieces so far.
 #[derive(Default)]
-struct Joined {
+struct JoinedMesh {
     mesh: Mesh,
     /// The vertex of each global identifier.
     known: HashMap<i64, u32>,
     begun: bool,
 }
 
-impl Joined {
+impl JoinedMesh {
     fn add(
         &mut self,
         NumberedMesh { mesh: piece, numbers }: NumberedMesh,
@@ -177,15 +177,15 @@ impl Joined {
 }
 
 /// A file in a list.
-struct Source {
+struct ListedPiece {
     path: PathBuf,
     /// The name of a block, which may contain anything.
     block: Option<String>,
 }
 
-impl Source {
+impl ListedPiece {
     /// Reads the particles, or returns what a block contains instead.
-    fn open(&self, unpacking: Unpacking) -> Result<Result<ParticleFile, LeftOut>, ReadError> {
+    fn open(&self, unpacking: Unpacking) -> Result<Result<ParticleFile, UnreadPart>, ReadError> {
         let fail = |fault| ReadError::new(&self.path, fault);
         let open = || open_bytes_within(&self.path, unpacking);
         let Some(name) = &self.block else {
@@ -195,13 +195,13 @@ impl Source {
             Some("vtp" | "vtu") => read_block(open()?, unpacking).map_err(fail)?,
             other => Err(format!("data in the format .{}", other.unwrap_or_default())),
         };
-        Ok(read.map_err(|holds| LeftOut::Block { name: name.clone(), holds }))
+        Ok(read.map_err(|holds| UnreadPart::Block { name: name.clone(), holds }))
     }
 }
 
 /// The files of a list, including those of nested lists.
 struct Sources {
-    sources: Vec<Source>,
+    sources: Vec<ListedPiece>,
     format: &'static str,
 }
 
@@ -227,14 +227,14 @@ impl Sources {
         let fail = |fault| ReadError::new(path, fault);
         let List { files, format } = List::parse(bytes).map_err(fail)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        for File { name, block } in files {
+        for PieceFile { name, block } in files {
             let path = resolved(folder, &name);
             if !seen.insert(path.clone()) {
                 return Err(fail(malformed(0, format!("the piece {name} is named twice"))));
             }
             let is_list = InputFormat::of(&path) == Some(InputFormat::Pvtp);
             if block.is_none() || !is_list {
-                self.sources.push(Source { path, block });
+                self.sources.push(ListedPiece { path, block });
             } else if depth == MOST_NESTED {
                 let what = format!("more than {MOST_NESTED} lists within lists");
                 return Err(fail(ReadFault::Unsupported(what)));
@@ -248,12 +248,12 @@ impl Sources {
 
 /// The content of a list.
 struct List {
-    files: Vec<File>,
+    files: Vec<PieceFile>,
     format: &'static str,
 }
 
 /// A file by its name in the list.
-struct File {
+struct PieceFile {
     name: String,
     block: Option<String>,
 }
@@ -267,13 +267,13 @@ impl List {
                 ("Piece", Some(Format { blocks: false, .. })) => {
                     let name = tag.value("Source")?.filter(|source| !source.is_empty());
                     let name = name.ok_or_else(|| malformed(tag.at, "a piece without a Source"))?;
-                    files.push(File { name, block: None });
+                    files.push(PieceFile { name, block: None });
                 }
                 // An empty block has no file.
                 ("DataSet", Some(Format { blocks: true, .. })) => {
                     if let Some(name) = tag.value("file")?.filter(|name| !name.is_empty()) {
                         let block = tag.value("name")?.unwrap_or_else(|| name.clone());
-                        files.push(File { name, block: Some(block) });
+                        files.push(PieceFile { name, block: Some(block) });
                     }
                 }
                 _ => {}

@@ -5,18 +5,18 @@ use std::ops::Range;
 
 use memchr::memmem;
 
-use crate::io::bytes::{Bytes, Unpacking, View, unpacked_limit};
+use crate::io::bytes::{ByteView, Bytes, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Scalar};
 use crate::io::ghosts::{POLY_VERTEX, VERTEX, VertexCells, VertexPoints, append, is_flag};
-use crate::io::vertices::{Triangles, Vertices};
+use crate::io::vertices::{FileVertices, Triangles};
 use crate::io::wanted::GHOSTS;
-use crate::io::{LeftOut, ParticleFile, ReadFault, malformed};
+use crate::io::{ParticleFile, ReadFault, UnreadPart, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
-use super::data::{Decoder, Joined, Part};
-use super::layout::{Array, DataSet, HEAD, Layout, Piece, Section};
+use super::data::{Decoder, JoinedArray, PieceArray};
+use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 
 /// Reads the points of all pieces as particles, regardless of lines, and of cells in a .vtu. Raw
 /// appended arrays of a single piece are read in place; if any array is text, base64 or compressed,
@@ -39,7 +39,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// The bytes in place, or read as a whole if arrays are text, encoded or compressed.
 fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
-    let stays = !is_text(view)? && Decoder::all_raw(&Layout::parse(view)?);
+    let stays = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
     Ok(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
 }
 
@@ -52,14 +52,14 @@ pub(super) fn read_block(
     unpacking: Unpacking,
 ) -> Result<Result<ParticleFile, String>, ReadFault> {
     let bytes = unless_encoded(bytes, unpacking)?;
-    match other_contents(&Layout::parse(bytes.view())?)? {
+    match other_contents(&VtpLayout::parse(bytes.view())?)? {
         Some(other) => Ok(Err(other)),
         None => points(bytes, unpacking).map(Ok),
     }
 }
 
 /// Description of a data set whose cells are not all points.
-fn other_contents(layout: &Layout) -> Result<Option<String>, ReadFault> {
+fn other_contents(layout: &VtpLayout) -> Result<Option<String>, ReadFault> {
     if layout.faces() > 0 {
         return Ok(Some(format!("a mesh of {} faces", layout.faces())));
     }
@@ -78,7 +78,7 @@ fn other_contents(layout: &Layout) -> Result<Option<String>, ReadFault> {
 ///
 /// # Errors
 /// [`ReadFault::Changed`] and [`ReadFault::Io`] if the file cannot be read.
-pub fn is_text(bytes: View) -> Result<bool, ReadFault> {
+pub fn is_text(bytes: ByteView) -> Result<bool, ReadFault> {
     let head = bytes.read(0..bytes.len().min(HEAD))?;
     let has = |text: &[u8]| memmem::find(&head, text).is_some();
     Ok(!has(b"encoding=\"raw\"") || has(b"compressor="))
@@ -94,7 +94,7 @@ pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
 }
 
 fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let layout = Layout::parse(bytes.view())?;
+    let layout = VtpLayout::parse(bytes.view())?;
     let faces = layout.faces() as u64;
     if faces > 0 {
         return Err(ReadFault::Mesh { faces });
@@ -116,20 +116,20 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
 
 /// Whether there are polygons, so that the file is a mesh. A file without any data also counts as
 /// one.
-pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
-    let Counts { points, faces } = counts(bytes)?;
+pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
+    let PieceCounts { points, faces } = counts(bytes)?;
     Ok(points == 0 || faces > 0)
 }
 
 /// Number of points, and of polygons and strips.
-pub(super) struct Counts {
+pub(super) struct PieceCounts {
     pub points: usize,
     pub faces: usize,
 }
 
-pub(super) fn counts(bytes: View) -> Result<Counts, ReadFault> {
-    let layout = Layout::parse(bytes)?;
-    Ok(Counts { points: layout.points(), faces: layout.faces() })
+pub(super) fn counts(bytes: ByteView) -> Result<PieceCounts, ReadFault> {
+    let layout = VtpLayout::parse(bytes)?;
+    Ok(PieceCounts { points: layout.points(), faces: layout.faces() })
 }
 
 /// Reads points, their attributes, and polygons, divided into triangles from their first corner.
@@ -151,7 +151,7 @@ pub(super) struct NumberedMesh {
 
 /// Reads a mesh that may be a piece of another.
 pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
-    let layout = Layout::parse(bytes.into())?;
+    let layout = VtpLayout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
         return Err(ReadFault::Unsupported(
             "an UnstructuredGrid; meshes must be PolyData".to_owned(),
@@ -195,8 +195,8 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
         triangles.polygon(face, 0, polygon)?;
         start += polygon.len();
     }
-    let is_id = |array: &Array| ids.is_some_and(|ids| std::ptr::eq(ids, array));
-    let own: Vec<&Array> = piece
+    let is_id = |array: &VtpArray| ids.is_some_and(|ids| std::ptr::eq(ids, array));
+    let own: Vec<&VtpArray> = piece
         .arrays
         .iter()
         .filter(|array| array.section == Section::PointData && !is_id(array))
@@ -208,14 +208,14 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
 /// Attributes of the points.
 struct Attributes<'a> {
     /// Arrays that all pieces have, from one of them.
-    shared: Vec<&'a Array>,
-    left_out: Vec<LeftOut>,
+    shared: Vec<&'a VtpArray>,
+    left_out: Vec<UnreadPart>,
 }
 
 /// Attributes that all pieces with points have, in the order of the first of these pieces. Some
 /// pieces may lack flags of copies.
-fn attributes(pieces: &[Piece]) -> Attributes<'_> {
-    let filled: Vec<&Piece> = pieces.iter().filter(|piece| piece.points > 0).collect();
+fn attributes(pieces: &[VtpPiece]) -> Attributes<'_> {
+    let filled: Vec<&VtpPiece> = pieces.iter().filter(|piece| piece.points > 0).collect();
     let mut all = Attributes { shared: Vec::new(), left_out: Vec::new() };
     let mut seen = HashSet::new();
     for (number, piece) in filled.iter().enumerate() {
@@ -229,7 +229,7 @@ fn attributes(pieces: &[Piece]) -> Attributes<'_> {
                 if is_shared {
                     all.shared.push(array);
                 } else {
-                    all.left_out.push(LeftOut::Attribute(info));
+                    all.left_out.push(UnreadPart::Attribute(info));
                 }
             }
         }
@@ -238,7 +238,7 @@ fn attributes(pieces: &[Piece]) -> Attributes<'_> {
 }
 
 /// The array of a piece that corresponds to an array of another.
-fn same<'a>(piece: &'a Piece, array: &Array) -> Option<&'a Array> {
+fn same<'a>(piece: &'a VtpPiece, array: &VtpArray) -> Option<&'a VtpArray> {
     piece.arrays.iter().find(|own| {
         (own.section, &own.name, own.components) == (array.section, &array.name, array.components)
     })
@@ -246,14 +246,14 @@ fn same<'a>(piece: &'a Piece, array: &Array) -> Option<&'a Array> {
 
 /// The points of all pieces, with the named attributes.
 fn vertices(
-    layout: &Layout,
+    layout: &VtpLayout,
     mut decoder: Decoder,
-    attributes: &[&Array],
-) -> Result<Vertices, ReadFault> {
-    let filled: Vec<&Piece> = layout.pieces.iter().filter(|piece| piece.points > 0).collect();
+    attributes: &[&VtpArray],
+) -> Result<FileVertices, ReadFault> {
+    let filled: Vec<&VtpPiece> = layout.pieces.iter().filter(|piece| piece.points > 0).collect();
     let [first, ..] = &*filled else {
         let nowhere = Column { offset: 0, stride: 0, scalar: Scalar::F32, endian: layout.endian };
-        return Ok(Vertices {
+        return Ok(FileVertices {
             decoded: None,
             count: 0,
             position: [nowhere; 3],
@@ -261,31 +261,31 @@ fn vertices(
             normals: None,
         });
     };
-    let is_points = |array: &&Array| array.section == Section::Points && array.components == 3;
+    let is_points = |array: &&VtpArray| array.section == Section::Points && array.components == 3;
     let mut parts = Vec::new();
     for piece in &filled {
         let array = piece.arrays.iter().find(is_points);
         let array =
             array.ok_or_else(|| malformed(0, "no array of points with three components"))?;
-        parts.push(Part { points: piece.points, array: Some(array) });
+        parts.push(PieceArray { points: piece.points, array: Some(array) });
     }
     // The positions first, because their size confirms the number of points.
-    let mut arrays = vec![Joined { components: 3, parts }];
+    let mut arrays = vec![JoinedArray { components: 3, parts }];
     arrays.extend(attributes.iter().map(|&array| {
         let mut parts = Vec::new();
         for piece in &filled {
             // In a single piece, several arrays with the same name are all read.
             let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
-            parts.push(Part { points: piece.points, array: own });
+            parts.push(PieceArray { points: piece.points, array: own });
         }
-        Joined { components: array.components, parts }
+        JoinedArray { components: array.components, parts }
     }));
     let mut columns = decoder.columns(&arrays)?.into_iter();
     let position = columns.next().and_then(|columns| <[Column; 3]>::try_from(columns).ok());
     let position = position.expect("three components");
-    let info = |array: &&Array| AttributeInfo::new(&array.name, array.components);
+    let info = |array: &&VtpArray| AttributeInfo::new(&array.name, array.components);
     let normals = first.normals.as_deref().unwrap_or(NORMALS);
-    Ok(Vertices {
+    Ok(FileVertices {
         decoded: decoder.finish()?,
         count: layout.points(),
         position,
@@ -296,7 +296,7 @@ fn vertices(
 
 /// Ranges of the points that are kept; `None` if all are.
 fn not_ghosts(
-    layout: &Layout,
+    layout: &VtpLayout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     // The reader of the points rejects a number that exceeds the file.
@@ -323,7 +323,7 @@ fn not_ghosts(
 /// Ranges of points in one piece that are kept.
 fn points_left(
     data_set: DataSet,
-    piece: &Piece,
+    piece: &VtpPiece,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let (section, cells) = match data_set {
@@ -332,7 +332,7 @@ fn points_left(
         DataSet::UnstructuredGrid => (Section::Cells, piece.cells),
     };
     let flags = GHOSTS.iter().filter_map(|name| piece.array(Section::CellData, name));
-    let flags: Vec<&Array> =
+    let flags: Vec<&VtpArray> =
         flags.filter(|array| is_flag(&array.name, array.components, array.scalar)).collect();
     let corners = ["connectivity", "offsets"].map(|name| piece.array(section, name));
     let ([Some(corners), Some(ends)], false) = (corners, flags.is_empty() || piece.lines > 0)

@@ -24,7 +24,7 @@ const MOST: usize = 1 << 16;
 /// Consecutive particles of a piece of the input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
-pub(super) struct Chunk {
+pub(super) struct BinnedChunk {
     pub(super) particles: PieceChunk,
     /// The bins that contain them; `None` if no particle has a valid position.
     bins: Option<CellBox>,
@@ -32,7 +32,7 @@ pub(super) struct Chunk {
 
 /// Particles of the input that a part reads.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(super) struct Reading {
+pub(super) struct PartInput {
     /// Numbers of the pieces that the part reads, and their numbers of particles.
     pub(super) pieces: Vec<usize>,
     counts: Vec<usize>,
@@ -50,9 +50,9 @@ pub(super) fn boxed(
     chunks: &[PieceChunk],
     read: &WithBoxes<Pieces>,
     domain: Option<&Domain>,
-) -> Vec<Chunk> {
+) -> Vec<BinnedChunk> {
     let boxes = read.boxes(domain);
-    chunks.iter().zip(boxes).map(|(&particles, bins)| Chunk { particles, bins }).collect()
+    chunks.iter().zip(boxes).map(|(&particles, bins)| BinnedChunk { particles, bins }).collect()
 }
 
 /// Records the bounding boxes of an input's chunks while its particles are read.
@@ -64,10 +64,14 @@ pub(super) fn watched<'a>(
     WithBoxes::new(particles, chunks.iter().map(|chunk| chunk.count), grid)
 }
 
-impl Reading {
+impl PartInput {
     /// The chunks of an input that may contain particles in the wanted bins, or particles with
     /// images there in a periodic box.
-    pub(super) fn of(chunks: &[Chunk], wanted: WantedBins, periodic: Option<&Periodic>) -> Self {
+    pub(super) fn of(
+        chunks: &[BinnedChunk],
+        wanted: WantedBins,
+        periodic: Option<&Periodic>,
+    ) -> Self {
         let touches = |bins: CellBox| match periodic {
             None => wanted.touch(bins),
             Some(periodic) => periodic.with_images(bins).any(|bins| wanted.touch(bins)),
@@ -76,7 +80,7 @@ impl Reading {
         let mut before = 0;
         for piece in chunks.chunk_by(|one, other| one.particles.piece == other.particles.piece) {
             let mut end = before;
-            for Chunk { particles, bins } in piece {
+            for BinnedChunk { particles, bins } in piece {
                 let first = end;
                 end += particles.count;
                 match reading.ranges.last_mut() {
@@ -114,7 +118,7 @@ impl Reading {
 }
 
 /// Displays the piece, the particles, and the lowest and highest bin.
-impl fmt::Display for Chunk {
+impl fmt::Display for BinnedChunk {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { particles: PieceChunk { piece, count }, bins } = self;
         write!(f, "{piece} {count}")?;
@@ -124,13 +128,13 @@ impl fmt::Display for Chunk {
     }
 }
 
-impl From<Chunk> for String {
-    fn from(chunk: Chunk) -> Self {
+impl From<BinnedChunk> for String {
+    fn from(chunk: BinnedChunk) -> Self {
         chunk.to_string()
     }
 }
 
-impl TryFrom<String> for Chunk {
+impl TryFrom<String> for BinnedChunk {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
@@ -156,24 +160,27 @@ impl TryFrom<String> for Chunk {
 mod tests {
     use crate::grid::BLOCK;
     use crate::grid::MortonKey;
-    use crate::grid::stretch::{Sight, Stretch};
+    use crate::grid::stretch::{DecidingCells, Stretch};
 
     use super::*;
 
-    fn chunk(piece: usize, count: usize, at: i32) -> Chunk {
+    fn chunk(piece: usize, count: usize, at: i32) -> BinnedChunk {
         let lo = IVec3::splat(at);
-        Chunk { particles: PieceChunk { piece, count }, bins: Some(CellBox { lo, hi: lo + 2 }) }
+        BinnedChunk {
+            particles: PieceChunk { piece, count },
+            bins: Some(CellBox { lo, hi: lo + 2 }),
+        }
     }
 
     #[test]
     fn a_chunk_is_read_as_it_was_written_and_nothing_else_is_one() {
-        let nowhere = Chunk { bins: None, ..chunk(3, 5, 0) };
+        let nowhere = BinnedChunk { bins: None, ..chunk(3, 5, 0) };
         for chunk in [chunk(0, 4096, -3), chunk(7, 1, 2), nowhere] {
-            assert_eq!(Chunk::try_from(chunk.to_string()), Ok(chunk));
+            assert_eq!(BinnedChunk::try_from(chunk.to_string()), Ok(chunk));
         }
         assert_eq!(chunk(0, 4096, -3).to_string(), "0 4096 -3 -3 -3 -2 -2 -2");
         for text in ["", "1", "1 2 3", "1 2 3 4 5 6 7", "1 -2", "1 2 a b c d e f", "1  2"] {
-            assert!(Chunk::try_from(text.to_owned()).is_err(), "{text:?}");
+            assert!(BinnedChunk::try_from(text.to_owned()).is_err(), "{text:?}");
         }
     }
 
@@ -181,7 +188,8 @@ mod tests {
     fn what_is_read_are_the_chunks_that_touch_and_the_pieces_that_have_one() {
         let first = MortonKey::of(IVec3::ZERO);
         let stretch = Stretch { first, end: MortonKey(first.0 + 1) };
-        let wanted = WantedBins { stretch, sight: Sight::new(CellBox::cube(IVec3::ZERO, BLOCK)) };
+        let wanted =
+            WantedBins { stretch, sight: DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK)) };
         let (near, far) = (0, 9);
         let chunks = [
             chunk(0, 10, far),
@@ -193,12 +201,12 @@ mod tests {
             chunk(3, 10, far),
             chunk(3, 1, near),
         ];
-        let reading = Reading::of(&chunks, wanted, None);
+        let reading = PartInput::of(&chunks, wanted, None);
         assert_eq!(reading.pieces, [0, 3]);
         assert_eq!(reading.counts, [25, 21]);
         // Consecutive ranges of the opened pieces are joined.
         assert_eq!(reading.ranges, [10..35, 45..46]);
         assert_eq!(reading.count(), 26);
-        assert!(Reading::of(&chunks[3..5], wanted, None).is_empty());
+        assert!(PartInput::of(&chunks[3..5], wanted, None).is_empty());
     }
 }

@@ -20,7 +20,7 @@ use bytemuck::{Pod, Zeroable};
 use crc32fast::Hasher;
 
 use crate::error::PartsError;
-use crate::frame::{Occupied, OccupiedBin};
+use crate::frame::{OccupiedBin, OccupiedTiles};
 use crate::grid::MortonKey;
 use crate::grid::stretch::Stretch;
 use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, vertex_bytes};
@@ -34,7 +34,7 @@ const PIECE: usize = 1 << 18;
 
 /// Identifies a part and its plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Mark {
+pub(super) struct PartMark {
     /// The plan's fingerprint.
     pub(super) plan: u32,
     pub(super) part: u32,
@@ -66,16 +66,16 @@ struct End {
 const END: u64 = size_of::<End>() as u64;
 
 /// The results of a part.
-pub(super) struct Made<'a> {
+pub(super) struct PartResults<'a> {
     pub(super) spool: Option<&'a Spool>,
     pub(super) occupied: Vec<OccupiedBin>,
     /// For each attribute, the number of particles without a value.
     pub(super) lacking: Vec<u64>,
 }
 
-impl Made<'_> {
-    pub(super) fn write(&self, mark: Mark, out: &mut dyn Write) -> io::Result<()> {
-        let mut out = Summed { out, bytes: 0, crc: Hasher::new() };
+impl PartResults<'_> {
+    pub(super) fn write(&self, mark: PartMark, out: &mut dyn Write) -> io::Result<()> {
+        let mut out = ChecksumWriter { out, bytes: 0, crc: Hasher::new() };
         let blocks: Vec<ListedBlock> =
             self.spool.map_or(Vec::new(), |spool| spool.listed().collect());
         self.spool.map_or(Ok(()), |spool| spool.write_all(&mut out))?;
@@ -95,7 +95,7 @@ impl Made<'_> {
             nothing: 0,
             crc: 0,
         };
-        let Summed { out, mut crc, .. } = out;
+        let ChecksumWriter { out, mut crc, .. } = out;
         crc.update(&bytemuck::bytes_of(&end)[..END as usize - 4]);
         end.crc = crc.finalize();
         out.write_all(bytemuck::bytes_of(&end))
@@ -103,13 +103,13 @@ impl Made<'_> {
 }
 
 /// A writer that computes the checksum of its output.
-struct Summed<'a> {
+struct ChecksumWriter<'a> {
     out: &'a mut dyn Write,
     bytes: u64,
     crc: Hasher,
 }
 
-impl Write for Summed<'_> {
+impl Write for ChecksumWriter<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.out.write(bytes)?;
         self.crc.update(&bytes[..written]);
@@ -126,7 +126,7 @@ impl Write for Summed<'_> {
 #[derive(Debug)]
 pub(super) struct PartFile {
     pub(super) meshes: SpoolFile,
-    pub(super) occupied: Occupied,
+    pub(super) occupied: OccupiedTiles,
     pub(super) bins: u64,
     pub(super) lacking: Vec<u64>,
     pub(super) bytes: u64,
@@ -137,7 +137,7 @@ impl PartFile {
     /// does not exist.
     pub(super) fn open(
         path: &Path,
-        mark: Mark,
+        mark: PartMark,
         components: &[usize],
     ) -> Result<Option<Self>, PartsError> {
         let io = |fault: io::Error| PartsError::Io { path: path.to_owned(), fault };

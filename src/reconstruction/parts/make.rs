@@ -2,29 +2,29 @@
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
-use crate::frame::{Counted, Engine};
+use crate::frame::{CountedFrame, Engine};
 use crate::grid::stretch::WantedBins;
 use crate::io::input::open_wanted;
-use crate::io::wanted::{Wanted, WantedPieces};
+use crate::io::wanted::{WantedParticles, WantedPieces};
 use crate::io::whole::{Replace, WholeFile, sweep};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
-use crate::reconstruction::checked::{Checked, Started};
+use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
 use crate::reconstruction::warning::Warning;
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::chunks::Reading;
-use super::file::{Made, Mark, PartFile};
-use super::plan_file::Plan;
-use super::{Begun, PartDone, Parts, part_in, plan_file};
+use super::chunks::PartInput;
+use super::file::{PartFile, PartMark, PartResults};
+use super::plan_file::SharedPlan;
+use super::{PartDone, Parts, PartsRequest, part_in, plan_file};
 
 /// The blocks of a part, with counts for the report.
-struct Meshed {
+struct MeshedPart {
     spool: Option<Spool>,
-    made: Made<'static>,
+    made: PartResults<'static>,
     /// Number of particles that were read.
     read: usize,
     warnings: Vec<Warning>,
@@ -43,7 +43,7 @@ impl Parts {
             return Err(PartsError::NoPart { part, of: self.count }.into());
         }
         let (plan, fingerprint) = self.planned(&begun)?;
-        let Begun { checked, folder, indicator } = begun;
+        let PartsRequest { checked, folder, indicator } = begun;
         let path = part_in(&folder, part);
         let mark = mark(&plan, fingerprint, part, &checked);
         match PartFile::open(&path, mark, &components(&plan)) {
@@ -66,8 +66,8 @@ impl Parts {
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }
-        let Meshed { spool, made, read, warnings } = meshed;
-        let made = Made { spool: spool.as_ref(), ..made };
+        let MeshedPart { spool, made, read, warnings } = meshed;
+        let made = PartResults { spool: spool.as_ref(), ..made };
         let write = || file.fill(|out| made.write(mark, out)).map_err(Error::from);
         let filled = ready.threads.install(|| control.during(Stage::Writing, write))?;
         let bytes = filled.keep()?;
@@ -80,13 +80,13 @@ impl Parts {
 
     fn meshed(
         &self,
-        ready: &Started,
-        plan: &Plan,
+        ready: &StartedRequest,
+        plan: &SharedPlan,
         indicator: IndicatorKind,
-        mark: Mark,
+        mark: PartMark,
         timings: &mut Timings,
-    ) -> Result<Meshed, Error> {
-        let Started { checked, threads } = ready;
+    ) -> Result<MeshedPart, Error> {
+        let StartedRequest { checked, threads } = ready;
         let control = &checked.resources.control;
         threads.install(|| {
             let wanted = |carried: Vec<usize>| {
@@ -96,16 +96,16 @@ impl Parts {
             };
             // The reach depends on whether there are attributes, but not on which.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
-            let reading = Reading::of(&plan.chunks, bins, sampling.periodic.as_ref());
+            let reading = PartInput::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {
-                return Ok(Meshed::nothing(plan, 0));
+                return Ok(MeshedPart::nothing(plan, 0));
             }
             let changed = || {
                 let (input, plan) = (self.input.clone(), plan_file::path_in(&self.folder()));
                 PartsError::Changed { input, plan }
             };
             let pieces = WantedPieces::Numbered(&reading.pieces);
-            let wanted_of_input = Wanted { pieces, ..checked.wanted() };
+            let wanted_of_input = WantedParticles { pieces, ..checked.wanted() };
             let open =
                 || Ok::<_, Error>(open_wanted(&self.input, wanted_of_input, checked.unpacking())?);
             let mut file = control.during(Stage::Reading, open)?;
@@ -119,7 +119,8 @@ impl Parts {
             }
             file.particles.keep(reading.ranges.iter().cloned());
             let (sampling, bins) = wanted(carried)?;
-            let count = || Counted::of_wanted(&file.particles, &sampling, &checked.surfacing, bins);
+            let count =
+                || CountedFrame::of_wanted(&file.particles, &sampling, &checked.surfacing, bins);
             let counted = control.during(Stage::Counting, count)?;
             timings.done("count");
             let share = plan.parts[mark.part as usize];
@@ -127,7 +128,7 @@ impl Parts {
                 return Err(changed().into());
             }
             if share.counted == 0 {
-                return Ok(Meshed::nothing(plan, reading.count()));
+                return Ok(MeshedPart::nothing(plan, reading.count()));
             }
             let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
             drop(file);
@@ -138,31 +139,42 @@ impl Parts {
             };
             let spool = control.during(Stage::Meshing, mesh)?;
             let occupied = engine.occupied().within(mark.stretch).collect();
-            let made =
-                Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
+            let made = PartResults {
+                spool: None,
+                occupied,
+                lacking: engine.lacking_within(mark.stretch)?,
+            };
             let warnings = engine.warnings().into_iter().map(Warning::DeviceFallback).collect();
-            Ok(Meshed { spool: Some(spool), made, read: reading.count(), warnings })
+            Ok(MeshedPart { spool: Some(spool), made, read: reading.count(), warnings })
         })
     }
 }
 
-impl Meshed {
+impl MeshedPart {
     /// A part without blocks, after reading `read` particles.
-    fn nothing(plan: &Plan, read: usize) -> Self {
-        let made =
-            Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
+    fn nothing(plan: &SharedPlan, read: usize) -> Self {
+        let made = PartResults {
+            spool: None,
+            occupied: Vec::new(),
+            lacking: vec![0; plan.attributes.len()],
+        };
         Self { spool: None, made, read, warnings: Vec::new() }
     }
 }
 
 /// The mark of a part's file.
-pub(super) fn mark(plan: &Plan, fingerprint: u32, part: u32, checked: &Checked) -> Mark {
+pub(super) fn mark(
+    plan: &SharedPlan,
+    fingerprint: u32,
+    part: u32,
+    checked: &CheckedRequest,
+) -> PartMark {
     let normals = checked.surfacing.normals == Normals::Gradient;
-    Mark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }
+    PartMark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }
 }
 
 /// Components of the vertex attributes.
-pub(super) fn components(plan: &Plan) -> Vec<usize> {
+pub(super) fn components(plan: &SharedPlan) -> Vec<usize> {
     plan.attributes.iter().map(|info| info.components).collect()
 }
 

@@ -2,28 +2,28 @@
 
 use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
-use crate::frame::{FrameError, Occupied, Sampling, Shortfall, simplified};
+use crate::frame::{FrameError, OccupiedTiles, Sampling, Shortfall, simplified};
 use crate::grid::units::Isovalue;
-use crate::reconstruction::checked::{Checked, Started};
-use crate::reconstruction::draw::Drawn;
+use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
+use crate::reconstruction::draw::DrawnSurface;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
 use crate::reconstruction::warning::{of_particles, with_spacing_warnings};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::file::PartFile;
 use super::make::{components, mark};
-use super::plan_file::Plan;
-use super::{Begun, Parts, part_in};
+use super::plan_file::SharedPlan;
+use super::{Parts, PartsRequest, part_in};
 
 /// Contents of the files of all parts.
-struct Joined {
+struct MergedParts {
     spool: Spool,
-    occupied: Occupied,
+    occupied: OccupiedTiles,
     lacking: Vec<u64>,
     bins: u64,
 }
@@ -39,8 +39,8 @@ impl Parts {
     pub fn merge(&self) -> Result<Surface, Error> {
         let begun = self.begin()?;
         let (plan, fingerprint) = self.planned(&begun)?;
-        let Begun { checked, folder, indicator } = begun;
-        let Started { checked, threads } = checked.on_threads()?;
+        let PartsRequest { checked, folder, indicator } = begun;
+        let StartedRequest { checked, threads } = checked.on_threads()?;
         let mut timings = Timings::default();
         let control = &checked.resources.control;
         let drawn = threads.install(|| {
@@ -64,11 +64,11 @@ impl Parts {
 
 /// Opens the files of all parts, and checks them completely.
 fn joined(
-    plan: &Plan,
+    plan: &SharedPlan,
     fingerprint: u32,
-    checked: &Checked,
+    checked: &CheckedRequest,
     folder: &std::path::Path,
-) -> Result<Joined, Error> {
+) -> Result<MergedParts, Error> {
     let components = components(plan);
     let (mut files, mut missing) = (Vec::new(), Vec::new());
     for part in 0..plan.count() {
@@ -84,7 +84,7 @@ fn joined(
             PartsError::Missing { folder: folder.to_owned(), missing, of: plan.count() }.into()
         );
     }
-    let (mut occupied, mut bins) = (Occupied::default(), 0);
+    let (mut occupied, mut bins) = (OccupiedTiles::default(), 0);
     let mut lacking = vec![0; components.len()];
     let meshes = files.into_iter().map(|file| {
         occupied.join(file.occupied);
@@ -94,21 +94,21 @@ fn joined(
     });
     let meshes = meshes.collect();
     let spool = Spool::in_files(checked.surfacing.normals == Normals::Gradient, components, meshes);
-    Ok(Joined { spool, occupied, lacking, bins })
+    Ok(MergedParts { spool, occupied, lacking, bins })
 }
 
 /// Makes the surface from the meshes, with the same steps as a single run.
 fn drawn(
-    plan: &Plan,
-    checked: &Checked,
+    plan: &SharedPlan,
+    checked: &CheckedRequest,
     sampling: &Sampling,
-    joined: Joined,
+    joined: MergedParts,
     mut report: Report,
     timings: &mut Timings,
-) -> Result<Drawn, Error> {
+) -> Result<DrawnSurface, Error> {
     let FrameFacts { grid, census, spacing, .. } = report.facts;
     let walls = report.facts.mesh_walls(checked.surfacing.periodic_mesh);
-    let Joined { spool, occupied, lacking, bins } = joined;
+    let MergedParts { spool, occupied, lacking, bins } = joined;
     let iso = plan.calibration.and_then(|known| known.iso());
     if spool.is_empty() {
         return Err(iso
@@ -118,7 +118,7 @@ fn drawn(
     let share =
         sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);
     let crossings = iso.unwrap_or(Isovalue::NO_DISTANCE);
-    let surface = Stitched::new(spool, grid, walls, crossings, plan.attributes.clone());
+    let surface = StitchedSurface::new(spool, grid, walls, crossings, plan.attributes.clone());
     let resources = &checked.resources;
     let in_scratch =
         |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });

@@ -4,11 +4,11 @@
 //! `plan.json` and the parts' files are in a folder beside the output, with `.meniscus-parts`
 //! appended to its name. The plan samples the whole frame once, measures what a single run would,
 //! and cuts the Morton curve of blocks into stretches of about equal work. A part samples the bins
-//! that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what filters reach, by
-//! the recipe), and meshes those blocks. It reads the chunks of the input that can contain
-//! particles of these bins: the plan lists all chunks with their bounding boxes. Merging lists the
-//! blocks of all parts in order, like the scratch file of a single run, and continues like a single
-//! run. Vertices are stitched by identity, so the cuts leave no trace.
+//! that decide its blocks' meshes ([`DecidingCells`](crate::grid::stretch::DecidingCells): what
+//! filters reach, by the recipe), and meshes those blocks. It reads the chunks of the input that
+//! can contain particles of these bins: the plan lists all chunks with their bounding boxes.
+//! Merging lists the blocks of all parts in order, like the scratch file of a single run, and
+//! continues like a single run. Vertices are stitched by identity, so the cuts leave no trace.
 //!
 //! The guide for users is `parts.md`.
 
@@ -33,11 +33,11 @@ use crate::system::timings::Timings;
 
 use super::Cells;
 use super::builder::Reconstruction;
-use super::checked::Checked;
+use super::checked::CheckedRequest;
 use super::output::refuse_same_file;
 use super::warning::Warning;
 
-use plan_file::Plan;
+use plan_file::SharedPlan;
 
 /// Maximum number of parts. With more, each part would sample far more particles around its blocks
 /// than inside.
@@ -179,8 +179,8 @@ impl Reconstruction {
 }
 
 /// A checked request, the start of every step.
-struct Begun {
-    checked: Checked,
+struct PartsRequest {
+    checked: CheckedRequest,
     folder: PathBuf,
     /// The indicator; kernel methods do not support parts.
     indicator: IndicatorKind,
@@ -208,7 +208,7 @@ impl Parts {
     }
 
     /// Checks the request without a plan.
-    fn begin(&self) -> Result<Begun, Error> {
+    fn begin(&self) -> Result<PartsRequest, Error> {
         let mut checked = self.request.checked()?;
         if checked.settings.asks_for_sizes() {
             let with = Conflict::Setting(Setting::named("parts"));
@@ -237,13 +237,13 @@ impl Parts {
         if self.output.metadata().is_ok_and(|found| !found.is_file()) {
             return Err(PartsError::NoFile(self.output.clone()).into());
         }
-        Ok(Begun { checked, folder: self.folder(), indicator })
+        Ok(PartsRequest { checked, folder: self.folder(), indicator })
     }
 
     /// The plan of this request, and its fingerprint.
-    fn planned(&self, begun: &Begun) -> Result<(Plan, u32), Error> {
-        let Begun { checked, folder, .. } = begun;
-        let Some(found) = Plan::load(folder)? else {
+    fn planned(&self, begun: &PartsRequest) -> Result<(SharedPlan, u32), Error> {
+        let PartsRequest { checked, folder, .. } = begun;
+        let Some(found) = SharedPlan::load(folder)? else {
             return Err(PartsError::NoPlan(plan_file::path_in(folder)).into());
         };
         found.0.refuse_other(folder, checked, &self.input, self.count)?;

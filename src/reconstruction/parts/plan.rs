@@ -4,9 +4,9 @@ use rayon::prelude::*;
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorKind;
-use crate::frame::estimate::Estimate;
-use crate::frame::{Counted, Engine, FrameError, Sampling};
-use crate::grid::stretch::{Sight, Stretch};
+use crate::frame::estimate::MemoryEstimate;
+use crate::frame::{CountedFrame, Engine, FrameError, Sampling};
+use crate::grid::stretch::{DecidingCells, Stretch};
 use crate::grid::units::MemoryBudget;
 use crate::grid::{MortonKey, block_of_bin};
 use crate::io::input::open_wanted;
@@ -15,14 +15,14 @@ use crate::io::whole::sweep;
 use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::Particles;
 use crate::particles::kind::settled;
-use crate::reconstruction::checked::{Checked, Started};
+use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
 use crate::reconstruction::warning::mean_symmetry;
-use crate::reconstruction::{ChosenSampling, Source};
+use crate::reconstruction::{ChosenSampling, SpacingHints};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::plan_file::{Plan, Share, path_in};
-use super::{Begun, ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, chunks};
+use super::plan_file::{BlockShare, SharedPlan, path_in};
+use super::{ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, PartsRequest, chunks};
 
 /// Number of cells near the surface whose field and mesh take as long as binning and sampling one
 /// particle.
@@ -37,12 +37,13 @@ impl Parts {
     /// for particles that cannot be sampled.
     pub fn plan(&self) -> Result<PartsPlan, Error> {
         let begun = self.begin()?;
-        let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
-            Some((plan, _)) => plan
-                .refuse_other(&begun.folder, &begun.checked, &self.input, self.count)
-                .map(|()| Some(plan)),
-            None => Ok(None),
-        });
+        let found =
+            SharedPlan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
+                Some((plan, _)) => plan
+                    .refuse_other(&begun.folder, &begun.checked, &self.input, self.count)
+                    .map(|()| Some(plan)),
+                None => Ok(None),
+            });
         match (found, self.existing) {
             (Ok(Some(plan)), ExistingPlan::Refuse | ExistingPlan::ReplaceDiffering) => {
                 return self.describe(plan, None, &begun, Timings::default());
@@ -50,7 +51,7 @@ impl Parts {
             (Err(fault), ExistingPlan::Refuse) => return Err(fault),
             _ => {}
         }
-        let Begun { checked, folder, indicator } = begun;
+        let PartsRequest { checked, folder, indicator } = begun;
         let ready = checked.clone().on_threads()?;
         let mut timings = Timings::default();
         let (plan, needs) = self.measured(&ready, indicator, &mut timings)?;
@@ -60,21 +61,21 @@ impl Parts {
             Ok::<_, PartsError>(())
         };
         checked.resources.control.cancel.undisturbed(save)?;
-        self.describe(plan, Some(needs), &Begun { checked, folder, indicator }, timings)
+        self.describe(plan, Some(needs), &PartsRequest { checked, folder, indicator }, timings)
     }
 
     fn describe(
         &self,
-        plan: Plan,
+        plan: SharedPlan,
         needs: Option<Vec<PartNeeds>>,
-        begun: &Begun,
+        begun: &PartsRequest,
         timings: Timings,
     ) -> Result<PartsPlan, Error> {
         let path = path_in(&begun.folder);
         let no_calibration =
             || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
         let calibration = plan.calibration.ok_or_else(no_calibration)?;
-        let share = |(part, share): (usize, &Share)| PartShare {
+        let share = |(part, share): (usize, &BlockShare)| PartShare {
             particles: share.particles,
             kept: share.counted,
             needs: needs.as_ref().map(|needs| needs[part]),
@@ -98,11 +99,11 @@ impl Parts {
     /// Measures the frame, divides its blocks, and estimates the resources of each part.
     fn measured(
         &self,
-        ready: &Started,
+        ready: &StartedRequest,
         indicator: IndicatorKind,
         timings: &mut Timings,
-    ) -> Result<(Plan, Vec<PartNeeds>), Error> {
-        let (Started { checked, threads }, input) = (ready, &self.input);
+    ) -> Result<(SharedPlan, Vec<PartNeeds>), Error> {
+        let (StartedRequest { checked, threads }, input) = (ready, &self.input);
         let stamp = || checked.settings.stamp(input);
         let before = stamp()?;
         let measured = threads.install(|| {
@@ -110,7 +111,7 @@ impl Parts {
                 let file = open_wanted(input, checked.wanted(), checked.unpacking())?;
                 let file = file.with_some().map_err(|fault| ReadError::new(input, fault))?;
                 timings.done("open");
-                let source = Source { path: Some(input), spacing: file.spacing };
+                let source = SpacingHints { path: Some(input), spacing: file.spacing };
                 let chosen = checked.choose(&file.particles, source)?;
                 Ok::<_, Error>((file, chosen))
             };
@@ -127,13 +128,13 @@ impl Parts {
 
     fn sampled(
         &self,
-        checked: &Checked,
+        checked: &CheckedRequest,
         indicator: IndicatorKind,
         file: ParticleFile,
         chosen: ChosenSampling,
         stamp: Stamp,
         timings: &mut Timings,
-    ) -> Result<(Plan, Vec<PartNeeds>), Error> {
+    ) -> Result<(SharedPlan, Vec<PartNeeds>), Error> {
         let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
@@ -141,7 +142,7 @@ impl Parts {
         let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
         let cut = chunks::cut(particles);
         let watched = chunks::watched(particles, &cut, &sampling.grid);
-        let count = || Counted::for_surface(&watched, &bare, surfacing, None);
+        let count = || CountedFrame::for_surface(&watched, &bare, surfacing, None);
         let counted = control.during(Stage::Counting, count)?;
         let chunks = chunks::boxed(&cut, &watched, sampling.domain.as_ref());
         let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
@@ -159,7 +160,7 @@ impl Parts {
         drop(engine);
         let shared = shared(&bins, &cuts, sampling.sight(indicator, surfacing));
         let parts = shares(&bins, &cuts, &shared);
-        let plan = Plan {
+        let plan = SharedPlan {
             meniscus: env!("CARGO_PKG_VERSION").into(),
             settings: checked.settings.kept(),
             calibrated: checked.calibration.is_some(),
@@ -241,7 +242,7 @@ fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
 }
 
 /// The numbers of the bins that each part samples.
-fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: Sight) -> Vec<Vec<u32>> {
+fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: DecidingCells) -> Vec<Vec<u32>> {
     let seen_by = |&(bin, _): &(MortonKey, usize)| {
         let mut parts: Vec<usize> =
             sight.blocks(bin.coord()).map(|block| part_of(cuts, MortonKey::of(block))).collect();
@@ -257,18 +258,18 @@ fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: Sight) -> Vec<
     shared
 }
 
-fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) -> Vec<Share> {
+fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) -> Vec<BlockShare> {
     let mut own = vec![0; cuts.len()];
     bins.iter().for_each(|&(bin, count)| own[part_of(cuts, block_of(bin))] += count as u64);
     let counted = |bins_of: &Vec<u32>| bins_of.iter().map(|&bin| bins[bin as usize].1 as u64).sum();
     let parts = cuts.iter().zip(own).zip(shared.iter().map(counted));
     parts
-        .map(|((first, particles), counted)| Share { first: first.0, particles, counted })
+        .map(|((first, particles), counted)| BlockShare { first: first.0, particles, counted })
         .collect()
 }
 
 impl PartNeeds {
-    fn of(estimate: &Estimate, budget: MemoryBudget, input_scratch: u64) -> Self {
+    fn of(estimate: &MemoryEstimate, budget: MemoryBudget, input_scratch: u64) -> Self {
         let plan = estimate.plan(budget);
         Self {
             memory: estimate.peak(plan),

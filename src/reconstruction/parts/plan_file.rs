@@ -8,28 +8,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, PartsError};
-use crate::field::calibration::{Calibrated, Calibration, Plateau};
+use crate::field::calibration::{Calibration, MeasuredCalibration, Plateau};
 use crate::field::indicator::{Indicator, IndicatorKind};
-use crate::frame::{Coincident, Sampling};
+use crate::frame::{CoincidentParticles, Sampling};
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MeanCount;
 use crate::grid::{Grid, MortonKey};
 use crate::io::stamp::Stamp;
 use crate::io::whole::{make_folder, replace_small};
 use crate::particles::AttributeInfo;
-use crate::reconstruction::checked::Checked;
+use crate::reconstruction::checked::CheckedRequest;
 use crate::reconstruction::{Cells, as_numbers};
-use crate::settings::{Kept as KeptSettings, differing};
+use crate::settings::{StoredSettings, differing};
 
-use super::chunks::Chunk;
+use super::chunks::BinnedChunk;
 
 /// Data that parts and merging share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Plan {
+pub(super) struct SharedPlan {
     /// The version of this library.
     pub(super) meniscus: String,
     /// The request, by the names of the options.
-    pub(super) settings: KeptSettings,
+    pub(super) settings: StoredSettings,
     /// Whether the caller of the library gave a calibration.
     pub(super) calibrated: bool,
     /// The stamp of the particles' file.
@@ -50,29 +50,29 @@ pub(super) struct Plan {
     #[serde(flatten, with = "as_numbers")]
     pub(super) calibration: Option<Calibration>,
     /// The measurements behind the calibration, unless it was given.
-    pub(super) measured: Option<Measured>,
+    pub(super) measured: Option<CalibrationMeasures>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
     /// Particles with the same position as others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) coincident: Option<Coincident>,
+    pub(super) coincident: Option<CoincidentParticles>,
     /// Attributes that go to the vertices.
     pub(super) attributes: Vec<AttributeInfo>,
-    pub(super) parts: Vec<Share>,
+    pub(super) parts: Vec<BlockShare>,
     /// All particles of the input, in their order.
-    pub(super) chunks: Vec<Chunk>,
+    pub(super) chunks: Vec<BinnedChunk>,
 }
 
 /// The measurements behind a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Measured {
+pub(super) struct CalibrationMeasures {
     plateau: Plateau,
     step_cells: f64,
 }
 
 /// The share of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Share {
+pub(super) struct BlockShare {
     /// The key of its first block. The part ends before the next part's first block.
     pub(super) first: u64,
     /// Particles in its blocks.
@@ -81,8 +81,8 @@ pub(super) struct Share {
     pub(super) counted: u64,
 }
 
-impl From<Calibrated> for Measured {
-    fn from(Calibrated { plateau, step_cells, .. }: Calibrated) -> Self {
+impl From<MeasuredCalibration> for CalibrationMeasures {
+    fn from(MeasuredCalibration { plateau, step_cells, .. }: MeasuredCalibration) -> Self {
         Self { plateau, step_cells }
     }
 }
@@ -92,7 +92,7 @@ pub(super) fn path_in(folder: &Path) -> PathBuf {
     folder.join("plan.json")
 }
 
-impl Plan {
+impl SharedPlan {
     /// Loads the plan of a folder, with its fingerprint; `None` if there is none.
     pub(super) fn load(folder: &Path) -> Result<Option<(Self, u32)>, PartsError> {
         let path = path_in(folder);
@@ -102,12 +102,12 @@ impl Plan {
             Err(fault) => return Err(PartsError::Io { path, fault }),
         };
         let damaged = |what: String| PartsError::Plan { path: path.clone(), what };
-        let kept: Kept =
+        let kept: PlanFile =
             serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
         if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
             return Err(damaged("was modified after it was written".into()));
         }
-        let Kept { plan, fingerprint } = kept;
+        let PlanFile { plan, fingerprint } = kept;
         plan.validate().map_err(damaged)?;
         Ok(Some((plan, fingerprint)))
     }
@@ -116,7 +116,7 @@ impl Plan {
     pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
         make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
         let path = path_in(folder);
-        let kept = Kept { fingerprint: self.fingerprint(), plan: self.clone() };
+        let kept = PlanFile { fingerprint: self.fingerprint(), plan: self.clone() };
         replace_small(&path, &kept.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
         Ok(kept.fingerprint)
     }
@@ -150,7 +150,7 @@ impl Plan {
     pub(super) fn refuse_other(
         &self,
         folder: &Path,
-        checked: &Checked,
+        checked: &CheckedRequest,
         input: &Path,
         count: u32,
     ) -> Result<(), Error> {
@@ -198,7 +198,7 @@ impl Plan {
     /// The sampling of parts: that of the whole frame, with its measured mu0.
     pub(super) fn sampling(
         &self,
-        checked: &Checked,
+        checked: &CheckedRequest,
         carried: Vec<usize>,
     ) -> Result<Sampling, Error> {
         let mean = self.mean.map(MeanCount::new).transpose()?;
@@ -220,22 +220,23 @@ impl Plan {
     }
 
     /// The measurements, unless a calibration was given.
-    pub(super) fn calibrated(&self) -> Option<Calibrated> {
-        let (calibration, Measured { plateau, step_cells }) = (self.calibration?, self.measured?);
-        Some(Calibrated { calibration, plateau, step_cells })
+    pub(super) fn calibrated(&self) -> Option<MeasuredCalibration> {
+        let (calibration, CalibrationMeasures { plateau, step_cells }) =
+            (self.calibration?, self.measured?);
+        Some(MeasuredCalibration { calibration, plateau, step_cells })
     }
 }
 
 /// The content of the file.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct PlanFile {
     /// CRC-32 of the plan, which detects changed values.
     fingerprint: u32,
     #[serde(flatten)]
-    plan: Plan,
+    plan: SharedPlan,
 }
 
-impl Kept {
+impl PlanFile {
     fn to_text(&self) -> Vec<u8> {
         let mut text = serde_json::to_vec_pretty(self).expect("string keys and finite depth");
         text.push(b'\n');

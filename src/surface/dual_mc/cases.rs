@@ -12,14 +12,14 @@ use glam::IVec3;
 
 /// An edge of a dual cell, from `corner` along `axis`. Corners are numbered x + 2 y + 4 z.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Edge {
+pub struct CellEdge {
     /// The lower end.
     pub corner: u8,
     /// 0, 1, 2 for x, y, z.
     pub axis: u8,
 }
 
-impl Edge {
+impl CellEdge {
     /// The lower end, relative to the cell's lowest corner.
     #[inline]
     pub fn offset(self) -> IVec3 {
@@ -30,7 +30,7 @@ impl Edge {
 
 /// The triangles of one combination of signs, as edges, counter-clockwise seen from outside of the
 /// fluid.
-pub type Triangles = Vec<[Edge; 3]>;
+pub type Triangles = Vec<[CellEdge; 3]>;
 
 /// The triangles for every combination of inside corners, one bit per corner.
 pub static TABLE: LazyLock<[Triangles; 256]> =
@@ -49,13 +49,13 @@ fn faces() -> impl Iterator<Item = [u8; 4]> {
 }
 
 /// The edge between two adjacent corners.
-fn edge(a: u8, b: u8) -> Edge {
-    Edge { corner: a & b, axis: (a ^ b).trailing_zeros() as u8 }
+fn edge(a: u8, b: u8) -> CellEdge {
+    CellEdge { corner: a & b, axis: (a ^ b).trailing_zeros() as u8 }
 }
 
 /// The closed loops of the surface in a cell, as lists of crossed edges, counter-clockwise seen
 /// from outside of the fluid.
-fn loops(case: u8) -> Vec<Vec<Edge>> {
+fn loops(case: u8) -> Vec<Vec<CellEdge>> {
     let inside = |corner: u8| case >> corner & 1 == 1;
     // Go around each face, seen from outside of the cell, and cut off each run of inside corners:
     // from the edge at which the run starts to the edge at which it ends.
@@ -87,13 +87,13 @@ fn loops(case: u8) -> Vec<Vec<Edge>> {
 }
 
 /// Whether two edges of the cell are in a common face.
-fn share_face(a: Edge, b: Edge) -> bool {
-    let corners = |e: Edge| [e.corner, e.corner | 1 << e.axis];
+fn share_face(a: CellEdge, b: CellEdge) -> bool {
+    let corners = |e: CellEdge| [e.corner, e.corner | 1 << e.axis];
     faces().any(|face| corners(a).iter().chain(&corners(b)).all(|corner| face.contains(corner)))
 }
 
 /// Triangles that fill a loop.
-fn fan(polygon: &[Edge]) -> Triangles {
+fn fan(polygon: &[CellEdge]) -> Triangles {
     let len = polygon.len();
     let at = |i: usize| polygon[i % len];
     let apex = (0..len)
@@ -120,7 +120,7 @@ mod tests {
             for corner in 0..8_u8 {
                 for axis in (0..3_u8).filter(|axis| corner >> axis & 1 == 0) {
                     let crossed = case >> corner & 1 != case >> (corner | 1 << axis) & 1;
-                    let used = triangles.iter().flatten().any(|&e| e == Edge { corner, axis });
+                    let used = triangles.iter().flatten().any(|&e| e == CellEdge { corner, axis });
                     assert_eq!(crossed, used, "case {case}, corner {corner}, axis {axis}");
                 }
             }
@@ -131,7 +131,7 @@ mod tests {
     fn a_single_inside_corner_is_cut_off_by_a_triangle_that_faces_away_from_it() {
         for corner in 0..8_u8 {
             let [triangle] = TABLE[1 << corner][..] else { panic!("one triangle") };
-            let at = |e: Edge| {
+            let at = |e: CellEdge| {
                 let bit =
                     |a: u8| f64::from(e.corner >> a & 1) + if e.axis == a { 0.5 } else { 0.0 };
                 glam::DVec3::new(bit(0), bit(1), bit(2))

@@ -34,9 +34,9 @@ impl Level for Isovalue {
 /// The level 0 of a real field that is positive inside: a vertex stores its fraction, in steps of
 /// 2^-32.
 #[derive(Debug, Clone, Copy)]
-pub struct Zero;
+pub struct ZeroLevel;
 
-impl Level for Zero {
+impl Level for ZeroLevel {
     type Sample = f64;
 
     #[inline]
@@ -69,8 +69,8 @@ impl From<Isovalue> for Crossings {
     }
 }
 
-impl From<Zero> for Crossings {
-    fn from(_: Zero) -> Self {
+impl From<ZeroLevel> for Crossings {
+    fn from(_: ZeroLevel) -> Self {
         Self::Fractions
     }
 }
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn a_fraction_is_kept_to_a_step_and_never_lies_on_a_sample() {
-        let kept = |lower, upper| Crossings::Fractions.fraction(Zero.ends(lower, upper));
+        let kept = |lower, upper| Crossings::Fractions.fraction(ZeroLevel.ends(lower, upper));
         for (lower, upper, fraction) in [(1.0, -3.0, 0.25), (-0.7, 0.1, 0.875), (2.0, 2.0, 0.5)] {
             assert!((kept(lower, upper) - fraction).abs() <= 2_f64.powi(-32));
         }

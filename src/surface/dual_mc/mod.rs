@@ -17,7 +17,7 @@ mod level;
 pub mod vulkan;
 
 pub use cpu::{block_mesh, contour, normal};
-pub use level::{Crossings, Level, Zero};
+pub use level::{Crossings, Level, ZeroLevel};
 
 use crate::grid::CellBox;
 

@@ -21,7 +21,7 @@ pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
 /// Counts of a block's tiles, vertices and triangles; after `bases`, their start in the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Tally {
+pub struct BlockTally {
     /// Tiles that contain the surface.
     pub tiles: u32,
     /// Crossed edges.
@@ -31,7 +31,7 @@ pub struct Tally {
     spare: u32,
 }
 
-impl Tally {
+impl BlockTally {
     /// The difference between this tally and `begin`.
     pub fn since(&self, begin: &Self) -> Self {
         Self {
@@ -46,7 +46,7 @@ impl Tally {
 /// A tile in its block.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Slot {
+pub struct TileSlot {
     /// The tile's Morton index in the block.
     pub index: u32,
     /// The number of its first vertex in the block.
@@ -58,7 +58,7 @@ pub struct Slot {
 
 /// The shaders of this stage.
 #[derive(Debug)]
-pub struct Pipelines {
+pub struct DualMcPipelines {
     /// Signs of all cells, tile by tile.
     pub signs: Arc<ComputePipeline>,
     /// The tally of each block, and the start of each of its tiles.
@@ -76,9 +76,9 @@ pub struct Outputs {
     pub signs: View,
     /// Number of triangles for each case.
     pub lengths: View,
-    /// [`BLOCK_TILES`](crate::grid::BLOCK_TILES) values of [`Slot`] per block.
+    /// [`BLOCK_TILES`](crate::grid::BLOCK_TILES) values of [`TileSlot`] per block.
     pub slots: View,
-    /// A [`Tally`] for each block, and one for the totals.
+    /// A [`BlockTally`] for each block, and one for the totals.
     pub tallies: View,
     /// Work groups that write tiles: 12 bytes.
     pub groups: View,
@@ -108,7 +108,7 @@ pub fn lengths() -> Vec<u32> {
 #[allow(clippy::too_many_arguments, reason = "what the twin takes, and where it goes")]
 pub fn contour(
     batch: &mut Batch,
-    pipelines: &Pipelines,
+    pipelines: &DualMcPipelines,
     blocks: &DeviceBlocks,
     field: &View,
     iso: Isovalue,

@@ -17,20 +17,20 @@ const CHUNK: usize = 1 << 14;
 
 /// The number of occurrences of a defect, and the first one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Found<T> {
+pub struct Defects<T> {
     /// Number of occurrences.
     pub count: usize,
     /// The first occurrence, in the order of the vertices or triangles.
     pub first: Option<T>,
 }
 
-impl<T> Default for Found<T> {
+impl<T> Default for Defects<T> {
     fn default() -> Self {
         Self { count: 0, first: None }
     }
 }
 
-impl<T> Found<T> {
+impl<T> Defects<T> {
     /// Whether there is no occurrence.
     #[must_use]
     pub fn is_none(&self) -> bool {
@@ -49,7 +49,7 @@ impl<T> Found<T> {
     }
 }
 
-impl<T> FromIterator<T> for Found<T> {
+impl<T> FromIterator<T> for Defects<T> {
     fn from_iter<I: IntoIterator<Item = T>>(all: I) -> Self {
         let mut found = Self::default();
         all.into_iter().for_each(|what| found.note(what));
@@ -68,24 +68,24 @@ pub struct Topology {
     /// Number of triangles with three different existing vertices.
     pub sound_triangles: usize,
     /// Triangles with a missing vertex, by their number.
-    pub out_of_range: Found<usize>,
+    pub out_of_range: Defects<usize>,
     /// Triangles with a repeated vertex, by their number.
-    pub degenerate_triangles: Found<usize>,
+    pub degenerate_triangles: Defects<usize>,
     /// Edges with only one triangle, by their ends.
-    pub boundary_edges: Found<[u32; 2]>,
+    pub boundary_edges: Defects<[u32; 2]>,
     /// Edges whose two triangles have the same direction there, by their ends.
-    pub misoriented_edges: Found<[u32; 2]>,
+    pub misoriented_edges: Defects<[u32; 2]>,
     /// Edges with more than two triangles, by their ends.
-    pub crowded_edges: Found<[u32; 2]>,
+    pub crowded_edges: Defects<[u32; 2]>,
     /// Vertices whose triangles form more than one fan.
-    pub pinched_vertices: Found<u32>,
+    pub pinched_vertices: Defects<u32>,
     /// Triangles with the same three vertices as an earlier one, in any orientation.
     ///
     /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin
     /// is also a crowded or misoriented edge.
-    pub twin_triangles: Found<[u32; 3]>,
+    pub twin_triangles: Defects<[u32; 3]>,
     /// Vertices without a sound triangle. Not a defect.
-    pub unreferenced_vertices: Found<u32>,
+    pub unreferenced_vertices: Defects<u32>,
 }
 
 impl Topology {
@@ -133,7 +133,7 @@ impl Topology {
 
 /// The findings of [`check`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Report {
+pub struct CheckReport {
     /// The number of vertices, referenced or not.
     pub vertices: usize,
     /// The number of triangles, sound or not.
@@ -142,13 +142,13 @@ pub struct Report {
     #[serde(flatten)]
     pub topology: Topology,
     /// Vertices with a coordinate that is not finite.
-    pub non_finite_positions: Found<usize>,
+    pub non_finite_positions: Defects<usize>,
     /// Vertices with exactly the position of an earlier one. Not a defect: meshes may touch
     /// themselves.
-    pub duplicate_positions: Found<usize>,
+    pub duplicate_positions: Defects<usize>,
 }
 
-impl Report {
+impl CheckReport {
     /// Whether the mesh is closed, oriented and 2-manifold, and all positions are finite.
     #[must_use]
     pub fn is_closed_oriented_manifold(&self) -> bool {
@@ -158,10 +158,10 @@ impl Report {
 
 /// Checks all triangles, edges, vertices and positions of `mesh`.
 #[must_use]
-pub fn check(mesh: &Mesh) -> Report {
+pub fn check(mesh: &Mesh) -> CheckReport {
     let non_finite =
         mesh.positions.iter().enumerate().filter(|(_, p)| !p.iter().all(|x| x.is_finite()));
-    Report {
+    CheckReport {
         vertices: mesh.positions.len(),
         triangles: mesh.triangles.len(),
         topology: topology(mesh),
@@ -292,7 +292,7 @@ fn root(set_of: &mut [usize], mut member: usize) -> usize {
 }
 
 /// Vertices with the position of a lower-numbered one.
-fn duplicate_positions(positions: &[[f64; 3]]) -> Found<usize> {
+fn duplicate_positions(positions: &[[f64; 3]]) -> Defects<usize> {
     let mut sorted: Vec<([u64; 3], usize)> = positions
         .par_iter()
         .enumerate()
@@ -300,10 +300,10 @@ fn duplicate_positions(positions: &[[f64; 3]]) -> Found<usize> {
         .collect();
     sorted.par_sort_unstable();
     let repeated = || sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1);
-    Found { count: repeated().count(), first: repeated().min() }
+    Defects { count: repeated().count(), first: repeated().min() }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for CheckReport {
     /// One line per property, and one per defect.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let topology = &self.topology;
@@ -332,7 +332,7 @@ impl fmt::Display for Report {
     }
 }
 
-fn line<T: fmt::Debug>(f: &mut fmt::Formatter<'_>, what: &str, found: &Found<T>) -> fmt::Result {
+fn line<T: fmt::Debug>(f: &mut fmt::Formatter<'_>, what: &str, found: &Defects<T>) -> fmt::Result {
     match &found.first {
         Some(first) => writeln!(f, "{what}: {}, the first {first:?}", found.count),
         None => Ok(()),

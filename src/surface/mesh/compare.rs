@@ -117,8 +117,8 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
     // Positions relative to the first vertex have the most significant digits.
     let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
     let (reference, mesh) = (
-        Surface::new(reference, origin, Side::Reference)?,
-        Surface::new(mesh, origin, Side::Mesh)?,
+        SearchableSurface::new(reference, origin, Side::Reference)?,
+        SearchableSurface::new(mesh, origin, Side::Mesh)?,
     );
     let (from_mesh, bias) = mesh.distances_to(&reference, origin);
     let (from_reference, _) = reference.distances_to(&mesh, origin);
@@ -132,7 +132,7 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
 
 /// A mesh with indices for sampling and searching.
 #[derive(Debug)]
-pub struct Surface {
+pub struct SearchableSurface {
     /// The origin of the positions.
     origin: DVec3,
     positions: Vec<DVec3>,
@@ -146,7 +146,7 @@ pub struct Surface {
     area_up_to: Vec<f64>,
 }
 
-impl Surface {
+impl SearchableSurface {
     /// Prepares a reference mesh.
     ///
     /// # Errors
@@ -284,8 +284,8 @@ impl Surface {
     }
 
     /// Summarizes the distances from `points` to this surface.
-    fn summary(&self, points: impl Iterator<Item = DVec3>) -> Summary {
-        let mut summary = Summary::default();
+    fn summary(&self, points: impl Iterator<Item = DVec3>) -> DistanceSums {
+        let mut summary = DistanceSums::default();
         let mut near = None;
         for point in points {
             let nearest = self.nearest(point, near);
@@ -296,14 +296,14 @@ impl Surface {
     }
 
     /// The signed distance of a point from its nearest point, negative inside.
-    fn signed(&self, point: DVec3, nearest: &Nearest) -> f64 {
+    fn signed(&self, point: DVec3, nearest: &SurfacePoint) -> f64 {
         let distance = nearest.squared.sqrt();
         let side = (point - nearest.at).dot(self.pseudo_normal(nearest));
         if side < 0.0 { -distance } else { distance }
     }
 
     /// The nearest point of the surface. The search is faster with a triangle `near` it.
-    fn nearest(&self, point: DVec3, near: Option<usize>) -> Nearest {
+    fn nearest(&self, point: DVec3, near: Option<usize>) -> SurfacePoint {
         let known = near.map(|triangle| self.nearest_on(triangle, point));
         let bound = known.as_ref().map_or(f64::INFINITY, |known| known.squared);
         self.nearest_within(point, bound)
@@ -312,7 +312,7 @@ impl Surface {
     }
 
     /// The nearest point of the surface, if its squared distance is less than `bound`.
-    fn nearest_within(&self, point: DVec3, bound: f64) -> Option<Nearest> {
+    fn nearest_within(&self, point: DVec3, bound: f64) -> Option<SurfacePoint> {
         let box_cost = |node: &BvhNode, _| {
             let outside = (node.mins() - point).max(point - node.maxs()).max(DVec3::ZERO);
             outside.length_squared()
@@ -325,17 +325,17 @@ impl Surface {
         found.map(|(_, (_, nearest))| nearest)
     }
 
-    fn nearest_on(&self, triangle: usize, point: DVec3) -> Nearest {
+    fn nearest_on(&self, triangle: usize, point: DVec3) -> SurfacePoint {
         let [a, b, c] = self.corners(triangle);
         let (projection, location) =
             Triangle::new(a, b, c).project_local_point_and_get_location(point, false);
         let at = projection.point;
-        Nearest { triangle, squared: point.distance_squared(at), at, location }
+        SurfacePoint { triangle, squared: point.distance_squared(at), at, location }
     }
 
     /// A vector that points outwards at the nearest point: the triangle's normal; on an edge, the
     /// sum of both unit normals; on a vertex, the sum of all, weighted by the triangles' angles.
-    fn pseudo_normal(&self, nearest: &Nearest) -> DVec3 {
+    fn pseudo_normal(&self, nearest: &SurfacePoint) -> DVec3 {
         let [a, b, c] = self.triangles[nearest.triangle];
         match nearest.location {
             TrianglePointLocation::OnVertex(corner) => {
@@ -416,7 +416,7 @@ fn spot(number: usize) -> [f64; 2] {
 }
 
 /// The nearest point of a surface to some point.
-struct Nearest {
+struct SurfacePoint {
     triangle: usize,
     squared: f64,
     at: DVec3,
@@ -425,7 +425,7 @@ struct Nearest {
 
 /// Sums of distances.
 #[derive(Default)]
-struct Summary {
+struct DistanceSums {
     count: usize,
     max: f64,
     farthest: DVec3,
@@ -434,7 +434,7 @@ struct Summary {
     signed_sum: f64,
 }
 
-impl Summary {
+impl DistanceSums {
     fn note(&mut self, point: DVec3, distance: f64, signed: f64) {
         if distance > self.max || self.count == 0 {
             (self.max, self.farthest) = (distance, point);
@@ -459,10 +459,10 @@ impl Summary {
 }
 
 /// Summarizes chunks of fixed length on all threads, and joins them in order.
-fn in_chunks(count: usize, summary: impl Fn(Range<usize>) -> Summary + Sync) -> Summary {
-    let chunks: Vec<Summary> = (0..count.div_ceil(CHUNK))
+fn in_chunks(count: usize, summary: impl Fn(Range<usize>) -> DistanceSums + Sync) -> DistanceSums {
+    let chunks: Vec<DistanceSums> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| summary(chunk * CHUNK..((chunk + 1) * CHUNK).min(count)))
         .collect();
-    chunks.into_iter().fold(Summary::default(), Summary::append)
+    chunks.into_iter().fold(DistanceSums::default(), DistanceSums::append)
 }

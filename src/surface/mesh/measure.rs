@@ -133,12 +133,12 @@ impl FromIterator<f64> for Total {
 
 /// A component, which shares no vertex with others.
 #[derive(Default)]
-struct Piece {
+struct ComponentSums {
     doubled_area: Total,
     sextuple_volume: Total,
 }
 
-impl Piece {
+impl ComponentSums {
     /// Whether the enclosed volume is within rounding errors of zero.
     fn is_flat(&self) -> bool {
         self.sextuple_volume.value().abs() <= FLAT * self.doubled_area.value().powf(1.5)
@@ -146,7 +146,7 @@ impl Piece {
 }
 
 /// Finds the components by joining the vertices of every triangle.
-fn pieces(mesh: &Mesh) -> Vec<Piece> {
+fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
     // Each vertex points at a lower-numbered one of its component; the lowest points at itself. No
     // triangle has a vertex beyond u32.
     let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
@@ -157,7 +157,7 @@ fn pieces(mesh: &Mesh) -> Vec<Piece> {
             lesser[vertex as usize] = least;
         }
     }
-    let mut pieces: BTreeMap<u32, Piece> = BTreeMap::new();
+    let mut pieces: BTreeMap<u32, ComponentSums> = BTreeMap::new();
     for triangle in sound(mesh) {
         let least = root(&mut lesser, triangle[0]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));

@@ -13,7 +13,7 @@ use super::source::{MeshSource, Outline, Vertices};
 
 /// A mesh with its vertices and triangles in a better order within each piece. Needs 4 bytes per
 /// vertex.
-pub struct Ordered<'a> {
+pub struct OrderedMesh<'a> {
     mesh: &'a dyn MeshSource,
     /// For each vertex, its new number in its piece.
     ranks: Vec<u32>,
@@ -22,7 +22,7 @@ pub struct Ordered<'a> {
     bounds: Option<Bounds>,
 }
 
-impl<'a> Ordered<'a> {
+impl<'a> OrderedMesh<'a> {
     /// Finds the order, with one pass over the vertices and one over the triangles.
     pub fn new(mesh: &'a dyn MeshSource) -> io::Result<Self> {
         let counted: Vec<_> = (0..mesh.pieces())
@@ -97,7 +97,7 @@ impl<'a> Ordered<'a> {
     }
 }
 
-impl MeshSource for Ordered<'_> {
+impl MeshSource for OrderedMesh<'_> {
     fn outline(&self) -> Outline {
         self.mesh.outline()
     }

@@ -171,12 +171,12 @@ fn assert_complete(mesh: &Mesh) {
 }
 
 /// A mesh that reports to its caller how many pieces have been read.
-pub struct Metered<'a> {
+pub struct MeteredMesh<'a> {
     mesh: &'a dyn MeshSource,
     meter: Meter<'a>,
 }
 
-impl<'a> Metered<'a> {
+impl<'a> MeteredMesh<'a> {
     /// Counts the reads of a mesh whose reader reads the vertices or triangles of each piece
     /// several times.
     pub fn new(
@@ -189,7 +189,7 @@ impl<'a> Metered<'a> {
     }
 }
 
-impl MeshSource for Metered<'_> {
+impl MeshSource for MeteredMesh<'_> {
     fn outline(&self) -> Outline {
         self.mesh.outline()
     }
@@ -237,12 +237,12 @@ pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
 }
 
 /// Passes a mesh on, and records the bounding box of the vertices that were read.
-pub struct Bounded<'a> {
+pub struct BoundedMesh<'a> {
     mesh: &'a dyn MeshSource,
     bounds: Mutex<Option<Bounds>>,
 }
 
-impl<'a> Bounded<'a> {
+impl<'a> BoundedMesh<'a> {
     /// Starts without a box.
     pub fn new(mesh: &'a dyn MeshSource) -> Self {
         Self { mesh, bounds: Mutex::new(None) }
@@ -254,7 +254,7 @@ impl<'a> Bounded<'a> {
     }
 }
 
-impl MeshSource for Bounded<'_> {
+impl MeshSource for BoundedMesh<'_> {
     fn outline(&self) -> Outline {
         self.mesh.outline()
     }

@@ -14,7 +14,7 @@ use super::{BlockMesh, Tile};
 
 /// The place of a block's surface in memory or file, and in the whole mesh.
 #[derive(Debug, Clone, Copy)]
-struct Entry {
+struct SpoolEntry {
     block: IVec3,
     first_vertex: u64,
     first_triangle: u64,
@@ -28,8 +28,8 @@ struct Entry {
 /// Block surfaces in the order of insertion, which must be Morton order.
 #[derive(Debug)]
 pub struct Spool {
-    index: Vec<Entry>,
-    store: Store,
+    index: Vec<SpoolEntry>,
+    store: BlockStore,
     /// Components of each vertex attribute.
     components: Vec<usize>,
     normals: bool,
@@ -38,7 +38,7 @@ pub struct Spool {
 }
 
 #[derive(Debug)]
-enum Store {
+enum BlockStore {
     Memory(Vec<BlockMesh>),
     File(Scratch),
     /// Each file with the number of its first block.
@@ -96,11 +96,17 @@ pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
 impl Spool {
     /// A spool for surfaces with or without normals, and attributes with these components.
     pub fn in_memory(normals: bool, components: Vec<usize>) -> Self {
-        Self { index: Vec::new(), store: Store::Memory(Vec::new()), components, normals, bytes: 0 }
+        Self {
+            index: Vec::new(),
+            store: BlockStore::Memory(Vec::new()),
+            components,
+            normals,
+            bytes: 0,
+        }
     }
 
     /// Bytes of a block in tables.
-    pub const BLOCK_BYTES: u64 = size_of::<Entry>() as u64;
+    pub const BLOCK_BYTES: u64 = size_of::<SpoolEntry>() as u64;
 
     /// A spool for surfaces in files, with blocks in Morton order across the files.
     pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
@@ -114,7 +120,7 @@ impl Spool {
                 at += block.bytes(vertex_bytes);
             }
         }
-        spool.store = Store::Files(kept);
+        spool.store = BlockStore::Files(kept);
         spool
     }
 
@@ -123,7 +129,7 @@ impl Spool {
         let ListedBlock { block, tiles, vertices, triangles } = listed;
         let (first_vertex, first_triangle) = (self.vertices(), self.triangles());
         self.bytes += listed.bytes(self.vertex_bytes());
-        self.index.push(Entry {
+        self.index.push(SpoolEntry {
             block: block.into(),
             first_vertex,
             first_triangle,
@@ -136,7 +142,7 @@ impl Spool {
 
     /// All blocks as entries of a file's list.
     pub fn listed(&self) -> impl ExactSizeIterator<Item = ListedBlock> + '_ {
-        self.index.iter().map(|&Entry { block, tiles, vertices, triangles, .. }| ListedBlock {
+        self.index.iter().map(|&SpoolEntry { block, tiles, vertices, triangles, .. }| ListedBlock {
             block: block.to_array(),
             tiles,
             vertices,
@@ -160,8 +166,8 @@ impl Spool {
     /// Bytes of the surfaces that are in memory.
     pub fn bytes_in_memory(&self) -> u64 {
         match self.store {
-            Store::Memory(_) => self.bytes,
-            Store::File(_) | Store::Files(_) => 0,
+            BlockStore::Memory(_) => self.bytes,
+            BlockStore::File(_) | BlockStore::Files(_) => 0,
         }
     }
 
@@ -175,13 +181,13 @@ impl Spool {
     /// # Errors
     /// If that file cannot be created or written.
     pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
-        let Store::Memory(blocks) = &mut self.store else { return Ok(()) };
+        let BlockStore::Memory(blocks) = &mut self.store else { return Ok(()) };
         let blocks = std::mem::take(blocks);
         let scratch = Scratch::in_folder(folder)?;
         for (entry, block) in self.index.iter_mut().zip(blocks) {
             entry.at = scratch.append(&block.to_bytes())?;
         }
-        self.store = Store::File(scratch);
+        self.store = BlockStore::File(scratch);
         Ok(())
     }
 
@@ -197,12 +203,12 @@ impl Spool {
             triangles: block.triangle_count as u32,
         };
         let at = match &mut self.store {
-            Store::Memory(blocks) => {
+            BlockStore::Memory(blocks) => {
                 blocks.push(block);
                 0
             }
-            Store::File(scratch) => scratch.append(&block.to_bytes())?,
-            Store::Files(_) => unreachable!("nothing is added to what is whole"),
+            BlockStore::File(scratch) => scratch.append(&block.to_bytes())?,
+            BlockStore::Files(_) => unreachable!("nothing is added to what is whole"),
         };
         self.list(listed, at);
         Ok(())
@@ -270,13 +276,13 @@ impl Spool {
     /// If the scratch file cannot be read.
     pub fn tiles(&self, i: usize) -> io::Result<Cow<'_, [Tile]>> {
         match &self.store {
-            Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i].tiles)),
-            Store::File(scratch) => self.read_tiles(scratch, i),
-            Store::Files(files) => self.read_tiles(file_of(files, i), i),
+            BlockStore::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i].tiles)),
+            BlockStore::File(scratch) => self.read_tiles(scratch, i),
+            BlockStore::Files(files) => self.read_tiles(file_of(files, i), i),
         }
     }
 
-    fn read_tiles(&self, file: &impl Positioned, i: usize) -> io::Result<Cow<'_, [Tile]>> {
+    fn read_tiles(&self, file: &impl ReadAt, i: usize) -> io::Result<Cow<'_, [Tile]>> {
         let mut at = self.index[i].at;
         read_array(file, &mut at, self.index[i].tiles as usize).map(Cow::Owned)
     }
@@ -287,13 +293,15 @@ impl Spool {
     /// If the scratch file cannot be read.
     pub fn get(&self, i: usize) -> io::Result<Cow<'_, BlockMesh>> {
         match &self.store {
-            Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i])),
-            Store::File(scratch) => self.read(scratch, &self.index[i]).map(Cow::Owned),
-            Store::Files(files) => self.read(file_of(files, i), &self.index[i]).map(Cow::Owned),
+            BlockStore::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i])),
+            BlockStore::File(scratch) => self.read(scratch, &self.index[i]).map(Cow::Owned),
+            BlockStore::Files(files) => {
+                self.read(file_of(files, i), &self.index[i]).map(Cow::Owned)
+            }
         }
     }
 
-    fn read(&self, file: &impl Positioned, entry: &Entry) -> io::Result<BlockMesh> {
+    fn read(&self, file: &impl ReadAt, entry: &SpoolEntry) -> io::Result<BlockMesh> {
         let mut at = entry.at;
         let vertices = entry.vertices as usize;
         let tiles = read_array(file, &mut at, entry.tiles as usize)?;
@@ -317,24 +325,24 @@ fn file_of(files: &[(usize, ReopenedFile)], i: usize) -> &ReopenedFile {
 }
 
 /// Bytes that can be read by position.
-trait Positioned {
+trait ReadAt {
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()>;
 }
 
-impl Positioned for Scratch {
+impl ReadAt for Scratch {
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         self.read_at(at, bytes)
     }
 }
 
-impl Positioned for ReopenedFile {
+impl ReadAt for ReopenedFile {
     fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         Ok(self.read_exact_at(at, bytes)?)
     }
 }
 
 fn read_array<T: bytemuck::Pod>(
-    file: &impl Positioned,
+    file: &impl ReadAt,
     at: &mut u64,
     len: usize,
 ) -> io::Result<Vec<T>> {

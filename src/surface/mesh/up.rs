@@ -51,7 +51,7 @@ impl UpAxis {
 /// A mesh that is rotated, if necessary, so that another axis points up: its positions, normals,
 /// and attributes of three components except colours. Other attributes, including tensors, stay
 /// unchanged.
-pub struct Turned<'a> {
+pub struct TurnedMesh<'a> {
     mesh: &'a dyn MeshSource,
     from: UpAxis,
     to: UpAxis,
@@ -59,7 +59,7 @@ pub struct Turned<'a> {
     directions: Vec<bool>,
 }
 
-impl<'a> Turned<'a> {
+impl<'a> TurnedMesh<'a> {
     /// Rotates `mesh` from up axis `from` to up axis `to`.
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
         // Attributes of three components are directions, except colours.
@@ -78,7 +78,7 @@ impl<'a> Turned<'a> {
     }
 }
 
-impl MeshSource for Turned<'_> {
+impl MeshSource for TurnedMesh<'_> {
     fn outline(&self) -> Outline {
         self.mesh.outline()
     }

@@ -9,7 +9,7 @@ use glam::Vec3;
 
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::Mesh;
-use crate::surface::mesh::compare::Surface;
+use crate::surface::mesh::compare::SearchableSurface;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::image::Image;
@@ -55,7 +55,7 @@ impl Colour {
 
 /// A reference surface for distances.
 #[derive(Debug, Clone)]
-pub struct Reference(Arc<Surface>);
+pub struct Reference(Arc<SearchableSurface>);
 
 impl Reference {
     /// Builds the search structure of a mesh.
@@ -63,7 +63,7 @@ impl Reference {
     /// # Errors
     /// [`PictureError::Reference`] if it has no surface, or an invalid vertex.
     pub fn new(mesh: &Mesh) -> Result<Self, PictureError> {
-        Ok(Self(Arc::new(Surface::reference(mesh).map_err(PictureError::Reference)?)))
+        Ok(Self(Arc::new(SearchableSurface::reference(mesh).map_err(PictureError::Reference)?)))
     }
 
     fn distances(&self, places: &[[f64; 3]]) -> Vec<f32> {
@@ -138,7 +138,7 @@ impl FromStr for ColourMap {
 }
 
 /// The values that determine the vertices' colours.
-pub(super) enum Values<'a> {
+pub(super) enum ColourSource<'a> {
     None,
     /// An attribute with its number of components.
     Attribute {
@@ -150,7 +150,7 @@ pub(super) enum Values<'a> {
     Distance(&'a Reference),
 }
 
-impl<'a> Values<'a> {
+impl<'a> ColourSource<'a> {
     /// The values that determine the colours of a mesh.
     pub(super) fn new(colour: &'a Colour, mesh: &dyn MeshSource) -> Result<Self, PictureError> {
         let name = match colour {
@@ -267,10 +267,10 @@ pub(super) struct Spread {
 
 impl Spread {
     /// Collects finite values.
-    pub(super) fn of(values: &[f32], kind: &Values<'_>) -> Self {
+    pub(super) fn of(values: &[f32], kind: &ColourSource<'_>) -> Self {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         let mut magnitudes = Vec::new();
-        if matches!(kind, Values::Distance(_)) {
+        if matches!(kind, ColourSource::Distance(_)) {
             magnitudes.resize(1 << (u32::BITS - 1 - COUNTED_AS_ONE), 0);
             finite().for_each(|value| {
                 magnitudes[(value.abs().to_bits() >> COUNTED_AS_ONE) as usize] += 1

@@ -7,21 +7,21 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::camera::{Camera, ball};
 use super::colour::legend;
-use super::colour::{Palette, Values};
+use super::colour::{ColourSource, Palette};
 use super::fill::fill;
 use super::image::Image;
 use super::light::Sketch;
 use super::light::byte;
-use super::ranked::Entered;
+use super::ranked::AtomicSet;
 use super::raster::Raster;
-use super::raster::{Canvas, Corners};
+use super::raster::{Canvas, ProjectedCorners};
 use super::request::PictureError;
-use super::request::{Budget, Memory};
+use super::request::{Budget, MeshMemory};
 use super::request::{Effort, Picture, Scope};
-use super::scene::{Samples, Scene};
+use super::scene::{SampleCounts, Scene};
 use super::shape::{LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
-use super::sun::{Sun, Sunlight};
-use super::visible::Visible;
+use super::sun::{SunView, Sunlight};
+use super::visible::VisibleTriangles;
 
 /// Vertices per pixel above which a draft uses a coarser mesh.
 const COARSENED: u64 = 2;
@@ -36,7 +36,7 @@ impl Picture {
     /// [`PictureError::Io`].
     pub fn draw(&self, mesh: &dyn MeshSource) -> Result<Image, PictureError> {
         self.check()?;
-        let values = Values::new(&self.colour, mesh)?;
+        let values = ColourSource::new(&self.colour, mesh)?;
         let [width, height] = self.pixels();
         let fine = mesh.vertex_count() > COARSENED * (width * height) as u64;
         let coarsened = self.effort == Effort::Draft && fine && !values.any() && !self.wireframe;
@@ -51,39 +51,40 @@ impl Picture {
     /// # Errors
     /// [`PictureError::NoAttribute`] and [`PictureError::Io`].
     pub fn scope_of(&self, mesh: &dyn MeshSource) -> Result<Scope, PictureError> {
-        let values = Values::new(&self.colour, mesh)?;
-        Ok(Shape::read(mesh, &values, &Memory::Batches(0))?.scope)
+        let values = ColourSource::new(&self.colour, mesh)?;
+        Ok(Shape::read(mesh, &values, &MeshMemory::Batches(0))?.scope)
     }
 
     /// How to hold a mesh in the memory limit, and the remaining memory for its visible part.
-    fn memory_for(&self, mesh: &dyn MeshSource) -> Result<(Memory, Budget), PictureError> {
+    fn memory_for(&self, mesh: &dyn MeshSource) -> Result<(MeshMemory, Budget), PictureError> {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();
         let [vertices, triangles] = [mesh.vertex_count(), mesh.triangle_count()];
-        let Samples { of_pixel, of_sun, .. } = Samples::new(self.effort, height);
+        let SampleCounts { of_pixel, of_sun, .. } = SampleCounts::new(self.effort, height);
         let picture = Raster::bytes(of_pixel * width, of_pixel * height)
             + Raster::bytes(of_sun, of_sun)
             + Sunlight::bytes(of_sun)
             + 3 * (width * height) as u64
-            + Entered::bytes(vertices)
-            + Entered::bytes(triangles);
+            + AtomicSet::bytes(vertices)
+            + AtomicSet::bytes(triangles);
         let whole = vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES;
         // All of a mesh in memory may be visible.
-        let all_seen = vertices * Visible::VERTEX_BYTES + triangles * Visible::TRIANGLE_BYTES;
+        let all_seen = vertices * VisibleTriangles::VERTEX_BYTES
+            + triangles * VisibleTriangles::TRIANGLE_BYTES;
         if picture + whole + all_seen <= allowed {
-            return Ok((Memory::Whole, Budget::new(picture + whole, allowed)));
+            return Ok((MeshMemory::Whole, Budget::new(picture + whole, allowed)));
         }
         let batch = (allowed.saturating_sub(picture) / 2).max(LEAST_BATCH_BYTES);
         let budget = Budget::new(picture + batch, allowed);
         budget.check(0)?;
-        Ok((Memory::Batches(batch), budget))
+        Ok((MeshMemory::Batches(batch), budget))
     }
 }
 
 fn draw(
     picture: &Picture,
     shape: &Shape<'_>,
-    values: &Values<'_>,
+    values: &ColourSource<'_>,
     budget: &Budget,
 ) -> Result<Image, PictureError> {
     let [width, height] = picture.pixels();
@@ -93,21 +94,21 @@ fn draw(
     let (middle, radius) = ball(bounds);
     let camera = Camera::new(picture.view, bounds, world, width as f64 / height as f64);
     let farthest = camera.eye.distance(middle) + radius;
-    let Samples { of_pixel, of_sun, of_shadow } = Samples::new(picture.effort, height);
+    let SampleCounts { of_pixel, of_sun, of_shadow } = SampleCounts::new(picture.effort, height);
     let raster = Raster::new(of_pixel * width, of_pixel * height, &camera, farthest);
-    let sun = Sun::new(bounds, world, of_sun);
+    let sun = SunView::new(bounds, world, of_sun);
     let canvases = [
         Canvas { raster: &raster, camera: &camera },
         Canvas { raster: &sun.raster, camera: &sun.camera },
     ];
-    let mut corners = Corners::with_room(shape.most_corners());
+    let mut corners = ProjectedCorners::with_room(shape.most_corners());
     shape.batches(|batch| {
         fill(canvases, batch, &mut corners);
         Ok(())
     })?;
     drop(corners);
     let sun = sun.light(of_shadow);
-    let visible = Visible::of(&raster, shape, &camera, values, budget)?;
+    let visible = VisibleTriangles::of(&raster, shape, &camera, values, budget)?;
     let range = scope.range.unwrap_or([0.0, 1.0]);
     let legended = picture.colour.legend();
     let palette = legended.as_ref().map(|(_, map)| Palette::new(*map, range));

@@ -11,9 +11,9 @@ use rayon::prelude::*;
 
 use crate::system::bits::ones;
 
-use super::raster::{Canvas, Corners, VIEWS};
+use super::raster::{Canvas, ProjectedCorners, VIEWS};
 use super::raster::{Corner, Raster};
-use super::shape::Batch;
+use super::shape::TriangleBatch;
 
 /// Triangles per task.
 const TASK: usize = 1 << 9;
@@ -35,13 +35,13 @@ fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
 }
 
 /// The triangles of a task that are not drawn yet: one bit each, and the range of their rows.
-struct Held {
+struct PendingTriangles {
     first: i32,
     end: i32,
     members: [u64; TASK / WORD],
 }
 
-impl Held {
+impl PendingTriangles {
     const NONE: Self = Self { first: i32::MAX, end: i32::MIN, members: [0; TASK / WORD] };
 
     fn meets(&self, rows: &Range<i32>) -> bool {
@@ -62,10 +62,14 @@ impl Held {
 }
 
 /// Draws triangles on rasters.
-pub(super) fn fill(canvases: [Canvas<'_>; VIEWS], batch: &Batch<'_>, corners: &mut Corners) {
+pub(super) fn fill(
+    canvases: [Canvas<'_>; VIEWS],
+    batch: &TriangleBatch<'_>,
+    corners: &mut ProjectedCorners,
+) {
     corners.put(canvases, batch.places);
     let corners = &*corners;
-    let tasks: Vec<[Held; VIEWS]> = batch
+    let tasks: Vec<[PendingTriangles; VIEWS]> = batch
         .triangles
         .par_chunks(TASK)
         .enumerate()
@@ -99,10 +103,10 @@ fn draw_small(
     rasters: [&Raster; VIEWS],
     first: u32,
     triangles: &[[u32; 3]],
-    batch: &Batch<'_>,
-    corners: &Corners,
-) -> [Held; VIEWS] {
-    let mut large = [Held::NONE; VIEWS];
+    batch: &TriangleBatch<'_>,
+    corners: &ProjectedCorners,
+) -> [PendingTriangles; VIEWS] {
+    let mut large = [PendingTriangles::NONE; VIEWS];
     for (word, triangles) in triangles.chunks(WORD).enumerate() {
         // Without branches: whether a small triangle contains a sample is almost random.
         let mut may_hold = [0; VIEWS];
@@ -134,7 +138,12 @@ fn draw_small(
 
 /// The corners of a triangle in a view.
 #[inline(always)]
-fn of(&[a, b, c]: &[u32; 3], batch: &Batch<'_>, corners: &Corners, view: usize) -> [Corner; 3] {
+fn of(
+    &[a, b, c]: &[u32; 3],
+    batch: &TriangleBatch<'_>,
+    corners: &ProjectedCorners,
+    view: usize,
+) -> [Corner; 3] {
     let at = |corner: u32| corners.at[batch.index(corner)][view];
     [at(a), at(b), at(c)]
 }
@@ -146,8 +155,8 @@ mod tests {
     use super::*;
     use crate::surface::mesh::Mesh;
     use crate::surface::picture::camera::{Camera, View};
-    use crate::surface::picture::colour::Values;
-    use crate::surface::picture::request::Memory;
+    use crate::surface::picture::colour::ColourSource;
+    use crate::surface::picture::request::MeshMemory;
     use crate::surface::picture::shape::Shape;
 
     /// The visible triangle, its inverse distance and the path length in the fluid at each sample.
@@ -186,10 +195,10 @@ mod tests {
         let cameras = [at([0.0, 0.0, 4.0]), at([1.2, 1.0, 0.3])];
         let rasters = || cameras.each_ref().map(|camera| Raster::new(90, 60, camera, 6.0));
         let (found, expected) = (rasters(), rasters());
-        let shape = Shape::read(&mesh, &Values::None, &Memory::Whole).unwrap();
+        let shape = Shape::read(&mesh, &ColourSource::None, &MeshMemory::Whole).unwrap();
         shape
             .batches(|batch| {
-                let mut corners = Corners::with_room(0);
+                let mut corners = ProjectedCorners::with_room(0);
                 let canvas = |view: usize| Canvas { raster: &found[view], camera: &cameras[view] };
                 fill([canvas(0), canvas(1)], batch, &mut corners);
                 for (n, triangle) in batch.triangles.iter().enumerate() {

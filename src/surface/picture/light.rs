@@ -35,7 +35,7 @@ const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
 /// A place on a surface, with its line of sight.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct ShadedPoint {
     /// The direction from the eye. All directions here have unit length.
     pub(super) towards: Vec3,
     /// The outward normal.
@@ -81,7 +81,7 @@ pub(super) fn ground(lit: f32) -> Vec3 {
 }
 
 /// The light of a surface of one colour.
-pub(super) fn solid(colour: Vec3, seen: Seen) -> Vec3 {
+pub(super) fn solid(colour: Vec3, seen: ShadedPoint) -> Vec3 {
     let half = (SUN.normalize() - seen.towards).normalize();
     let gloss = seen.normal.dot(half).max(0.0).powi(60);
     colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
@@ -89,8 +89,12 @@ pub(super) fn solid(colour: Vec3, seen: Seen) -> Vec3 {
 
 /// The light of water. `behind` gives the light behind it from a direction; `exp` is the
 /// exponential function.
-pub(super) fn water(seen: Seen, exp: impl Fn(f32) -> f32, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
-    let Seen { towards, normal, through, lit } = seen;
+pub(super) fn water(
+    seen: ShadedPoint,
+    exp: impl Fn(f32) -> f32,
+    behind: impl Fn(Vec3) -> Vec3,
+) -> Vec3 {
+    let ShadedPoint { towards, normal, through, lit } = seen;
     let facing = (-towards.dot(normal)).clamp(0.0, 1.0);
     let mirrored = MIRRORED + (1.0 - MIRRORED) * (1.0 - facing).powi(5);
     let mirror = sky(towards + 2.0 * facing * normal);

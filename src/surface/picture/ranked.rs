@@ -12,20 +12,20 @@ use crate::system::bits::ones;
 const NUMBERS: u32 = 1 << 13;
 
 /// A set to which several threads add.
-pub(super) struct Entered {
+pub(super) struct AtomicSet {
     first: u32,
     words: Vec<AtomicU64>,
 }
 
 /// A set with ranks.
-pub(super) struct Ranked {
+pub(super) struct RankedSet {
     first: u32,
     words: Vec<u64>,
     /// Number of members before each word.
     before: Vec<u32>,
 }
 
-impl Entered {
+impl AtomicSet {
     /// An empty set for a range.
     pub(super) fn none_of(range: Range<u32>) -> Self {
         Self { first: range.start, words: zeroed_vec(range.len().div_ceil(64)) }
@@ -48,7 +48,7 @@ impl Entered {
     }
 
     /// Computes the ranks.
-    pub(super) fn ranked(self) -> Ranked {
+    pub(super) fn ranked(self) -> RankedSet {
         let words: Vec<u64> = self.words.into_iter().map(AtomicU64::into_inner).collect();
         let mut total = 0;
         let before = words.iter().map(|word| {
@@ -58,11 +58,11 @@ impl Entered {
         });
         let mut before: Vec<u32> = before.collect();
         before.push(total);
-        Ranked { first: self.first, words, before }
+        RankedSet { first: self.first, words, before }
     }
 }
 
-impl Ranked {
+impl RankedSet {
     /// Number of members.
     pub(super) fn len(&self) -> usize {
         self.before.last().map_or(0, |&total| total as usize)

@@ -42,7 +42,7 @@ pub(super) struct Corner {
 
 /// The nearest triangle at a sample, and the path length through the fluid behind it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct RasterSample {
     /// The triangle's number.
     pub(super) triangle: u32,
     /// The inverse distance from the eye, in units of the eye's distance.
@@ -88,9 +88,9 @@ impl Raster {
     }
 
     /// The visible surface at a sample; `None` if there is none.
-    pub(super) fn sample(&self, n: usize) -> Option<Sample> {
+    pub(super) fn sample(&self, n: usize) -> Option<RasterSample> {
         let nearest = self.nearest[n].load(Ordering::Relaxed);
-        (nearest > 0).then(|| Sample {
+        (nearest > 0).then(|| RasterSample {
             triangle: !(nearest as u32),
             near: f32::from_bits((nearest >> 32) as u32),
             through: self.through[n].load(Ordering::Relaxed) as f32 / self.way_steps,
@@ -382,14 +382,14 @@ impl Canvas<'_> {
 pub(super) const VIEWS: usize = 2;
 
 /// Corners on the pictures; the buffer is reused between batches.
-pub(super) struct Corners {
+pub(super) struct ProjectedCorners {
     pub(super) at: Vec<[Corner; VIEWS]>,
     /// The [half samples](Raster::halves) of each corner, 16 bits per axis, with the eye's in the
     /// higher bits.
     pub(super) halves: Vec<u64>,
 }
 
-impl Corners {
+impl ProjectedCorners {
     /// Bytes per corner.
     pub(super) const BYTES: u64 = (size_of::<[Corner; VIEWS]>() + size_of::<u64>()) as u64;
 

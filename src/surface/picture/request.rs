@@ -197,7 +197,7 @@ impl Picture {
 }
 
 /// Memory for a mesh.
-pub(super) enum Memory {
+pub(super) enum MeshMemory {
     /// The whole mesh.
     Whole,
     /// At most batches of this many bytes.

@@ -6,11 +6,11 @@ use crate::surface::mesh::source::Bounds;
 
 use super::camera::{Camera, ball};
 use super::colour::{Colour, Palette};
-use super::light::{Seen, backdrop, ground, linear, quick_exp, solid, water, wire};
-use super::raster::{Raster, Sample};
+use super::light::{ShadedPoint, backdrop, ground, linear, quick_exp, solid, water, wire};
+use super::raster::{Raster, RasterSample};
 use super::request::{Effort, Picture};
 use super::sun::Sunlight;
-use super::visible::{Edges, Visible};
+use super::visible::{Edges, VisibleTriangles};
 
 /// Maximum number of samples along the edge of a pixel.
 const FINEST: usize = 2;
@@ -27,13 +27,13 @@ const WIRE: f32 = 1.2;
 
 /// Numbers of samples along edges: of a pixel, of the sun's view, and of the blur of its shadows.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Samples {
+pub(super) struct SampleCounts {
     pub(super) of_pixel: usize,
     pub(super) of_sun: usize,
     pub(super) of_shadow: usize,
 }
 
-impl Samples {
+impl SampleCounts {
     /// The numbers for a picture with `rows` rows.
     pub(super) fn new(effort: Effort, rows: usize) -> Self {
         let of_sun = if rows <= SMALL { SUN_SAMPLES / 2 } else { SUN_SAMPLES };
@@ -51,7 +51,7 @@ pub(super) struct Scene<'a> {
     raster: &'a Raster,
     /// Samples along the edge of a pixel.
     finer: usize,
-    visible: &'a Visible,
+    visible: &'a VisibleTriangles,
     sun: &'a Sunlight,
     world: DMat3,
     middle: DVec3,
@@ -68,7 +68,7 @@ impl<'a> Scene<'a> {
         picture: &'a Picture,
         [lo, hi]: Bounds,
         (camera, raster): (&'a Camera, &'a Raster),
-        visible: &'a Visible,
+        visible: &'a VisibleTriangles,
         sun: &'a Sunlight,
         palette: Option<Palette>,
     ) -> Self {
@@ -91,7 +91,8 @@ impl<'a> Scene<'a> {
         let mut all = [(None, Vec2::ZERO); FINEST * FINEST];
         let samples = &mut all[..finer * finer];
         samples.iter_mut().enumerate().for_each(|(i, sample)| *sample = of_sample(i));
-        let near = |&(sample, _): &(Option<Sample>, Vec2)| sample.map_or(0.0, |sample| sample.near);
+        let near =
+            |&(sample, _): &(Option<RasterSample>, Vec2)| sample.map_or(0.0, |sample| sample.near);
         let first = near(&samples[0]);
         let one = samples.iter().all(|sample| (near(sample) - first).abs() <= ONE_DISTANCE * first);
         if samples.iter().all(|(sample, _)| sample.is_none()) {
@@ -100,14 +101,14 @@ impl<'a> Scene<'a> {
         let share = 1.0 / samples.len() as f32;
         let surfaces = samples.iter().map(|&(sample, towards)| {
             (
-                sample.map_or(Surface::default(), |sample| self.surface(sample, towards)),
+                sample.map_or(PixelSurface::default(), |sample| self.surface(sample, towards)),
                 sample,
                 towards,
             )
         });
         if one {
-            let sum =
-                surfaces.fold(Surface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
+            let sum = surfaces
+                .fold(PixelSurface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
             let half = 0.5 * finer as f32;
             let middle = self.at((finer * x) as f32 + half, (finer * y) as f32 + half);
             return self.light_exactly(&sum, middle);
@@ -131,7 +132,7 @@ impl<'a> Scene<'a> {
     }
 
     /// The visible surface at a sample.
-    fn surface(&self, sample: Sample, towards: Vec2) -> Surface {
+    fn surface(&self, sample: RasterSample, towards: Vec2) -> PixelSurface {
         let spot = self.visible.spot(sample.triangle, towards);
         let rows = (self.raster.height / self.finer) as f32;
         let inked = self.picture.wireframe.then(|| {
@@ -140,7 +141,7 @@ impl<'a> Scene<'a> {
             // Wires fade on triangles that are smaller than the wires.
             (0.5 * WIRE + 0.5 - nearest).clamp(0.0, 1.0) * (radius / WIRE).min(1.0)
         });
-        Surface {
+        PixelSurface {
             near: sample.near,
             normal: spot.normal,
             value: spot.value,
@@ -170,7 +171,7 @@ impl<'a> Scene<'a> {
     }
 
     /// The light of a surface on a line of sight, with refraction.
-    fn light_exactly(&self, surface: &Surface, towards: Vec2) -> Vec3 {
+    fn light_exactly(&self, surface: &PixelSurface, towards: Vec2) -> Vec3 {
         self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
     }
 
@@ -178,7 +179,7 @@ impl<'a> Scene<'a> {
     /// returns the light from behind the fluid at a place from a direction.
     fn light(
         &self,
-        surface: &Surface,
+        surface: &PixelSurface,
         towards: Vec2,
         exp: impl Fn(f32) -> f32 + Copy,
         behind: impl Fn(DVec3, Vec3) -> Vec3,
@@ -191,7 +192,8 @@ impl<'a> Scene<'a> {
             (self.world.transpose() * surface.normal.as_dvec3()).as_vec3().normalize_or(-direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         let through = (surface.through * shown.length() * self.radii).max(0.0);
-        let seen = Seen { towards: direction, normal, through, lit: self.sun.within(place, exp) };
+        let seen =
+            ShadedPoint { towards: direction, normal, through, lit: self.sun.within(place, exp) };
         let light = match (&self.picture.colour, &self.palette) {
             (Colour::Solid(colour), _) => solid(linear(*colour), seen),
             (_, Some(palette)) => solid(palette.of(surface.value), seen),
@@ -225,7 +227,7 @@ impl<'a> Scene<'a> {
 
 /// A lit surface.
 #[derive(Debug, Clone, Copy, Default)]
-struct Surface {
+struct PixelSurface {
     /// The inverse distance, in units of the eye's distance.
     near: f32,
     /// Not of unit length.
@@ -236,7 +238,7 @@ struct Surface {
     inked: f32,
 }
 
-impl Surface {
+impl PixelSurface {
     fn plus(self, other: &Self, share: f32) -> Self {
         Self {
             near: self.near + share * other.near,

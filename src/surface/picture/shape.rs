@@ -11,16 +11,16 @@ use crate::surface::mesh::source::{Bounds, joined};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use super::camera::FARTHEST;
+use super::colour::ColourSource;
 use super::colour::Spread;
-use super::colour::Values;
-use super::ranked::{Entered, Ranked};
-use super::raster::Corners;
-use super::request::Memory;
+use super::ranked::{AtomicSet, RankedSet};
+use super::raster::ProjectedCorners;
+use super::request::MeshMemory;
 use super::request::PictureError;
 use super::request::Scope;
 
 /// Bytes per vertex in memory: its position, and its corner in each view during drawing.
-pub(super) const VERTEX_BYTES: u64 = size_of::<[f64; 3]>() as u64 + Corners::BYTES;
+pub(super) const VERTEX_BYTES: u64 = size_of::<[f64; 3]>() as u64 + ProjectedCorners::BYTES;
 pub(super) const TRIANGLE_BYTES: u64 = size_of::<[u32; 3]>() as u64;
 /// Bytes per triangle of a batch without shared corners.
 const BATCH_BYTES: u64 = TRIANGLE_BYTES + 3 * VERTEX_BYTES;
@@ -39,13 +39,13 @@ pub(super) struct Shape<'a> {
     pub(super) scope: Scope,
     /// The number of the first vertex of each piece, and the total.
     firsts: Vec<u32>,
-    kept: Option<Kept<'a>>,
+    kept: Option<WholeMesh<'a>>,
     /// Triangles per batch of a mesh that is not in memory.
     batch: usize,
 }
 
 /// A whole mesh in memory.
-struct Kept<'a> {
+struct WholeMesh<'a> {
     places: Cow<'a, [[f64; 3]]>,
     normals: Vec<[f32; 3]>,
     values: Vec<f32>,
@@ -53,17 +53,17 @@ struct Kept<'a> {
 }
 
 /// Triangles of a mesh with all of their corners.
-pub(super) struct Batch<'a> {
+pub(super) struct TriangleBatch<'a> {
     /// The number of the first triangle.
     pub(super) first: u32,
     /// Corners by their numbers in the mesh.
     pub(super) triangles: &'a [[u32; 3]],
     pub(super) places: &'a [[f64; 3]],
     /// The vertices of the positions; `None` for all vertices.
-    held: Option<Ranked>,
+    held: Option<RankedSet>,
 }
 
-impl Batch<'_> {
+impl TriangleBatch<'_> {
     /// The index of the position of a vertex, if it is here.
     #[inline]
     pub(super) fn find(&self, vertex: u32) -> Option<usize> {
@@ -84,8 +84,8 @@ impl<'a> Shape<'a> {
     /// Reads the vertices of a mesh, and its triangles if everything fits the memory.
     pub(super) fn read(
         mesh: &'a dyn MeshSource,
-        kind: &Values<'_>,
-        memory: &Memory,
+        kind: &ColourSource<'_>,
+        memory: &MeshMemory,
     ) -> Result<Self, PictureError> {
         let outline = mesh.outline();
         let [vertices, triangles] = [outline.vertices, outline.triangles];
@@ -93,7 +93,7 @@ impl<'a> Shape<'a> {
             let what = format!("a picture can show at most {} vertices and triangles", u32::MAX);
             return Err(io::Error::new(io::ErrorKind::InvalidInput, what).into());
         }
-        let keep = matches!(memory, Memory::Whole);
+        let keep = matches!(memory, MeshMemory::Whole);
         if keep
             && !outline.normals
             && !kind.any()
@@ -101,7 +101,7 @@ impl<'a> Shape<'a> {
         {
             let bounds = places.par_chunks(PLACES).filter_map(box_of).reduce_with(joined);
             let places = Cow::Owned(places);
-            let kept = Kept { places, normals: Vec::new(), values: Vec::new(), triangles };
+            let kept = WholeMesh { places, normals: Vec::new(), values: Vec::new(), triangles };
             let scope = Scope { bounds, ..Scope::default() };
             return Ok(Self {
                 mesh,
@@ -113,7 +113,7 @@ impl<'a> Shape<'a> {
         }
         let borrowed = mesh.whole_positions().filter(|_| keep);
         let room = |wanted: bool, count: u64| if keep && wanted { count as usize } else { 0 };
-        let mut kept = Kept {
+        let mut kept = WholeMesh {
             places: borrowed.map_or_else(
                 || Cow::Owned(zeroed_in_huge_pages(room(true, vertices))),
                 Cow::Borrowed,
@@ -159,8 +159,8 @@ impl<'a> Shape<'a> {
         }
         (scope.range, scope.beyond) = spread.range();
         let batch = match *memory {
-            Memory::Whole => 0,
-            Memory::Batches(bytes) => {
+            MeshMemory::Whole => 0,
+            MeshMemory::Batches(bytes) => {
                 ((bytes / BATCH_BYTES).max(LEAST_BATCH) - LEAST_BATCH / 2) as usize
             }
         };
@@ -195,10 +195,10 @@ impl<'a> Shape<'a> {
     /// Passes on all triangles, with the positions of their corners.
     pub(super) fn batches(
         &self,
-        mut pass: impl FnMut(&Batch<'_>) -> Result<(), PictureError>,
+        mut pass: impl FnMut(&TriangleBatch<'_>) -> Result<(), PictureError>,
     ) -> Result<(), PictureError> {
         if let Some(kept) = &self.kept {
-            return pass(&Batch {
+            return pass(&TriangleBatch {
                 first: 0,
                 triangles: &kept.triangles,
                 places: &kept.places,
@@ -207,7 +207,7 @@ impl<'a> Shape<'a> {
         }
         self.triangles(|first, triangles| {
             let (held, places) = self.places_of(triangles)?;
-            pass(&Batch { first, triangles, places: &places, held: Some(held) })
+            pass(&TriangleBatch { first, triangles, places: &places, held: Some(held) })
         })
     }
 
@@ -239,12 +239,12 @@ impl<'a> Shape<'a> {
     }
 
     /// The positions of the corners of triangles.
-    fn places_of(&self, triangles: &[[u32; 3]]) -> io::Result<(Ranked, Vec<[f64; 3]>)> {
+    fn places_of(&self, triangles: &[[u32; 3]]) -> io::Result<(RankedSet, Vec<[f64; 3]>)> {
         let range = triangles
             .par_iter()
             .map(|&[a, b, c]| [a.min(b).min(c), a.max(b).max(c)])
             .reduce(|| [u32::MAX, 0], |[a, b], [c, d]| [a.min(c), b.max(d)]);
-        let held = Entered::none_of(range[0]..range[1].saturating_add(1));
+        let held = AtomicSet::none_of(range[0]..range[1].saturating_add(1));
         triangles.par_iter().flatten_iter().for_each(|&corner| held.insert(corner));
         let held = held.ranked();
         let pieces: Vec<(usize, Range<u32>)> = self.pieces().enumerate().collect();

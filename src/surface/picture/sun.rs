@@ -17,14 +17,14 @@ const SUN_TAKEN: f32 = 5.0;
 const SKIN: f32 = 0.012;
 
 /// The sun's view of the fluid.
-pub(super) struct Sun {
+pub(super) struct SunView {
     pub(super) camera: Camera,
     pub(super) raster: Raster,
     /// Conversion from units of the raster to radii of the scene.
     radii: f32,
 }
 
-impl Sun {
+impl SunView {
     /// An empty view of a box, with `samples` along an edge.
     pub(super) fn new([lo, hi]: Bounds, world: DMat3, samples: usize) -> Self {
         let (middle, radius) = ball([lo, hi]);

@@ -7,12 +7,12 @@ use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::camera::Camera;
-use super::colour::Values;
-use super::ranked::{Entered, Ranked};
+use super::colour::ColourSource;
+use super::ranked::{AtomicSet, RankedSet};
 use super::raster::Raster;
 use super::request::Budget;
 use super::request::PictureError;
-use super::shape::{Batch, Shape};
+use super::shape::{Shape, TriangleBatch};
 
 /// Triangles per task.
 const TASK: usize = 1 << 13;
@@ -22,8 +22,8 @@ const SHARES: usize = 16;
 const UNSEEN: u32 = u32::MAX;
 
 /// The visible triangles and their corners.
-pub(super) struct Visible {
-    triangles: Ranked,
+pub(super) struct VisibleTriangles {
+    triangles: RankedSet,
     corners: Vec<[u32; 3]>,
     /// To the right and up from the middle in heights times the distance, and the distance, in
     /// units of the eye's distance.
@@ -35,7 +35,7 @@ pub(super) struct Visible {
 }
 
 /// A place on a surface.
-pub(super) struct Spot {
+pub(super) struct VisiblePoint {
     /// Not of unit length.
     pub(super) normal: Vec3,
     pub(super) value: f32,
@@ -49,7 +49,7 @@ pub(super) struct Edges {
     pub(super) radius: f32,
 }
 
-impl Visible {
+impl VisibleTriangles {
     /// Bytes per visible triangle, while normals are summed, and per corner.
     pub(super) const TRIANGLE_BYTES: u64 =
         (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
@@ -60,10 +60,10 @@ impl Visible {
         raster: &Raster,
         shape: &Shape<'_>,
         camera: &Camera,
-        values: &Values<'_>,
+        values: &ColourSource<'_>,
         budget: &Budget,
     ) -> Result<Self, PictureError> {
-        let triangles = Entered::none_of(0..shape.mesh.triangle_count() as u32);
+        let triangles = AtomicSet::none_of(0..shape.mesh.triangle_count() as u32);
         let samples = raster.width * raster.height;
         (0..samples).into_par_iter().with_min_len(TASK).for_each(|n| {
             if let Some(sample) = raster.sample(n) {
@@ -78,7 +78,7 @@ impl Visible {
             corners.extend(triangles.map(own, |number| all[(number - first) as usize]));
             Ok(())
         })?;
-        let vertices = Entered::none_of(0..shape.vertices());
+        let vertices = AtomicSet::none_of(0..shape.vertices());
         corners.par_iter().flatten_iter().for_each(|&corner| vertices.insert(corner));
         let vertices = vertices.ranked();
         let [seen_triangles, seen_vertices] =
@@ -119,8 +119,8 @@ impl Visible {
     fn carried(
         &mut self,
         shape: &Shape<'_>,
-        vertices: &Ranked,
-        values: &Values<'_>,
+        vertices: &RankedSet,
+        values: &ColourSource<'_>,
     ) -> io::Result<()> {
         let all = 0..shape.vertices();
         let (normals, valued) = (shape.mesh.has_normals(), values.any());
@@ -158,7 +158,7 @@ impl Visible {
 
     /// The place on a triangle that is visible in a direction: to the right and up from the middle
     /// in heights.
-    pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> Spot {
+    pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> VisiblePoint {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
         let sum: f32 = shares.iter().sum();
@@ -173,7 +173,7 @@ impl Visible {
             [] => 0.0,
             values => (0..3).map(|n| values[corners[n]] * shares[n]).sum(),
         };
-        Spot { normal: weighted(0) + weighted(1) + weighted(2), value }
+        VisiblePoint { normal: weighted(0) + weighted(1) + weighted(2), value }
     }
 
     /// The edges of a triangle near the place that is visible in a direction.
@@ -206,7 +206,7 @@ type Addition = ([u32; 3], Vec3);
 
 /// Adds the area-weighted normals of triangles to their visible corners, in the order of the
 /// triangles.
-fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [Vec3]) {
+fn add_normals(batch: &TriangleBatch<'_>, vertices: &RankedSet, unit: f64, normals: &mut [Vec3]) {
     let share = normals.len().div_ceil(SHARES).max(1);
     let scale = 1.0 / unit;
     // For each task, the triangles that contribute to each group, by the ranks of their corners.
@@ -252,6 +252,6 @@ fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [V
     });
 }
 
-fn rank(set: &Ranked, number: u32) -> u32 {
+fn rank(set: &RankedSet, number: u32) -> u32 {
     set.rank(number).expect("what is seen is in the set of what is seen")
 }

@@ -12,8 +12,10 @@
 
 use glam::{Vec3A, Vec4};
 
-use super::surface::{Edge, Incident, NONE, Outgoing, Spot, Surface, scaled_normal, squared_near};
-use super::surface::{Outside, Topology};
+use super::surface::{
+    EditableMesh, HalfEdge, Incident, NONE, OutgoingEdges, VertexState, scaled_normal, squared_near,
+};
+use super::surface::{PatchTopology, Surroundings};
 
 /// The fraction of the distance that samples may use; the rest is for the surface between samples.
 const SAMPLE_SHARE: f32 = 0.93;
@@ -47,11 +49,11 @@ const KEPT: f32 = 0.5;
 
 /// The reference surface and the limits for the collapses in a patch.
 pub struct Measure<'a> {
-    pub topology: &'a Topology,
+    pub topology: &'a PatchTopology,
     /// The surface within whose tolerance the result must stay.
-    pub reference: &'a Surface<'a>,
+    pub reference: &'a EditableMesh<'a>,
     /// The edges of the reference.
-    pub outgoing: &'a Outgoing,
+    pub outgoing: &'a OutgoingEdges,
     /// Normals of the reference, for all vertices.
     pub normals: &'a [Vec3A],
     pub distance: f32,
@@ -59,9 +61,14 @@ pub struct Measure<'a> {
 
 /// Finds closest triangles on `surface` for the vertices of `reference` that it does not have,
 /// starting each search from a neighbour's result.
-pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A], distance: f32) {
-    let lacks = |surface: &Surface, corners: &[u32; 3]| {
-        corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE)
+pub fn find_homes(
+    reference: &EditableMesh,
+    surface: &mut EditableMesh,
+    normals: &[Vec3A],
+    distance: f32,
+) {
+    let lacks = |surface: &EditableMesh, corners: &[u32; 3]| {
+        corners.iter().any(|&v| surface.spot(v) == VertexState::NOWHERE)
     };
     let mut left: Vec<[u32; 3]> =
         reference.triangles.iter().copied().filter(|corners| lacks(surface, corners)).collect();
@@ -69,12 +76,12 @@ pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A],
     while std::mem::take(&mut found_some) {
         left.retain(|corners| {
             let Some(&known) =
-                corners.iter().find(|&&vertex| surface.spot(vertex) != Spot::NOWHERE)
+                corners.iter().find(|&&vertex| surface.spot(vertex) != VertexState::NOWHERE)
             else {
                 return true;
             };
             for &vertex in corners {
-                if surface.spot(vertex) != Spot::NOWHERE {
+                if surface.spot(vertex) != VertexState::NOWHERE {
                     continue;
                 }
                 let (place, normal) =
@@ -87,7 +94,7 @@ pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A],
                     surface.holder(from, place, normal, SAMPLE_SHARE * distance)
                 {
                     let is_close = squared <= (CLOSE_SHARE * distance).powi(2);
-                    surface.settle(vertex, Spot::gone(closest, is_close));
+                    surface.settle(vertex, VertexState::gone(closest, is_close));
                     found_some = true;
                 }
             }
@@ -149,9 +156,9 @@ impl Quadric {
 }
 
 /// State of a simplification.
-struct Work<'a, 'b> {
+struct CollapseState<'a, 'b> {
     by: &'b Measure<'a>,
-    surface: Surface<'a>,
+    surface: EditableMesh<'a>,
     /// For each triangle, a list of the vertices for which it is closest: the first one, and for
     /// each vertex the next.
     first: Vec<u32>,
@@ -173,7 +180,7 @@ struct Work<'a, 'b> {
     parts: Vec<([Vec3A; 3], Vec3A)>,
     /// The first triangles of a search.
     near: Vec<u32>,
-    moved: Vec<Moved>,
+    moved: Vec<MovedVertex>,
     /// For each vertex, its last mark; a new number makes all old marks invalid.
     marks: Vec<u32>,
     mark: u32,
@@ -181,19 +188,19 @@ struct Work<'a, 'b> {
 
 /// A removed vertex, with its closest triangle before and after.
 #[derive(Clone, Copy)]
-struct Moved {
+struct MovedVertex {
     vertex: u32,
-    from: Spot,
-    to: Spot,
-    /// The new value of `Work::calm` for the vertex.
+    from: VertexState,
+    to: VertexState,
+    /// The new value of `CollapseState::calm` for the vertex.
     calm: Vec3A,
 }
 
 impl<'a> Measure<'a> {
     /// Collapses edges of `surface`, except at locked vertices.
-    pub fn collapse(&self, surface: Surface<'a>, locked: &[bool]) -> Surface<'a> {
+    pub fn collapse(&self, surface: EditableMesh<'a>, locked: &[bool]) -> EditableMesh<'a> {
         let vertices = surface.positions.len();
-        let mut work = Work {
+        let mut work = CollapseState {
             by: self,
             first: vec![NONE; surface.triangles.len()],
             next: vec![NONE; vertices],
@@ -220,7 +227,7 @@ impl<'a> Measure<'a> {
         }
         for vertex in 0..vertices as u32 {
             let spot = work.surface.spot(vertex);
-            if spot.is_gone() && spot != Spot::NOWHERE {
+            if spot.is_gone() && spot != VertexState::NOWHERE {
                 work.settle(vertex, spot);
             }
         }
@@ -231,7 +238,7 @@ impl<'a> Measure<'a> {
     /// Whether a sample of an edge is too far from the reference, for triangles that face this way.
     fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
-        let is_next = |edge: &Edge| edge.to == to || edge.before == to;
+        let is_next = |edge: &HalfEdge| edge.to == to || edge.before == to;
         if self.outgoing.at(from).iter().any(is_next)
             || reference.leads(from, to, normal, SAMPLE_SHARE * distance)
         {
@@ -253,7 +260,7 @@ impl<'a> Measure<'a> {
     }
 }
 
-impl Work<'_, '_> {
+impl CollapseState<'_, '_> {
     fn run(&mut self, locked: &[bool]) {
         let limit = (QUADRIC_SHARE * self.by.distance).powi(2);
         self.changed.extend((0..locked.len() as u32).filter(|&vertex| self.surface.has(vertex)));
@@ -379,7 +386,7 @@ impl Work<'_, '_> {
             self.first[incident.triangle as usize] = NONE;
         }
         for i in 0..self.moved.len() {
-            let Moved { vertex, to, calm, .. } = self.moved[i];
+            let MovedVertex { vertex, to, calm, .. } = self.moved[i];
             self.settle(vertex, to);
             self.calm[vertex as usize] = calm;
         }
@@ -392,7 +399,7 @@ impl Work<'_, '_> {
         true
     }
 
-    fn settle(&mut self, vertex: u32, spot: Spot) {
+    fn settle(&mut self, vertex: u32, spot: VertexState) {
         self.surface.settle(vertex, spot);
         self.next[vertex as usize] =
             std::mem::replace(&mut self.first[spot.triangle() as usize], vertex);
@@ -541,16 +548,16 @@ impl Work<'_, '_> {
                     }
                 }
             }
-            nearest.map(|(part, is_close)| Spot::gone(ring[part + 1].triangle, is_close))
+            nearest.map(|(part, is_close)| VertexState::gone(ring[part + 1].triangle, is_close))
         };
         let Some(to) = closest(vertex, 0) else { return false };
-        self.moved.push(Moved { vertex, from: Spot::NOWHERE, to, calm: Vec3A::ZERO });
+        self.moved.push(MovedVertex { vertex, from: VertexState::NOWHERE, to, calm: Vec3A::ZERO });
         self.marks[vertex as usize] = self.mark;
         for (turn, incident) in ring.iter().enumerate() {
             let mut gone = self.first[incident.triangle as usize];
             while gone != NONE {
                 let Some(to) = closest(gone, turn.clamp(1, last) - 1) else { return false };
-                self.moved.push(Moved {
+                self.moved.push(MovedVertex {
                     vertex: gone,
                     from: self.surface.spot(gone),
                     to,
@@ -587,7 +594,7 @@ impl Work<'_, '_> {
             }
             let mut is_calm = is_close;
             let is_near =
-                self.by.outgoing.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
+                self.by.outgoing.at(moved.vertex).iter().all(|&HalfEdge { to: other, .. }| {
                     let spot = self.surface.spot(other);
                     // Without branches, which would be unpredictable.
                     let facing = self.surface.normal_of(spot);
@@ -684,7 +691,7 @@ pub struct Patch<'a> {
     /// Vertices that stay, in addition to the border.
     pub pinned: &'a [u32],
     /// The kind of triangles beyond the border.
-    pub outside: Outside,
+    pub outside: Surroundings,
 }
 
 impl<'a> Patch<'a> {
@@ -694,18 +701,18 @@ impl<'a> Patch<'a> {
     #[inline(never)]
     pub fn simplified(&self, distance: f32) -> Vec<[u32; 3]> {
         let vertices = self.positions.len();
-        let outgoing = Outgoing::of(vertices, self.reference);
-        let reference = Surface::new(self.positions, self.reference.to_vec(), &outgoing);
+        let outgoing = OutgoingEdges::of(vertices, self.reference);
+        let reference = EditableMesh::new(self.positions, self.reference.to_vec(), &outgoing);
         let normals = reference.vertex_normals();
         let surface = if self.reference == self.triangles {
             reference.clone()
         } else {
-            let own = Outgoing::of(vertices, self.triangles);
-            let mut surface = Surface::new(self.positions, self.triangles.to_vec(), &own);
+            let own = OutgoingEdges::of(vertices, self.triangles);
+            let mut surface = EditableMesh::new(self.positions, self.triangles.to_vec(), &own);
             find_homes(&reference, &mut surface, &normals, distance);
             surface
         };
-        let topology = Topology::of(&surface, self.outside);
+        let topology = PatchTopology::of(&surface, self.outside);
         let mut locked = topology.border.clone();
         self.pinned.iter().for_each(|&vertex| locked[vertex as usize] = true);
         let (reference, outgoing) = (&reference, &outgoing);

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::grid::BLOCK;
 use crate::surface::mesh::source::MeshSource;
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 use crate::system::control::{Control, Meter, Stage};
 
 use super::MEASURING;
@@ -53,7 +53,7 @@ impl TooSmall {
 /// # Errors
 /// If scratch files cannot be read, and after a cancel.
 pub fn smaller_than(
-    surface: &Stitched,
+    surface: &StitchedSurface,
     volume: f64,
     drop: f64,
     control: &Control,
@@ -67,7 +67,7 @@ pub fn smaller_than(
     in_batches(
         pieces,
         &meter,
-        |piece| Parts::of(surface, piece),
+        |piece| PieceParts::of(surface, piece),
         |piece, parts| {
             let base = components.parents.len() as u32;
             firsts.push(base);
@@ -104,7 +104,7 @@ pub fn smaller_than(
     in_batches(
         pieces,
         &meter,
-        |piece| Parts::of(surface, piece),
+        |piece| PieceParts::of(surface, piece),
         |piece, parts| {
             for (vertex, part) in (surface.first_vertex(piece)..).zip(&parts.part_of) {
                 if small[(firsts[piece] + part) as usize] {
@@ -136,23 +136,23 @@ fn in_batches<T: Send>(
 
 /// The sums of volume and area over the triangles of a part, relative to a point.
 #[derive(Clone, Copy)]
-struct Part {
+struct PartSums {
     from: DVec3,
     volume: f64,
     area: DVec3,
 }
 
 /// The parts of one piece.
-struct Parts {
-    parts: Vec<Part>,
+struct PieceParts {
+    parts: Vec<PartSums>,
     /// The part of each of the piece's vertices.
     part_of: Vec<u32>,
     /// Vertices of other pieces, with a part that refers to them.
     beyond: Vec<(u64, u32)>,
 }
 
-impl Parts {
-    fn of(surface: &Stitched, piece: usize) -> io::Result<Self> {
+impl PieceParts {
+    fn of(surface: &StitchedSurface, piece: usize) -> io::Result<Self> {
         let first = surface.first_vertex(piece);
         let mut triangles = Vec::new();
         surface.cell_triangles(piece, |_, triangle| triangles.push(triangle))?;
@@ -190,7 +190,7 @@ impl Parts {
             })
             .collect();
         let from = (surface.block(piece) * BLOCK).as_dvec3();
-        let mut parts = vec![Part { from, volume: 0.0, area: DVec3::ZERO }; numbers.len()];
+        let mut parts = vec![PartSums { from, volume: 0.0, area: DVec3::ZERO }; numbers.len()];
         for triangle in triangles {
             let corners = triangle.map(local);
             let [a, b, c] = corners.map(|corner| places[corner] - from);
@@ -208,11 +208,11 @@ impl Parts {
 #[derive(Default)]
 struct Components {
     parents: Vec<u32>,
-    sums: Vec<Part>,
+    sums: Vec<PartSums>,
 }
 
 impl Components {
-    fn push(&mut self, part: Part) {
+    fn push(&mut self, part: PartSums) {
         self.parents.push(self.parents.len() as u32);
         self.sums.push(part);
     }

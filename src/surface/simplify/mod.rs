@@ -27,7 +27,7 @@ use rayon::prelude::*;
 use crate::grid::units::Tolerance;
 use crate::grid::{BLOCK, CellBox, MortonKey};
 use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
-use crate::surface::stitch::Stitched;
+use crate::surface::stitch::StitchedSurface;
 use crate::system::control::{Control, Meter, Stage};
 use crate::system::scratch::Lists;
 
@@ -36,7 +36,7 @@ pub use drops::TooSmall;
 use drops::VertexSet;
 use drops::smaller_than;
 use surface::NONE;
-use surface::Outside;
+use surface::Surroundings;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;
@@ -56,8 +56,8 @@ type Triangles = Vec<[u64; 3]>;
 
 /// A surface with fewer triangles. Its pieces are the chunks of the second pass.
 #[derive(Debug)]
-pub struct Simplified {
-    whole: Stitched,
+pub struct SimplifiedSurface {
+    whole: StitchedSurface,
     /// With vertex numbers in `whole`.
     triangles: Lists<[u64; 3]>,
     kept: VertexSet,
@@ -96,7 +96,7 @@ impl Reduction {
 
 /// Space for the triangles of a reduced surface.
 #[derive(Debug, Clone, Copy)]
-pub struct Room<'a> {
+pub struct TriangleSpace<'a> {
     /// Bytes in memory.
     pub bytes: u64,
     /// The folder of scratch files for triangles that exceed it.
@@ -109,13 +109,13 @@ pub struct Room<'a> {
 /// # Errors
 /// If scratch files cannot be read or written, and after a cancel.
 pub fn simplify(
-    surface: Stitched,
+    surface: StitchedSurface,
     reduction: &Reduction,
     particle_cells: f64,
-    room: Room<'_>,
+    room: TriangleSpace<'_>,
     control: &Control,
-) -> io::Result<Simplified> {
-    let Room { bytes, folder } = room;
+) -> io::Result<SimplifiedSurface> {
+    let TriangleSpace { bytes, folder } = room;
     let Reduction { smallest_component, smallest_drop, .. } = *reduction;
     let (left_out, too_small) = if smallest_component.is_some() || smallest_drop.is_some() {
         let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
@@ -181,7 +181,7 @@ pub fn simplify(
         let first = surface.first_vertex(piece);
         vertex_count += kept.rank(first + surface.piece_vertices(piece) as u64) - kept.rank(first);
     }
-    Ok(Simplified {
+    Ok(SimplifiedSurface {
         whole: surface,
         triangles,
         kept,
@@ -221,7 +221,7 @@ enum Fate {
 }
 
 struct Passes<'a> {
-    surface: &'a Stitched,
+    surface: &'a StitchedSurface,
     left_out: Option<VertexSet>,
     /// Without a tolerance, all triangles stay.
     tolerance: Option<Tolerance>,
@@ -250,8 +250,8 @@ impl Passes<'_> {
     /// treatment in the second pass.
     fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), Triangles)>> {
         self.meter.go_on()?;
-        let chunk = Chunk::load(self.surface, pieces)?;
-        let mut sorted = Sorted::default();
+        let chunk = ChunkVertices::load(self.surface, pieces)?;
+        let mut sorted = SortedTriangles::default();
         let mut inside = Vec::new();
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
@@ -265,7 +265,7 @@ impl Passes<'_> {
             reference: &inside,
             triangles: &inside,
             pinned: &chunk.pins(),
-            outside: Outside::DualCells,
+            outside: Surroundings::DualCells,
         };
         for triangle in self.simplified(patch) {
             let cells = triangle.map(|vertex| chunk.cells[vertex as usize]);
@@ -307,7 +307,7 @@ impl Passes<'_> {
         self.meter.add(1);
         let mut result = Triangles::new();
         let mut left = Vec::new();
-        let chunk = Chunk::load(self.surface, pieces)?;
+        let chunk = ChunkVertices::load(self.surface, pieces)?;
         for (fate, list) in lists {
             let list = between.get(list)?;
             match fate {
@@ -322,7 +322,7 @@ impl Passes<'_> {
         if left.is_empty() {
             return Ok(result);
         }
-        let near = Boxes::around(&left, &chunk.cells, self.reach());
+        let near = NearCells::around(&left, &chunk.cells, self.reach());
         let mut reference = Vec::new();
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| {
@@ -331,7 +331,7 @@ impl Passes<'_> {
                 }
             })?;
         }
-        let mut used = Used::of(chunk.positions.len());
+        let mut used = UsedVertices::of(chunk.positions.len());
         reference.iter_mut().chain(&mut left).for_each(|triangle| used.renumber(triangle));
         let positions: Vec<Vec3A> =
             used.vertices.iter().map(|&at| chunk.positions[at as usize]).collect();
@@ -340,7 +340,7 @@ impl Passes<'_> {
             reference: &reference,
             triangles: &left,
             pinned: &[],
-            outside: Outside::Simplified,
+            outside: Surroundings::Simplified,
         };
         let simplified = self.simplified(patch).into_iter();
         result.extend(
@@ -352,11 +352,11 @@ impl Passes<'_> {
 
 /// Lists of triangles by their target.
 #[derive(Default)]
-struct Sorted {
+struct SortedTriangles {
     lists: Vec<((MortonKey, Fate), Triangles)>,
 }
 
-impl Sorted {
+impl SortedTriangles {
     fn push(&mut self, home: (MortonKey, Fate), triangle: [u64; 3]) {
         match self.lists.iter_mut().find(|(key, _)| *key == home) {
             Some((_, list)) => list.push(triangle),
@@ -366,13 +366,13 @@ impl Sorted {
 }
 
 /// Boxes of cells near triangles.
-struct Boxes {
+struct NearCells {
     lo: IVec3,
     size: IVec3,
     is_near: Vec<bool>,
 }
 
-impl Boxes {
+impl NearCells {
     /// Finds the boxes within `reach` cells of triangles whose vertices have these cells.
     fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32) -> Self {
         let bounds = |vertices: &[u32]| {
@@ -415,13 +415,13 @@ impl Boxes {
 }
 
 /// The vertices of a chunk that triangles use, in order of first use.
-struct Used {
+struct UsedVertices {
     vertices: Vec<u32>,
     /// For each vertex of the chunk its new number, or `NONE`.
     ranks: Vec<u32>,
 }
 
-impl Used {
+impl UsedVertices {
     fn of(vertices: usize) -> Self {
         Self { vertices: Vec::new(), ranks: vec![NONE; vertices] }
     }
@@ -439,7 +439,7 @@ impl Used {
 }
 
 /// The vertices of a chunk.
-struct Chunk {
+struct ChunkVertices {
     /// For consecutive pieces: the number of their first vertex in the whole mesh and in the chunk,
     /// and the number of vertices.
     ranges: Vec<[u64; 3]>,
@@ -449,8 +449,8 @@ struct Chunk {
     positions: Vec<Vec3A>,
 }
 
-impl Chunk {
-    fn load(surface: &Stitched, pieces: &[usize]) -> io::Result<Self> {
+impl ChunkVertices {
+    fn load(surface: &StitchedSurface, pieces: &[usize]) -> io::Result<Self> {
         let vertices = pieces.iter().map(|&piece| surface.piece_vertices(piece)).sum();
         let mut chunk = Self {
             ranges: Vec::with_capacity(pieces.len()),
@@ -517,9 +517,9 @@ impl Chunk {
     }
 }
 
-impl Simplified {
+impl SimplifiedSurface {
     /// The original surface.
-    pub fn whole(&self) -> &Stitched {
+    pub fn whole(&self) -> &StitchedSurface {
         &self.whole
     }
 
@@ -534,7 +534,7 @@ impl Simplified {
     }
 }
 
-impl MeshSource for Simplified {
+impl MeshSource for SimplifiedSurface {
     fn outline(&self) -> Outline {
         Outline {
             vertices: self.counts[0],

@@ -19,23 +19,23 @@ const STEPS_A_CELL: f32 = 8.0;
 
 /// Triangles, each directed edge at most once.
 #[derive(Clone)]
-pub struct Surface<'a> {
+pub struct EditableMesh<'a> {
     pub positions: &'a [Vec3A],
     pub triangles: Vec<[u32; 3]>,
     /// For each triangle, its neighbours: across the edge from its first corner to the second, and
     /// so on.
     across: Vec<[u32; 3]>,
     /// For each vertex, its spot; on the border, its first triangle counterclockwise.
-    spots: Vec<Spot>,
+    spots: Vec<VertexState>,
     /// Outward, of unit length.
     normals: Vec<Vec3A>,
 }
 
 /// The state of a vertex: a corner of a triangle; removed, with its closest triangle; or unused.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Spot(u32);
+pub struct VertexState(u32);
 
-impl Spot {
+impl VertexState {
     pub const NOWHERE: Self = Self(NONE);
     const GONE: u32 = 1 << 31;
     const FAR: u32 = 1 << 30;
@@ -72,15 +72,15 @@ pub struct Incident {
 }
 
 /// The edges of a surface by the vertices that they leave.
-pub struct Outgoing {
+pub struct OutgoingEdges {
     /// For each vertex, the ends of its edges.
     ends: Vec<u32>,
-    edges: Vec<Edge>,
+    edges: Vec<HalfEdge>,
 }
 
 /// An edge, seen from its start.
 #[derive(Clone, Copy, Default)]
-pub struct Edge {
+pub struct HalfEdge {
     pub to: u32,
     /// The third corner of the edge's triangle.
     pub before: u32,
@@ -88,7 +88,7 @@ pub struct Edge {
     side: u32,
 }
 
-impl Outgoing {
+impl OutgoingEdges {
     /// Lists the edges of all triangles by their start.
     pub fn of(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let mut ends = vec![0_u32; vertices];
@@ -99,12 +99,12 @@ impl Outgoing {
         for end in &mut ends {
             total += std::mem::replace(end, total);
         }
-        let mut outgoing = vec![Edge::default(); 3 * triangles.len()];
+        let mut outgoing = vec![HalfEdge::default(); 3 * triangles.len()];
         for (side, [a, b, c]) in (0..).step_by(3).zip(triangles.iter().copied()) {
             for (from, edge) in [
-                (a, Edge { to: b, before: c, side }),
-                (b, Edge { to: c, before: a, side: side + 1 }),
-                (c, Edge { to: a, before: b, side: side + 2 }),
+                (a, HalfEdge { to: b, before: c, side }),
+                (b, HalfEdge { to: c, before: a, side: side + 1 }),
+                (c, HalfEdge { to: a, before: b, side: side + 2 }),
             ] {
                 let end = &mut ends[from as usize];
                 outgoing[*end as usize] = edge;
@@ -115,21 +115,21 @@ impl Outgoing {
     }
 
     /// The edges that start at a vertex.
-    pub fn at(&self, vertex: u32) -> &[Edge] {
+    pub fn at(&self, vertex: u32) -> &[HalfEdge] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before as usize]);
         &self.edges[start as usize..self.ends[vertex as usize] as usize]
     }
 }
 
-impl<'a> Surface<'a> {
+impl<'a> EditableMesh<'a> {
     /// Builds the neighbours from the edges; each directed edge occurs once.
-    pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &Outgoing) -> Self {
+    pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &OutgoingEdges) -> Self {
         let normals = triangles
             .iter()
             .map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero())
             .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
-        let mut spots = vec![Spot::NOWHERE; positions.len()];
+        let mut spots = vec![VertexState::NOWHERE; positions.len()];
         // For each vertex, the last start of an edge that ends there, and the triangle of that
         // edge.
         let mut slots = vec![(NONE, NONE); positions.len()];
@@ -146,7 +146,7 @@ impl<'a> Surface<'a> {
                 }
             }
             spots[vertex as usize] =
-                first.map_or(Spot::NOWHERE, |edge| Spot::corner(edge.side / 3));
+                first.map_or(VertexState::NOWHERE, |edge| VertexState::corner(edge.side / 3));
         }
         Self { positions, triangles, across, spots, normals }
     }
@@ -159,18 +159,18 @@ impl<'a> Surface<'a> {
         self.normals[triangle as usize]
     }
 
-    pub fn spot(&self, vertex: u32) -> Spot {
+    pub fn spot(&self, vertex: u32) -> VertexState {
         self.spots[vertex as usize]
     }
 
     /// The normal of the triangle at a vertex, or of its closest triangle; `None` for an unused
     /// vertex.
-    pub fn normal_of(&self, spot: Spot) -> Option<Vec3A> {
+    pub fn normal_of(&self, spot: VertexState) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
 
     /// Sets the spot of a removed vertex.
-    pub fn settle(&mut self, vertex: u32, spot: Spot) {
+    pub fn settle(&mut self, vertex: u32, spot: VertexState) {
         self.spots[vertex as usize] = spot;
     }
 
@@ -404,7 +404,7 @@ impl<'a> Surface<'a> {
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
             let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
-            self.spots[vertex as usize] = Spot::corner(if is_gone { to } else { at });
+            self.spots[vertex as usize] = VertexState::corner(if is_gone { to } else { at });
         }
     }
 
@@ -434,12 +434,12 @@ impl<'a> Surface<'a> {
             [vertex, left, target],
             [leftmost, beyond_left, ring[0].triangle],
         );
-        self.spots[vertex as usize] = Spot::corner(ring[0].triangle);
+        self.spots[vertex as usize] = VertexState::corner(ring[0].triangle);
         for (vertex, at, to) in
             [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)]
         {
             if self.at(vertex) == at {
-                self.spots[vertex as usize] = Spot::corner(to);
+                self.spots[vertex as usize] = VertexState::corner(to);
             }
         }
     }
@@ -495,14 +495,14 @@ pub fn squared_near(
 
 /// The triangles around a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outside {
+pub enum Surroundings {
     /// Triangles from marching cubes: each lies in one dual cell.
     DualCells,
     /// Triangles of any size.
     Simplified,
 }
 
-impl Outside {
+impl Surroundings {
     fn may_join(self, p: Vec3A, q: Vec3A) -> bool {
         match self {
             Self::Simplified => true,
@@ -517,17 +517,17 @@ impl Outside {
 }
 
 /// The topology that a patch must keep.
-pub struct Topology {
+pub struct PatchTopology {
     /// The vertices on the border, which other patches also use.
     pub border: Vec<bool>,
     /// Vertices on the border whose triangles form more than one fan.
     pinched: Vec<bool>,
-    outside: Outside,
+    outside: Surroundings,
 }
 
-impl Topology {
+impl PatchTopology {
     /// Examines an oriented patch that is manifold except for its border.
-    pub fn of(patch: &Surface, outside: Outside) -> Self {
+    pub fn of(patch: &EditableMesh, outside: Surroundings) -> Self {
         let mut fans = vec![0_u8; patch.positions.len()];
         for triangle in 0..patch.triangles.len() as u32 {
             for [from, _] in patch.open_edges(triangle) {
@@ -544,7 +544,7 @@ impl Topology {
     }
 
     /// Whether there may be an edge between two vertices outside the patch.
-    pub fn is_chord(&self, patch: &Surface, a: u32, b: u32) -> bool {
+    pub fn is_chord(&self, patch: &EditableMesh, a: u32, b: u32) -> bool {
         let [p, q] = [a, b].map(|vertex| patch.positions[vertex as usize]);
         self.border[a as usize] && self.border[b as usize] && self.outside.may_join(p, q)
     }

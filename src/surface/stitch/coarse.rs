@@ -14,15 +14,15 @@ use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
 use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits};
 use crate::system::memory::zeroed_in_huge_pages;
 
-use super::{Stitched, split};
+use super::{StitchedSurface, split};
 
 /// The lowest of 2 x 2 x 2 cells, as bits of a tile and as a mask of a bit's number.
 const LOWEST: TileMask = 0x0505_0000_0505;
 const LOWEST_OF: u32 = 0b10_1010;
 
 /// A mesh with merged vertices.
-pub(super) struct Coarse<'a> {
-    fine: &'a Stitched,
+pub(super) struct CoarseMesh<'a> {
+    fine: &'a StitchedSurface,
     /// The number of the first vertex of each piece, and the total.
     firsts: Vec<u64>,
 }
@@ -40,9 +40,9 @@ fn rank(groups: TileMask, bit: u32) -> usize {
     (groups & ((1 << (bit & LOWEST_OF)) - 1)).count_ones() as usize
 }
 
-impl<'a> Coarse<'a> {
+impl<'a> CoarseMesh<'a> {
     /// Counts the remaining vertices.
-    pub(super) fn new(fine: &'a Stitched) -> io::Result<Self> {
+    pub(super) fn new(fine: &'a StitchedSurface) -> io::Result<Self> {
         let count = |piece: usize| -> io::Result<u64> {
             Ok(fine.tiles(piece)?.iter().map(|tile| u64::from(groups(tile).count_ones())).sum())
         };
@@ -105,7 +105,7 @@ impl<'a> Coarse<'a> {
     }
 }
 
-impl MeshSource for Coarse<'_> {
+impl MeshSource for CoarseMesh<'_> {
     /// A summary that counts all triangles, although fewer remain.
     fn outline(&self) -> Outline {
         Outline {

@@ -26,7 +26,7 @@ use crate::surface::mesh::spool::Spool;
 use crate::surface::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
 use crate::system::memory::zeroed_in_huge_pages;
 
-use numbers::Numbers;
+use numbers::VertexNumbers;
 pub use numbers::writing_bytes;
 
 /// An error of making one indexed mesh in memory.
@@ -45,7 +45,7 @@ pub enum WholeMeshError {
 
 /// The surfaces of all blocks as one shared, indexed mesh.
 #[derive(Debug)]
-pub struct Stitched {
+pub struct StitchedSurface {
     spool: Spool,
     grid: Grid,
     domain: Option<Domain>,
@@ -53,7 +53,7 @@ pub struct Stitched {
     attributes: Vec<AttributeInfo>,
 }
 
-impl Stitched {
+impl StitchedSurface {
     /// Joins the surfaces in `spool`, whose vertices have `attributes`.
     pub fn new(
         spool: Spool,
@@ -301,9 +301,9 @@ impl Stitched {
         mut put: impl FnMut(usize, IVec3, [u64; 3]),
     ) -> io::Result<()> {
         thread_local! {
-            static NUMBERS: Cell<Option<Numbers>> = const { Cell::new(None) };
+            static NUMBERS: Cell<Option<VertexNumbers>> = const { Cell::new(None) };
         }
-        let mut numbers = NUMBERS.take().unwrap_or_else(Numbers::new);
+        let mut numbers = NUMBERS.take().unwrap_or_else(VertexNumbers::new);
         let (block, own) = (self.spool.block(i), self.spool.tiles(i)?);
         for neighbour in 0..8 {
             let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);

@@ -8,12 +8,12 @@ use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::grid::BLOCK;
-use crate::surface::dual_mc::cases::{Edge, TABLE};
+use crate::surface::dual_mc::cases::{CellEdge, TABLE};
 use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
 use crate::surface::mesh::{Tile, bits, cell_of_bit};
 
-use super::Stitched;
-use super::coarse::Coarse;
+use super::StitchedSurface;
+use super::coarse::CoarseMesh;
 
 /// Cells along each axis: those of a block, and one layer of the upper blocks.
 const EDGE: usize = BLOCK as usize + 1;
@@ -32,12 +32,12 @@ pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
 }
 
 /// The numbers of the vertices on the edges of a block's triangles. Other entries are undefined.
-pub(super) struct Numbers {
+pub(super) struct VertexNumbers {
     /// Three per cell, by the axis of the edge that starts there; x fastest.
     numbers: Vec<u64>,
 }
 
-impl Numbers {
+impl VertexNumbers {
     pub(super) fn new() -> Self {
         Self { numbers: vec![0; 3 * EDGE.pow(3)] }
     }
@@ -99,11 +99,11 @@ fn index(cell: IVec3) -> usize {
 
 /// [`TABLE`], with each edge as an offset from the number of the dual cell's lowest corner.
 static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
-    let place = |edge: Edge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
+    let place = |edge: CellEdge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
 });
 
-impl MeshSource for Stitched {
+impl MeshSource for StitchedSurface {
     fn outline(&self) -> Outline {
         Outline {
             vertices: self.spool.vertices(),
@@ -132,7 +132,7 @@ impl MeshSource for Stitched {
     }
 
     fn coarser(&self) -> io::Result<Option<Box<dyn MeshSource + '_>>> {
-        Ok(Some(Box::new(Coarse::new(self)?)))
+        Ok(Some(Box::new(CoarseMesh::new(self)?)))
     }
 
     fn at_once(&self) -> io::Result<Option<Indexed>> {

@@ -1,5 +1,5 @@
 //! Stitches the whole mesh on a device: positions in f32 and triangles, in the order of
-//! [`Stitched`](super::Stitched), with exactly its rounded positions.
+//! [`StitchedSurface`](super::StitchedSurface), with exactly its rounded positions.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,8 +10,8 @@ use glam::IVec3;
 use crate::grid::units::Isovalue;
 use crate::grid::{BLOCK, MortonKey, TILE};
 use crate::shaders::{STARTS, StartsPush, TRIANGLES, TrianglesPush, VERTICES, VerticesPush};
-use crate::surface::dual_mc::cases::{Edge, TABLE};
-use crate::surface::dual_mc::vulkan::{TILE_WORDS, Tally};
+use crate::surface::dual_mc::cases::{CellEdge, TABLE};
+use crate::surface::dual_mc::vulkan::{BlockTally, TILE_WORDS};
 use crate::vulkan::{Batch, ComputePipeline, Device, Ticket, View, VulkanError};
 
 /// Tiles along a block's edge.
@@ -74,14 +74,14 @@ impl MeshLayout {
     ///
     /// # Panics
     /// If the blocks are in a different order.
-    pub fn new(blocks: &[(IVec3, Tally)]) -> Option<Self> {
+    pub fn new(blocks: &[(IVec3, BlockTally)]) -> Option<Self> {
         let keys: Vec<_> = blocks.iter().map(|&(block, _)| MortonKey::of(block)).collect();
         assert!(keys.is_sorted_by(|a, b| a < b), "blocks are in Morton order");
         let number =
             |coord| keys.binary_search(&MortonKey::of(coord)).map_or(NO_BLOCK, |i| i as u32);
         let mut layout =
             Self { blocks: Vec::with_capacity(blocks.len()), tiles: 0, vertices: 0, triangles: 0 };
-        for &(block, Tally { tiles, vertices, triangles, .. }) in blocks {
+        for &(block, BlockTally { tiles, vertices, triangles, .. }) in blocks {
             let above = |k: i32| number(block + IVec3::new(k & 1, k >> 1 & 1, k >> 2));
             layout.blocks.push(MeshBlock {
                 coord: block.to_array(),
@@ -121,10 +121,10 @@ impl MeshLayout {
 
     /// Divides the blocks into runs whose rows fit one shader binding; `first` gives the first row
     /// of each block.
-    fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<Run> {
+    fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<TileRun> {
         let begin =
             |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
-        let mut runs: Vec<Run> = Vec::new();
+        let mut runs: Vec<TileRun> = Vec::new();
         for i in 0..self.blocks.len() {
             let ((tile, row), (next_tile, next_row)) = (begin(i), begin(i + 1));
             match runs.last_mut() {
@@ -132,7 +132,7 @@ impl MeshLayout {
                     run.tiles.end = next_tile;
                     run.rows.end = next_row;
                 }
-                _ => runs.push(Run { tiles: tile..next_tile, rows: row..next_row }),
+                _ => runs.push(TileRun { tiles: tile..next_tile, rows: row..next_row }),
             }
         }
         runs.retain(|run| !run.rows.is_empty());
@@ -141,12 +141,12 @@ impl MeshLayout {
 }
 
 /// A range of tiles, with their rows.
-struct Run {
+struct TileRun {
     tiles: Range<u32>,
     rows: Range<u32>,
 }
 
-impl Run {
+impl TileRun {
     /// One work group per tile, in rows that every device supports.
     fn groups(&self) -> [u32; 3] {
         let tiles = self.tiles.len() as u32;
@@ -162,8 +162,9 @@ impl Run {
 
 /// The table of marching cubes for shaders: [`CASE_WORDS`] for each combination of signs.
 pub fn table() -> Vec<u32> {
-    let bits = |edge: Edge| u32::from(edge.corner) | u32::from(edge.axis) << 3;
-    let pack = |[a, b, c]: [Edge; 3]| bits(a) | bits(b) << EDGE_BITS | bits(c) << (2 * EDGE_BITS);
+    let bits = |edge: CellEdge| u32::from(edge.corner) | u32::from(edge.axis) << 3;
+    let pack =
+        |[a, b, c]: [CellEdge; 3]| bits(a) | bits(b) << EDGE_BITS | bits(c) << (2 * EDGE_BITS);
     let mut words = vec![0; TABLE.len() * CASE_WORDS as usize];
     for (row, triangles) in words.chunks_exact_mut(CASE_WORDS as usize).zip(TABLE.iter()) {
         row[0] = triangles.len() as u32;

@@ -13,12 +13,12 @@ use super::Scratch;
 pub struct Lists<T> {
     /// Position of each list in the file, and its length.
     index: Vec<(u64, usize)>,
-    store: Store<T>,
+    store: ListStore<T>,
     bytes: u64,
 }
 
 #[derive(Debug)]
-enum Store<T> {
+enum ListStore<T> {
     Memory(Vec<Vec<T>>),
     File(Scratch),
 }
@@ -26,7 +26,7 @@ enum Store<T> {
 impl<T: Pod> Lists<T> {
     /// An empty collection.
     pub fn in_memory() -> Self {
-        Self { index: Vec::new(), store: Store::Memory(Vec::new()), bytes: 0 }
+        Self { index: Vec::new(), store: ListStore::Memory(Vec::new()), bytes: 0 }
     }
 
     /// Bytes of all lists, in memory or in the file.
@@ -39,13 +39,13 @@ impl<T: Pod> Lists<T> {
     /// # Errors
     /// If that file cannot be created or written.
     pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
-        let Store::Memory(lists) = &mut self.store else { return Ok(()) };
+        let ListStore::Memory(lists) = &mut self.store else { return Ok(()) };
         let lists = std::mem::take(lists);
         let scratch = Scratch::in_folder(folder)?;
         for ((at, _), list) in self.index.iter_mut().zip(lists) {
             *at = scratch.append(cast_slice(&list))?;
         }
-        self.store = Store::File(scratch);
+        self.store = ListStore::File(scratch);
         Ok(())
     }
 
@@ -57,11 +57,11 @@ impl<T: Pod> Lists<T> {
         let len = list.len();
         self.bytes += size_of_val(&list[..]) as u64;
         let at = match &mut self.store {
-            Store::Memory(lists) => {
+            ListStore::Memory(lists) => {
                 lists.push(list);
                 0
             }
-            Store::File(scratch) => scratch.append(cast_slice(&list))?,
+            ListStore::File(scratch) => scratch.append(cast_slice(&list))?,
         };
         self.index.push((at, len));
         Ok(())
@@ -83,8 +83,8 @@ impl<T: Pod> Lists<T> {
     /// If the scratch file cannot be read.
     pub fn get(&self, i: usize) -> io::Result<Cow<'_, [T]>> {
         match &self.store {
-            Store::Memory(lists) => Ok(Cow::Borrowed(&lists[i])),
-            Store::File(scratch) => {
+            ListStore::Memory(lists) => Ok(Cow::Borrowed(&lists[i])),
+            ListStore::File(scratch) => {
                 let (at, len) = self.index[i];
                 let mut list = vec![T::zeroed(); len];
                 scratch.read_at(at, cast_slice_mut(&mut list))?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::field;
 use meniscus::internals::brick::BrickSide;
-use meniscus::internals::field::distance::{AWAY, BRICK, DEPTHS, Inside};
+use meniscus::internals::field::distance::{AWAY, BRICK, DEPTHS, InsideBricks};
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::Filters;
 use meniscus::internals::frame::{Detail, Engine, Sampling, Surfacing};
@@ -104,7 +104,7 @@ fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Vari
 }
 
 /// The cells that are deep in a frame of clouds.
-fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<Inside> {
+fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<InsideBricks> {
     let (recipe, _) = recipe(frame, surfacing);
     let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };
     distances.inside

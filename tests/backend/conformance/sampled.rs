@@ -2,7 +2,7 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::field;
-use meniscus::internals::field::calibration::{Calibrated, Plateau};
+use meniscus::internals::field::calibration::{MeasuredCalibration, Plateau};
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{Engine, Sampling};
 use meniscus::internals::grid::{BIN, CellBox, Grid};
@@ -33,7 +33,7 @@ pub fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool(place: &Place
         let (frame, pool) = frame(place, indicator);
         let blocks = dif(&frame).dif.regions(0, 0).len();
         assert!(blocks > 64, "all of {blocks} blocks tell the plateau");
-        let (recipe, Calibrated { plateau, .. }) = recipe(&frame, &surfacing());
+        let (recipe, MeasuredCalibration { plateau, .. }) = recipe(&frame, &surfacing());
         let inside = CellBox { lo: IVec3::splat(BIN / 2), hi: pool - BIN / 2 };
         let mut deep = Vec::new();
         for cells in inside.cubes(BIN) {

@@ -9,9 +9,9 @@ use meniscus::internals::brick::{BrickSide, DifField, PageInfo};
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::field::recipe::PaperFilters;
 use meniscus::internals::field::recipe::Recipe;
-use meniscus::internals::frame::estimate::Plan;
+use meniscus::internals::frame::estimate::MemoryPlan;
 use meniscus::internals::frame::{
-    Counted, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
+    CountedFrame, Detail, Engine, FrameError, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::internals::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey, PeriodicMesh};
@@ -19,7 +19,7 @@ use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::spool::Spool;
 use meniscus::internals::surface::mesh::{BlockMesh, Mesh};
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 
@@ -127,7 +127,7 @@ fn surface_of(
     stages.contour(&surfaces, &surfaces.regions(), &meter, &mut push).unwrap();
     assert_eq!(stages.warnings(), [""; 0]);
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
-    Stitched::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()
+    StitchedSurface::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()
 }
 
 pub fn white_noise_over_27_blocks_is_a_closed_oriented_manifold(place: &Place) {
@@ -364,8 +364,8 @@ fn scratch_files_change_no_byte_in_fine_cells() {
     for budget in [1 << 18, 1 << 22].map(MemoryBudget) {
         let resources = Resources { budget, ..whole.resources.clone() };
         let small = Sampling { resources, ..whole.clone() };
-        let plan = Counted::of(&particles[..], &small).unwrap().estimate().plan(budget);
-        assert!(matches!(plan, Plan::OutOfCore(_)), "{budget:?}: nothing is spilled");
+        let plan = CountedFrame::of(&particles[..], &small).unwrap().estimate().plan(budget);
+        assert!(matches!(plan, MemoryPlan::OutOfCore(_)), "{budget:?}: nothing is spilled");
         let (_, surface) = reconstruct(&particles[..], &small, &surfacing);
         assert!(surface.mesh == expected.mesh, "{budget:?}");
     }

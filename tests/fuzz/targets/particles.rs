@@ -5,7 +5,7 @@ use std::path::Path;
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::input::InputFormat;
 use meniscus::internals::io::text_format::TextHint;
-use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
+use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{
     ParticleFile, ReadFault, bgeo, bi4, h5, houdini, json, npy, npz, ply, text_format, vtk, vtp,
 };
@@ -371,7 +371,7 @@ fn run_hdf5(data: &[u8]) {
     let step = u64::from(choice & 3).checked_sub(1);
     let particle_type =
         [None, Some("0"), Some("fluid"), Some("PartType1")][usize::from(choice >> 2 & 3)];
-    let wanted = Wanted { particle_type, ..Wanted::default() };
+    let wanted = WantedParticles { particle_type, ..WantedParticles::default() };
     let read = h5::open_particles(Path::new("nowhere/a_0.hdf5"), own(data), step, wanted, memory());
     read_through(read.map_err(|error| error.fault));
     let _ = (h5::steps(own(data)), h5::has_faces(own(data)));

@@ -5,9 +5,9 @@ use std::fs;
 
 use meniscus::files::FrameFile;
 use meniscus::internals::io::scene::spacing_beside;
-use meniscus::internals::settings::Kept;
+use meniscus::internals::settings::StoredSettings;
 use meniscus::internals::simulation::records::Records;
-use meniscus::internals::simulation::state::Store;
+use meniscus::internals::simulation::state::StateFolder;
 
 use super::{Target, folder};
 
@@ -70,7 +70,7 @@ fn records(data: &[u8]) {
         fs::write(folder.join(log(number)), lines).unwrap();
     }
     let before = Records::read(&folder);
-    let store = Store::beside(&folder::path("out.ply"));
+    let store = StateFolder::beside(&folder::path("out.ply"));
     store.log.merge().unwrap();
     assert!(Records::read(&folder) == before, "records are lost");
     let here = folder::file("mesh.ply", b"mesh");
@@ -87,7 +87,7 @@ fn records(data: &[u8]) {
 /// A state that can be read is unchanged after it is written and read again.
 fn state(data: &[u8]) {
     folder::empty("out.ply.meniscus");
-    let store = Store::beside(&folder::path("out.ply"));
+    let store = StateFolder::beside(&folder::path("out.ply"));
     fs::write(store.state_path(), data).unwrap();
     match store.load() {
         Ok(state) => {
@@ -96,7 +96,7 @@ fn state(data: &[u8]) {
             assert_eq!(store.add(&state).unwrap(), state);
             let again = store.load().unwrap().expect("it is there");
             assert_eq!((again.fingerprint(), &again), (state.fingerprint(), &state));
-            let _ = state.differing(&Kept::new());
+            let _ = state.differing(&StoredSettings::new());
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }

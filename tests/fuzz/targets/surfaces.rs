@@ -10,8 +10,8 @@ use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Tolerance}
 use meniscus::internals::grid::{BIN, CellBox, Grid, PeriodicMesh};
 use meniscus::internals::surface::mesh::BlockMesh;
 use meniscus::internals::surface::mesh::spool::Spool;
-use meniscus::internals::surface::simplify::{Reduction, Room, simplify};
-use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::simplify::{Reduction, TriangleSpace, simplify};
+use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::mesh::{Mesh, MeshSource, check, compare, measure};
 
@@ -56,7 +56,7 @@ fn run(data: &[u8]) {
         smallest_component: (drops & 1 == 1).then_some(4.0),
         smallest_drop: (drops & 2 == 2).then_some(3),
     };
-    let room = Room { bytes: u64::MAX, folder: &std::env::temp_dir() };
+    let room = TriangleSpace { bytes: u64::MAX, folder: &std::env::temp_dir() };
     let simplified = simplify(surface(), &reduction, 1.0, room, &Control::default()).unwrap();
     let mesh = collected(&simplified);
     assert_watertight(&mesh, "simplified");
@@ -77,7 +77,7 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     assert!(mesh.triangles.is_empty() || report.is_closed_oriented_manifold(), "{what}: {report}");
 }
 
-fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> Stitched {
+fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> StitchedSurface {
     let bins = CellBox {
         lo: lowest.div_euclid(IVec3::splat(BIN)),
         hi: (lowest + EDGE - 1).div_euclid(IVec3::splat(BIN)) + 1,
@@ -113,7 +113,7 @@ fn surface_of(lowest: IVec3, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> St
     stages
         .contour(&surfaces, &surfaces.regions(), &control.meter(Stage::Meshing, 1), &mut push)
         .unwrap();
-    Stitched::new(spool, grid, None, iso, Vec::new())
+    StitchedSurface::new(spool, grid, None, iso, Vec::new())
 }
 
 fn collected(source: &dyn MeshSource) -> Mesh {

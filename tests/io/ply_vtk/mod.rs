@@ -8,7 +8,7 @@ mod vtk_particles;
 
 use std::io::{self, Write};
 
-use meniscus::internals::io::bytes::{Bytes, Unpacking, View};
+use meniscus::internals::io::bytes::{ByteView, Bytes, Unpacking};
 use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
 use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::mesh::source::MeshSource;
@@ -21,7 +21,7 @@ use crate::common::particle_files::{attribute, positions};
 struct Format {
     read_particles: fn(Bytes) -> Result<ParticleFile, ReadFault>,
     read_mesh: fn(&[u8]) -> Result<Mesh, ReadFault>,
-    has_faces: fn(View) -> Result<bool, ReadFault>,
+    has_faces: fn(ByteView) -> Result<bool, ReadFault>,
     write_mesh: fn(&mut dyn Write, &dyn MeshSource, CoordinateWidth) -> io::Result<()>,
 }
 

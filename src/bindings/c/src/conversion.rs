@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use meniscus::{Cancel, Event, Summary};
 
-use crate::options::{Asked, MeniscusOptions};
+use crate::options::{MeniscusOptions, RequestParts};
 use crate::sized::{Growing, check, fill};
 use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call};
 use crate::text::{path, pointers};
@@ -218,7 +218,7 @@ pub unsafe extern "C" fn meniscus_convert(
         // SAFETY: as for this function.
         let (inputs, output) = unsafe { (paths(inputs, input_count)?, path(output, "output")?) };
         // SAFETY: as for this function.
-        let asked = unsafe { Asked::for_frames(options) };
+        let asked = unsafe { RequestParts::for_frames(options) };
         if !summary.is_null() {
             // SAFETY: as for this function.
             unsafe { check(summary, "summary") }?;

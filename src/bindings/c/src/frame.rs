@@ -8,8 +8,8 @@ use meniscus::{Frame, Reconstruction, Surface};
 
 use crate::control::free;
 use crate::mesh::MeniscusMesh;
-use crate::options::{Asked, MeniscusOptions, replacing};
-use crate::particles::{Borrowed, MeniscusParticles};
+use crate::options::{MeniscusOptions, RequestParts, replacing};
+use crate::particles::{CallerParticles, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{path, put};
 
@@ -58,10 +58,11 @@ pub unsafe fn making<T>(
 unsafe fn of_particles<T>(
     particles: *const MeniscusParticles,
     options: *const MeniscusOptions,
-    act: impl FnOnce(&Reconstruction, &Borrowed) -> Result<T, meniscus::Error>,
+    act: impl FnOnce(&Reconstruction, &CallerParticles) -> Result<T, meniscus::Error>,
 ) -> Outcome<T> {
     // SAFETY: as for this function.
-    let (particles, asked) = unsafe { (Borrowed::new(particles)?, Asked::new(options)?) };
+    let (particles, asked) =
+        unsafe { (CallerParticles::new(particles)?, RequestParts::new(options)?) };
     let asked = asked.on_machine(|_| Some(particles.bytes()))?;
     let _active = asked.control.activate();
     Ok(act(&asked.request, &particles)?)
@@ -77,7 +78,7 @@ unsafe fn of_file<T>(
     act: impl FnOnce(&Reconstruction, &Path) -> Result<T, meniscus::Error>,
 ) -> Outcome<T> {
     // SAFETY: as for this function.
-    let (file, asked) = unsafe { (path(file, "path")?, Asked::new(options)?) };
+    let (file, asked) = unsafe { (path(file, "path")?, RequestParts::new(options)?) };
     // Errors of the request are reported before a device is opened.
     asked.request.check(&file)?;
     let asked = asked.for_file(&file)?;
@@ -193,7 +194,7 @@ pub unsafe extern "C" fn meniscus_frame_surface(
             return Ok(frame.surface()?);
         }
         // SAFETY: as for this function.
-        let asked = unsafe { Asked::new(options) }?;
+        let asked = unsafe { RequestParts::new(options) }?;
         let _active = asked.control.activate();
         Ok(frame.surface_by(&asked.request)?)
     };

@@ -6,8 +6,8 @@ use parking_lot::Mutex;
 use crate::control::{Control, free};
 use crate::frame::making;
 use crate::mesh::MeniscusMesh;
-use crate::options::{Asked, MeniscusOptions};
-use crate::particles::{Borrowed, MeniscusParticles};
+use crate::options::{MeniscusOptions, RequestParts};
+use crate::particles::{CallerParticles, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, ask};
 
 /// A simulation whose frames come from memory, in order. Freed by meniscus_simulation_free.
@@ -33,7 +33,7 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 ) -> MeniscusStatus {
     let started = || {
         // SAFETY: as for this function.
-        let asked = unsafe { Asked::new(options) }?.on_machine(|_| None)?;
+        let asked = unsafe { RequestParts::new(options) }?.on_machine(|_| None)?;
         Ok(MeniscusSimulation {
             live: Mutex::new(LiveSimulation::new(&asked.request)?),
             control: asked.control,
@@ -62,7 +62,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
         let MeniscusSimulation { live, control } =
             simulation.ok_or_else(|| Failure::request("simulation is NULL"))?;
         // SAFETY: as for this function.
-        let particles = unsafe { Borrowed::new(particles) }?;
+        let particles = unsafe { CallerParticles::new(particles) }?;
         // A callback that requests a frame would wait for itself.
         let Some(mut live) = live.try_lock() else {
             return Err(Failure::request("the simulation is at work on another frame"));

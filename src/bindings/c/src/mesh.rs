@@ -25,19 +25,19 @@ pub struct MeniscusMesh {
     outline: Outline,
     names: Vec<CString>,
     warnings: Vec<CString>,
-    lent: OnceLock<Lent>,
+    lent: OnceLock<MeshInMemory>,
 }
 
 /// The whole mesh in memory.
-struct Lent {
+struct MeshInMemory {
     mesh: Mesh,
     attributes: Vec<MeniscusMeshAttribute>,
 }
 
 // SAFETY: its pointers lead to what it holds itself, and nothing of that changes.
-unsafe impl Send for Lent {}
+unsafe impl Send for MeshInMemory {}
 // SAFETY: as above.
-unsafe impl Sync for Lent {}
+unsafe impl Sync for MeshInMemory {}
 
 /// An attribute of the vertices, lent by the mesh.
 #[repr(C)]
@@ -100,7 +100,7 @@ impl MeniscusMesh {
     }
 
     /// Lends the whole mesh, which the first call makes.
-    fn lent(&self) -> Outcome<&Lent> {
+    fn lent(&self) -> Outcome<&MeshInMemory> {
         if let Some(lent) = self.lent.get() {
             return Ok(lent);
         }
@@ -113,7 +113,7 @@ impl MeniscusMesh {
             };
         let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
         // Another thread may have been faster.
-        Ok(self.lent.get_or_init(|| Lent { mesh, attributes }))
+        Ok(self.lent.get_or_init(|| MeshInMemory { mesh, attributes }))
     }
 
     /// Copies the values of `each` piece into a buffer for `needed` values.
@@ -469,7 +469,7 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
         let mesh = unsafe { of(mesh) }?;
         // SAFETY: as for this function. Refused before a mesh is gathered for nothing.
         unsafe { check(arrays, "arrays") }?;
-        let Lent { mesh, attributes } = mesh.lent()?;
+        let MeshInMemory { mesh, attributes } = mesh.lent()?;
         let lent = MeniscusArrays {
             size: size_of::<MeniscusArrays>(),
             vertex_count: mesh.positions.len() as u64,

@@ -235,7 +235,7 @@ impl MeniscusOptions {
 const LONGEST_VALUE: usize = 100;
 
 /// A request without a backend yet.
-pub struct Asked {
+pub struct RequestParts {
     pub request: Reconstruction,
     pub control: Control,
     pub event: Option<EventListener>,
@@ -245,7 +245,7 @@ pub struct Asked {
     frames: Frames,
 }
 
-impl Asked {
+impl RequestParts {
     /// Reads the options of a call that makes one frame at a time. Options of conversions are
     /// errors.
     ///
@@ -265,7 +265,7 @@ impl Asked {
     /// Reads the options of a conversion.
     ///
     /// # Safety
-    /// As for [`Asked::new`].
+    /// As for [`RequestParts::new`].
     pub unsafe fn for_frames(options: *const MeniscusOptions) -> Self {
         // SAFETY: as for this function.
         let options = unsafe { options.as_ref() }.cloned().unwrap_or_default();
@@ -528,7 +528,7 @@ pub unsafe extern "C" fn meniscus_check_output(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: as for this function.
-        let (path, asked) = unsafe { (self::path(path, "path")?, Asked::new(options)?) };
+        let (path, asked) = unsafe { (self::path(path, "path")?, RequestParts::new(options)?) };
         asked.request.output(&path, replacing(overwrite))?;
         Ok(())
     })

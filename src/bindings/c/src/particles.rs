@@ -203,7 +203,7 @@ impl MeniscusType {
 
 /// The caller's particles, checked as far as possible.
 #[derive(Debug)]
-pub struct Borrowed {
+pub struct CallerParticles {
     count: usize,
     positions: Numbers,
     attributes: Vec<AttributeInfo>,
@@ -211,11 +211,11 @@ pub struct Borrowed {
 }
 
 // SAFETY: the caller has agreed to be read by several threads.
-unsafe impl Sync for Borrowed {}
+unsafe impl Sync for CallerParticles {}
 // SAFETY: as above.
-unsafe impl Send for Borrowed {}
+unsafe impl Send for CallerParticles {}
 
-impl Borrowed {
+impl CallerParticles {
     /// Reads the caller's structure.
     ///
     /// # Safety
@@ -337,7 +337,7 @@ impl Numbers {
     }
 }
 
-impl Particles for Borrowed {
+impl Particles for CallerParticles {
     fn len(&self) -> usize {
         self.count
     }
@@ -415,7 +415,7 @@ mod tests {
         }
     }
 
-    fn read_all(particles: &Borrowed) -> Vec<[f64; 3]> {
+    fn read_all(particles: &CallerParticles) -> Vec<[f64; 3]> {
         let mut all = vec![[0.0; 3]; particles.len()];
         particles.positions(0, &mut all);
         all
@@ -457,7 +457,7 @@ mod tests {
         ];
         for given in all {
             // SAFETY: the arrays are there.
-            let particles = unsafe { Borrowed::new(&raw const given) }.unwrap();
+            let particles = unsafe { CallerParticles::new(&raw const given) }.unwrap();
             assert_eq!(read_all(&particles), expected, "{given:?}");
         }
     }
@@ -476,7 +476,7 @@ mod tests {
             MeniscusParticles { positions: null(), ..given() },
         ] {
             // SAFETY: nothing is read of it.
-            let message = unsafe { Borrowed::new(&raw const given) }.unwrap_err().message;
+            let message = unsafe { CallerParticles::new(&raw const given) }.unwrap_err().message;
             assert!(message.starts_with("particles."), "{message}");
         }
     }

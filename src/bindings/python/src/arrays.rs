@@ -106,12 +106,12 @@ unsafe impl Send for Numbers {}
 unsafe impl Sync for Numbers {}
 
 /// An array that is kept alive, with the address of its numbers.
-pub struct Held<'py> {
+pub struct HeldArray<'py> {
     pub array: Bound<'py, PyUntypedArray>,
     pub numbers: Numbers,
 }
 
-impl Held<'_> {
+impl HeldArray<'_> {
     /// Bytes of all numbers.
     pub fn bytes(&self) -> u64 {
         (self.numbers.rows * self.numbers.columns * self.numbers.kind.bytes()) as u64
@@ -242,7 +242,7 @@ impl Numbers {
 }
 
 /// Reads positions or velocities: an array of N x 3.
-pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
+pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArray<'py>> {
     let held = held(name, object, Types::Floats)?;
     let shape = held.array.shape();
     if shape.len() != 2 || shape[1] != 3 {
@@ -256,7 +256,7 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py
 }
 
 /// Reads one or several values per particle: an array of N, or of N x K, which may have integers.
-pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
+pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArray<'py>> {
     let held = held(name, object, Types::Numbers)?;
     let shape = held.array.shape();
     if !(1..=2).contains(&shape.len()) || held.numbers.columns == 0 {
@@ -269,7 +269,7 @@ pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py
 }
 
 /// Rejects an array whose length differs from the positions'.
-pub fn refuse_length(name: &str, held: &Held<'_>, particles: usize) -> PyResult<()> {
+pub fn refuse_length(name: &str, held: &HeldArray<'_>, particles: usize) -> PyResult<()> {
     if held.numbers.rows == particles {
         return Ok(());
     }
@@ -285,7 +285,7 @@ fn shown(shape: &[usize]) -> String {
     }
 }
 
-fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<Held<'py>> {
+fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<HeldArray<'py>> {
     let array = as_array(name, object)?;
     let dtype = array.dtype();
     let called = || dtype.str().map_or_else(|_| "another".into(), |text| text.to_string());
@@ -325,7 +325,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
     let first = unsafe { (*array.as_array_ptr()).fields.data.cast_const().cast::<u8>() };
     let aligned = array.is_aligned();
     let numbers = Numbers { first, rows, columns, strides: [down, along], kind, aligned };
-    Ok(Held { array, numbers })
+    Ok(HeldArray { array, numbers })
 }
 
 /// The array of an object, or an array that shares its memory, without copying.

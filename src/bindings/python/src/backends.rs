@@ -11,7 +11,7 @@ use meniscus::{Error, MemoryBudget};
 use pyo3::prelude::*;
 
 use crate::errors::{InputError, exception};
-use crate::values::Given;
+use crate::values::Keyword;
 
 /// The CPU or a device, as requested.
 #[derive(Default)]
@@ -34,7 +34,7 @@ type Open = HashMap<(u32, bool, Option<String>), Backend>;
 static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
 
 impl Device {
-    pub fn backend(&mut self, given: &Given<'_, '_>) -> PyResult<()> {
+    pub fn backend(&mut self, given: &Keyword<'_, '_>) -> PyResult<()> {
         let name = given.one_of(&["auto", "cpu", "vulkan"])?;
         self.backend = Some([Name::Auto, Name::Cpu, Name::Vulkan][name]);
         Ok(())

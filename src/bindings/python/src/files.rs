@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 
 use crate::errors::exception;
 use crate::mesh::column;
-use crate::options::{Keywords, Known};
+use crate::options::{KeywordGroup, Keywords};
 use crate::work::Work;
 
 /// The particles of a file, as ``read_particles`` returns them.
@@ -126,7 +126,8 @@ pub fn read_particles(
     path: PathBuf,
     keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<ParticleData> {
-    let keywords = Keywords::of("read_particles", keywords, &[Known::Files, Known::Where])?;
+    let keywords =
+        Keywords::of("read_particles", keywords, &[KeywordGroup::Files, KeywordGroup::Where])?;
     let settings = keywords.request.settings();
     let read = || {
         let file = open_particles(&path, settings)?;

@@ -3,15 +3,15 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use meniscus::Reconstruction;
 use meniscus::files::Replace;
-use meniscus::{Frame as Sampled, Reconstruction};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::other;
 use crate::files::paths;
 use crate::mesh::Mesh;
-use crate::options::{Keywords, Known};
+use crate::options::{KeywordGroup, Keywords};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
@@ -27,7 +27,7 @@ use crate::work::{Work, with_progress};
 /// Those of ``reconstruct``.
 #[pyclass(frozen, module = "meniscus")]
 pub struct Frame {
-    sampled: Arc<Sampled>,
+    sampled: Arc<meniscus::Frame>,
     /// The keywords of the constructor.
     asked: Py<PyDict>,
     named: Option<Vec<String>>,
@@ -45,19 +45,19 @@ impl Frame {
         let all = self.asked.bind(py).copy()?;
         if let Some(keywords) = keywords {
             // First only the allowed keywords, to reject others, then all.
-            Keywords::of(function, Some(keywords), &[Known::Surface])?;
+            Keywords::of(function, Some(keywords), &[KeywordGroup::Surface])?;
             all.update(keywords.as_mapping())?;
         }
         let request = Keywords::of(
             function,
             Some(&all),
             &[
-                Known::Sampling,
-                Known::Where,
-                Known::Surface,
-                Known::Machine,
-                Known::Files,
-                Known::Attributes,
+                KeywordGroup::Sampling,
+                KeywordGroup::Where,
+                KeywordGroup::Surface,
+                KeywordGroup::Machine,
+                KeywordGroup::Files,
+                KeywordGroup::Attributes,
             ],
         )?
         .request;
@@ -98,7 +98,12 @@ impl Frame {
         let keywords = Keywords::of(
             "Frame",
             keywords,
-            &[Known::Sampling, Known::Where, Known::Surface, Known::Machine],
+            &[
+                KeywordGroup::Sampling,
+                KeywordGroup::Where,
+                KeywordGroup::Surface,
+                KeywordGroup::Machine,
+            ],
         )?;
         let arrays = Arrays::take(positions, velocity, attributes)?;
         let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
@@ -157,12 +162,12 @@ impl Frame {
             "load",
             keywords,
             &[
-                Known::Sampling,
-                Known::Where,
-                Known::Surface,
-                Known::Machine,
-                Known::Files,
-                Known::Attributes,
+                KeywordGroup::Sampling,
+                KeywordGroup::Where,
+                KeywordGroup::Surface,
+                KeywordGroup::Machine,
+                KeywordGroup::Files,
+                KeywordGroup::Attributes,
             ],
         )?;
         let request = request.on_machine(None)?;

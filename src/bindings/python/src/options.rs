@@ -9,11 +9,11 @@ use pyo3::types::PyDict;
 use crate::backends::Device;
 use crate::errors::InputError;
 use crate::simulation::SIMULATION;
-use crate::values::Given;
+use crate::values::Keyword;
 
 /// Keywords of a function.
 #[derive(Clone, Copy, PartialEq)]
-pub enum Known {
+pub enum KeywordGroup {
     /// Keywords of the sampling.
     Sampling,
     /// Keywords of a surface, which do not need the particles.
@@ -30,7 +30,7 @@ pub enum Known {
     Simulation,
 }
 
-impl Known {
+impl KeywordGroup {
     fn of(name: &str) -> Option<Self> {
         if MACHINE.contains(&name) {
             return Some(Self::Machine);
@@ -70,7 +70,7 @@ impl Keywords {
     pub fn of(
         function: &str,
         keywords: Option<&Bound<'_, PyDict>>,
-        known: &[Known],
+        known: &[KeywordGroup],
     ) -> PyResult<Self> {
         let memory = default_memory();
         let mut asked = Self { request: Reconstruction::new(), device: Device::default(), memory };
@@ -78,11 +78,11 @@ impl Keywords {
         let (mut spacing, mut cell) = (None, None);
         for (name, value) in keywords.into_iter().flatten() {
             let name: String = name.extract()?;
-            let Some(kind) = Known::of(&name).filter(|kind| known.contains(kind)) else {
+            let Some(kind) = KeywordGroup::of(&name).filter(|kind| known.contains(kind)) else {
                 let what = format!("{function}() got an unexpected keyword argument '{name}'");
                 return Err(PyTypeError::new_err(what));
             };
-            if value.is_none() || kind == Known::Simulation {
+            if value.is_none() || kind == KeywordGroup::Simulation {
                 continue;
             }
             let exclusive = match name.as_str() {
@@ -95,7 +95,7 @@ impl Keywords {
                     "{name}: {before} is given, and both say the same"
                 )));
             }
-            let given = Given { name: &name, value: &value };
+            let given = Keyword { name: &name, value: &value };
             if !settings.set(&name, &given)? {
                 asked.take_of_machine(&given)?;
             }
@@ -105,7 +105,7 @@ impl Keywords {
         Ok(asked)
     }
 
-    fn take_of_machine(&mut self, given: &Given<'_, '_>) -> PyResult<()> {
+    fn take_of_machine(&mut self, given: &Keyword<'_, '_>) -> PyResult<()> {
         let request = std::mem::take(&mut self.request);
         self.request = match given.name {
             "threads" => request.threads(given.whole()?),

@@ -6,17 +6,17 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 
-use crate::arrays::{Held, Numbers, columns, refuse_length, vectors};
+use crate::arrays::{HeldArray, Numbers, columns, refuse_length, vectors};
 
 /// Arrays that are kept alive while they are read.
 pub struct Arrays<'py> {
-    pub positions: Held<'py>,
-    others: Vec<(String, Held<'py>)>,
+    pub positions: HeldArray<'py>,
+    others: Vec<(String, HeldArray<'py>)>,
 }
 
 /// The particles in arrays.
 #[derive(Debug)]
-pub struct Water {
+pub struct ArrayParticles {
     positions: Numbers,
     attributes: Vec<AttributeInfo>,
     values: Vec<Numbers>,
@@ -58,12 +58,12 @@ impl<'py> Arrays<'py> {
     }
 
     /// The particles, which can be read as long as the arrays live.
-    pub fn water(&self) -> Water {
-        let info = |(name, held): &(String, Held<'_>)| {
+    pub fn water(&self) -> ArrayParticles {
+        let info = |(name, held): &(String, HeldArray<'_>)| {
             let info = AttributeInfo::new(name, held.numbers.columns());
             AttributeInfo { kind: held.numbers.meaning(&info), ..info }
         };
-        Water {
+        ArrayParticles {
             positions: self.positions.numbers,
             attributes: self.others.iter().map(info).collect(),
             values: self.others.iter().map(|(_, held)| held.numbers).collect(),
@@ -83,7 +83,7 @@ impl<'py> Arrays<'py> {
     }
 }
 
-impl Particles for Water {
+impl Particles for ArrayParticles {
     fn len(&self) -> usize {
         self.positions.rows()
     }

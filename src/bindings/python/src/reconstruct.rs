@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::mesh::Mesh;
-use crate::options::{Keywords, Known};
+use crate::options::{KeywordGroup, Keywords};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
@@ -118,7 +118,12 @@ pub fn reconstruct(
     let keywords = Keywords::of(
         "reconstruct",
         keywords,
-        &[Known::Sampling, Known::Where, Known::Surface, Known::Machine],
+        &[
+            KeywordGroup::Sampling,
+            KeywordGroup::Where,
+            KeywordGroup::Surface,
+            KeywordGroup::Machine,
+        ],
     )?;
     let arrays = Arrays::take(positions, velocity, attributes)?;
     let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;

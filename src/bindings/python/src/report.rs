@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use meniscus::SpacingSource;
 use meniscus::mesh::{CheckReport, Measures};
-use meniscus::{Report as Found, SpacingSource};
 use pyo3::prelude::*;
 
 /// How a surface was made. Lengths are in the unit of the positions.
@@ -66,8 +66,8 @@ pub struct Report {
     warnings: Vec<String>,
 }
 
-impl From<&Found> for Report {
-    fn from(found: &Found) -> Self {
+impl From<&meniscus::Report> for Report {
+    fn from(found: &meniscus::Report) -> Self {
         let source = found.cells.as_ref().and_then(|cells| cells.spacing.as_ref());
         let census = found.facts.census;
         let mut seconds = BTreeMap::new();

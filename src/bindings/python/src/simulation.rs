@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, TryLockError};
 
 use meniscus::Source;
-use meniscus::{LiveSimulation, Reconstruction, Simulation as Files};
+use meniscus::{LiveSimulation, Reconstruction, Simulation as FileSimulation};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -12,10 +12,10 @@ use pyo3::types::PyDict;
 use crate::errors::{InputError, exception, other, warn};
 use crate::files::paths;
 use crate::mesh::Mesh;
-use crate::options::{Keywords, Known};
+use crate::options::{KeywordGroup, Keywords};
 use crate::particles::Arrays;
 use crate::summary::{Event, Summary};
-use crate::values::Given;
+use crate::values::Keyword;
 use crate::work::{Message, Work, with_progress};
 
 /// The keywords of a conversion.
@@ -93,7 +93,7 @@ pub struct Simulation {
 enum Kind {
     Live(Mutex<LiveSimulation>),
     /// And whether to draw a contact sheet.
-    Files(Box<Files>, bool),
+    Files(Box<FileSimulation>, bool),
 }
 
 impl Simulation {
@@ -132,18 +132,18 @@ impl Simulation {
         let names =
             match keywords.map(|keywords| keywords.get_item("attributes")).transpose()?.flatten() {
                 Some(value) if !value.is_none() => {
-                    Some(Given { name: "attributes", value: &value }.names()?)
+                    Some(Keyword { name: "attributes", value: &value }.names()?)
                 }
                 _ => None,
             };
         let known = &[
-            Known::Sampling,
-            Known::Where,
-            Known::Surface,
-            Known::Machine,
-            Known::Files,
-            Known::Attributes,
-            Known::Simulation,
+            KeywordGroup::Sampling,
+            KeywordGroup::Where,
+            KeywordGroup::Surface,
+            KeywordGroup::Machine,
+            KeywordGroup::Files,
+            KeywordGroup::Attributes,
+            KeywordGroup::Simulation,
         ];
         let asked = Keywords::of("Simulation", keywords, known)?;
         let (Some(inputs), Some(output)) = (inputs, &output) else {
@@ -274,7 +274,7 @@ impl Simulation {
         &self,
         py: Python<'_>,
         progress: Option<&Bound<'_, PyAny>>,
-        act: impl FnOnce(&Files, &dyn Fn(meniscus::Event)) -> Result<T, meniscus::Error> + Send,
+        act: impl FnOnce(&FileSimulation, &dyn Fn(meniscus::Event)) -> Result<T, meniscus::Error> + Send,
     ) -> PyResult<T> {
         let Kind::Files(files, _) = &self.kind else {
             return Err(InputError::new_err(
@@ -313,15 +313,15 @@ fn of_files(
     inputs: Vec<PathBuf>,
     output: PathBuf,
     keywords: Option<&Bound<'_, PyDict>>,
-) -> PyResult<(Files, bool)> {
-    let mut files = Files::of_files(inputs, output);
+) -> PyResult<(FileSimulation, bool)> {
+    let mut files = FileSimulation::of_files(inputs, output);
     let mut preview = false;
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if value.is_none() {
             continue;
         }
-        let given = Given { name: &name, value: &value };
+        let given = Keyword { name: &name, value: &value };
         files = match name.as_str() {
             "start" => files.start(given.frame()?),
             "end" => files.end(given.frame()?),

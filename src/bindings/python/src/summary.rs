@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use meniscus::{Event as ConversionEvent, FrameCounts, Summary as Ended};
+use meniscus::{Event as ConversionEvent, FrameCounts};
 use pyo3::prelude::*;
 
 /// An event of a conversion. ``str(event)`` is a line of text.
@@ -138,8 +138,8 @@ pub struct Summary {
     seconds: f64,
 }
 
-impl From<Ended> for Summary {
-    fn from(ended: Ended) -> Self {
+impl From<meniscus::Summary> for Summary {
+    fn from(ended: meniscus::Summary) -> Self {
         Self {
             complete: ended.is_complete(),
             missing: ended.missing.iter().map(ToString::to_string).collect(),

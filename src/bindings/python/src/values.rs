@@ -11,12 +11,12 @@ use pyo3::types::PyString;
 use crate::errors::InputError;
 
 /// A keyword with its value.
-pub struct Given<'a, 'py> {
+pub struct Keyword<'a, 'py> {
     pub name: &'a str,
     pub value: &'a Bound<'py, PyAny>,
 }
 
-impl<'py> Given<'_, 'py> {
+impl<'py> Keyword<'_, 'py> {
     /// The error for a value of another type.
     fn wants(&self, what: &str) -> PyErr {
         let kind =
@@ -95,7 +95,7 @@ impl<'py> Given<'_, 'py> {
     }
 }
 
-impl Source for Given<'_, '_> {
+impl Source for Keyword<'_, '_> {
     type Error = PyErr;
 
     fn number(&self) -> PyResult<f64> {

@@ -3,12 +3,12 @@
 use hdf5_reader::group::Group;
 
 use crate::io::error::several_steps;
-use crate::io::h5::file::{File, checked, time_of};
-use crate::io::h5::table::{Array, Table};
+use crate::io::h5::file::{H5File, checked, time_of};
+use crate::io::h5::table::{H5Array, H5Table};
 use crate::io::{ReadFault, malformed};
 
 /// The rows of a frame.
-pub(super) struct Frame {
+pub(super) struct FrameRows {
     /// The number of the step, if there are steps.
     pub step: Option<u64>,
     /// The first partition, and the end of the partitions.
@@ -17,9 +17,9 @@ pub(super) struct Frame {
     point: u64,
 }
 
-impl Frame {
-    pub fn of(file: &File, root: &Group, step: Option<u64>) -> Result<Self, ReadFault> {
-        let all = Array::named(root, "NumberOfPoints")?.rows;
+impl FrameRows {
+    pub fn of(file: &H5File, root: &Group, step: Option<u64>) -> Result<Self, ReadFault> {
+        let all = H5Array::named(root, "NumberOfPoints")?.rows;
         let step = match (step, step_count(root)?) {
             (None, None) => return Ok(Self { step: None, parts: [0, all], point: 0 }),
             (None, Some(1)) => 0,
@@ -43,33 +43,33 @@ impl Frame {
     }
 
     /// Numbers of points in the partitions.
-    pub fn points(&self, file: &File, root: &Group) -> Result<Vec<u64>, ReadFault> {
+    pub fn points(&self, file: &H5File, root: &Group) -> Result<Vec<u64>, ReadFault> {
         self.of_parts(file, root, "NumberOfPoints", 0)
     }
 
     /// The entries of a data set for every partition, with `more` additional entries per partition.
     pub fn of_parts(
         &self,
-        file: &File,
+        file: &H5File,
         group: &Group,
         name: &str,
         more: u64,
     ) -> Result<Vec<u64>, ReadFault> {
         let [first, end] = self.parts;
-        let part = Array::named(group, name)?.part(first, end - first + more)?;
+        let part = H5Array::named(group, name)?.part(first, end - first + more)?;
         part.integers(file)?.into_iter().map(|value| count(value, name)).collect()
     }
 
     /// The columns of the points.
-    pub fn table(&self, file: &File, root: &Group) -> Result<Table, ReadFault> {
+    pub fn table(&self, file: &H5File, root: &Group) -> Result<H5Table, ReadFault> {
         let rows = sum(&self.points(file, root)?)?;
-        let mut arrays = vec![Array::named(root, "Points")?.part(self.point, rows)?];
+        let mut arrays = vec![H5Array::named(root, "Points")?.part(self.point, rows)?];
         if let Some(data) = sub_group(root, "PointData")? {
             let offsets = match self.step {
                 None => None,
                 Some(_) => sub_group(&checked(root.group("Steps"))?, "PointDataOffsets")?,
             };
-            for array in Array::all_of(&data)? {
+            for array in H5Array::all_of(&data)? {
                 let first = match (&offsets, self.step) {
                     (Some(offsets), Some(step)) => entry(file, offsets, &array.name, step)?,
                     _ => self.point,
@@ -78,12 +78,12 @@ impl Frame {
             }
         }
         let no_points = || malformed(0, "Points must have three components");
-        Table::of_arrays(arrays, "Points").ok_or_else(no_points)
+        H5Table::of_arrays(arrays, "Points").ok_or_else(no_points)
     }
 
-    pub fn time(&self, file: &File, root: &Group) -> Result<Option<f64>, ReadFault> {
+    pub fn time(&self, file: &H5File, root: &Group) -> Result<Option<f64>, ReadFault> {
         let Some(step) = self.step else { return Ok(time_of(root)) };
-        let values = Array::named(&checked(root.group("Steps"))?, "Values")?.part(step, 1)?;
+        let values = H5Array::named(&checked(root.group("Steps"))?, "Values")?.part(step, 1)?;
         values.check_small(file)?;
         Ok(values.doubles([0, 1])?.first().copied().filter(|time| time.is_finite()))
     }
@@ -100,8 +100,8 @@ pub(super) fn sub_group(root: &Group, name: &str) -> Result<Option<Group>, ReadF
     there.then(|| checked(root.group(name))).transpose()
 }
 
-pub(super) fn integers(file: &File, group: &Group, name: &str) -> Result<Vec<i64>, ReadFault> {
-    Array::named(group, name)?.integers(file)
+pub(super) fn integers(file: &H5File, group: &Group, name: &str) -> Result<Vec<i64>, ReadFault> {
+    H5Array::named(group, name)?.integers(file)
 }
 
 /// Converts a count, which must not be negative.
@@ -110,19 +110,24 @@ pub(super) fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
 }
 
 /// Entry number `index` of a data set of counts.
-pub(super) fn entry(file: &File, group: &Group, name: &str, index: u64) -> Result<u64, ReadFault> {
+pub(super) fn entry(
+    file: &H5File,
+    group: &Group,
+    name: &str,
+    index: u64,
+) -> Result<u64, ReadFault> {
     entries(file, group, name, index, 1).map(|entries| entries[0])
 }
 
 /// The numbers of entry `index` of a data set of counts, at least `least` of them.
 pub(super) fn entries(
-    file: &File,
+    file: &H5File,
     group: &Group,
     name: &str,
     index: u64,
     least: usize,
 ) -> Result<Vec<u64>, ReadFault> {
-    let entries = Array::named(group, name)?.part(index, 1)?.integers(file)?;
+    let entries = H5Array::named(group, name)?.part(index, 1)?.integers(file)?;
     if entries.len() < least {
         return Err(malformed(
             0,
@@ -135,6 +140,6 @@ pub(super) fn entries(
 /// The number of steps; `None` for a file without steps.
 pub(super) fn step_count(root: &Group) -> Result<Option<u64>, ReadFault> {
     let Some(steps) = sub_group(root, "Steps")? else { return Ok(None) };
-    let values = Array::named(&steps, "Values")?;
+    let values = H5Array::named(&steps, "Values")?;
     Ok(Some(values.rows))
 }

@@ -10,16 +10,16 @@ use std::ops::Range;
 use hdf5_reader::group::Group;
 
 use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, append, is_flag};
-use crate::io::h5::file::{File, checked};
-use crate::io::h5::table::{Array, Windows};
+use crate::io::h5::file::{H5File, checked};
+use crate::io::h5::table::{H5Array, RowWindows};
 use crate::io::wanted::GHOSTS;
 use crate::io::{ReadFault, malformed};
 
-use super::frame::{Frame, count, entries, entry, sub_group, sum};
+use super::frame::{FrameRows, count, entries, entry, sub_group, sum};
 
 /// The layout of a data set's cells.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Cells {
+pub(super) enum CellLayout {
     /// In four groups, one per kind: PolyData.
     ByKind,
     /// With an array of types: UnstructuredGrid.
@@ -28,10 +28,10 @@ pub(super) enum Cells {
 
 /// Ranges of the points that are kept; `None` if all are.
 pub(super) fn left(
-    file: &File,
+    file: &H5File,
     root: &Group,
-    frame: &Frame,
-    cells: Cells,
+    frame: &FrameRows,
+    cells: CellLayout,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
     let Some(data) = sub_group(root, "CellData")? else { return Ok(None) };
     let mut flags = Vec::new();
@@ -40,8 +40,8 @@ pub(super) fn left(
         flags.extend(array.filter(|array| is_flag(name, array.components, array.scalar)));
     }
     let (group, lines) = match cells {
-        Cells::ByKind => (sub_group(root, "Vertices")?, sub_group(root, "Lines")?),
-        Cells::Typed => (Some(root.clone()), None),
+        CellLayout::ByKind => (sub_group(root, "Vertices")?, sub_group(root, "Lines")?),
+        CellLayout::Typed => (Some(root.clone()), None),
     };
     let (Some(group), false) = (group, flags.is_empty()) else { return Ok(None) };
     let counts = [found(&group, "NumberOfCells")?, found(&group, "NumberOfConnectivityIds")?];
@@ -71,22 +71,22 @@ pub(super) fn left(
         return Err(ReadFault::Compression(what));
     }
 
-    let first = First::of(file, root, frame, cells)?;
+    let first = FirstCells::of(file, root, frame, cells)?;
     let end = first.cell.saturating_add(first.parts_before(file, &group, frame, cells)?);
-    let types = if cells == Cells::Typed { found(&group, "Types")? } else { None };
+    let types = if cells == CellLayout::Typed { found(&group, "Types")? } else { None };
     let mut arrays = Arrays {
-        ends: Numbers::new(ends, end)?,
-        types: types.map(|types| Numbers::new(types, first.cell)).transpose()?,
-        corners: Numbers::new(corners, first.corner)?,
+        ends: NumberReader::new(ends, end)?,
+        types: types.map(|types| NumberReader::new(types, first.cell)).transpose()?,
+        corners: NumberReader::new(corners, first.corner)?,
         flags: Vec::new(),
     };
     for array in flags {
         let row = first.row_of_data(file, root, frame, &array.name)?;
-        arrays.flags.push(Numbers::new(array, row)?);
+        arrays.flags.push(NumberReader::new(array, row)?);
     }
     let (mut left, mut base) = (Vec::new(), 0);
     for (index, &points) in points.iter().enumerate() {
-        let part = Part {
+        let part = PartitionCounts {
             points: points as usize,
             vertices: vertices[index],
             ids: ids[index],
@@ -102,8 +102,10 @@ pub(super) fn left(
         }
         base += part.points;
     }
-    let all_taken = |flags: &&Numbers| frame.step.is_some() || flags.at == flags.array.rows;
-    if let Some(Numbers { array, at, .. }) = arrays.flags.iter().find(|flags| !all_taken(flags)) {
+    let all_taken = |flags: &&NumberReader| frame.step.is_some() || flags.at == flags.array.rows;
+    if let Some(NumberReader { array, at, .. }) =
+        arrays.flags.iter().find(|flags| !all_taken(flags))
+    {
         let what = format!("array {} must have one number for each of {at} cells", array.name);
         return Err(malformed(0, what));
     }
@@ -111,12 +113,12 @@ pub(super) fn left(
 }
 
 /// The array of a group with this name, if it exists and has one number per row.
-fn found(group: &Group, name: &str) -> Result<Option<Array>, ReadFault> {
+fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
     let (_, sets) = checked(group.member_names())?;
     if !sets.iter().any(|set| set == name) {
         return Ok(None);
     }
-    Ok(Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
+    Ok(H5Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
 }
 
 /// Adds the partition to a fault.
@@ -130,18 +132,23 @@ fn in_part(part: u64, fault: ReadFault) -> ReadFault {
 }
 
 /// The first cells of a frame.
-struct First {
+struct FirstCells {
     cell: u64,
     corner: u64,
     /// Row of their data in arrays without their own offset.
     data: u64,
 }
 
-impl First {
-    fn of(file: &File, root: &Group, frame: &Frame, cells: Cells) -> Result<Self, ReadFault> {
+impl FirstCells {
+    fn of(
+        file: &H5File,
+        root: &Group,
+        frame: &FrameRows,
+        cells: CellLayout,
+    ) -> Result<Self, ReadFault> {
         let Some(step) = frame.step else { return Ok(Self { cell: 0, corner: 0, data: 0 }) };
         let steps = checked(root.group("Steps"))?;
-        let kinds = if cells == Cells::ByKind { 4 } else { 1 };
+        let kinds = if cells == CellLayout::ByKind { 4 } else { 1 };
         let of_kinds = |name: &str| entries(file, &steps, name, step, kinds);
         let (cells, corners) = (of_kinds("CellOffsets")?, of_kinds("ConnectivityIdOffsets")?);
         Ok(Self { cell: cells[0], corner: corners[0], data: sum(&cells[..kinds])? })
@@ -150,16 +157,16 @@ impl First {
     /// Partitions of earlier frames with entries in `Offsets`.
     fn parts_before(
         &self,
-        file: &File,
+        file: &H5File,
         group: &Group,
-        frame: &Frame,
-        cells: Cells,
+        frame: &FrameRows,
+        cells: CellLayout,
     ) -> Result<u64, ReadFault> {
         let first = frame.parts[0];
-        if cells == Cells::Typed || first == 0 {
+        if cells == CellLayout::Typed || first == 0 {
             return Ok(first);
         }
-        let before = Array::named(group, "NumberOfCells")?.part(0, first)?.integers(file)?;
+        let before = H5Array::named(group, "NumberOfCells")?.part(0, first)?.integers(file)?;
         let before = before.into_iter().map(|cells| count(cells, "NumberOfCells"));
         let before = before.collect::<Result<Vec<_>, _>>()?;
         if sum(&before)? == self.cell {
@@ -178,9 +185,9 @@ impl First {
     /// Row of the first cell's data in an array with this name.
     fn row_of_data(
         &self,
-        file: &File,
+        file: &H5File,
         root: &Group,
-        frame: &Frame,
+        frame: &FrameRows,
         name: &str,
     ) -> Result<u64, ReadFault> {
         let Some(step) = frame.step else { return Ok(0) };
@@ -196,7 +203,7 @@ impl First {
 }
 
 /// The counts of a partition.
-struct Part {
+struct PartitionCounts {
     points: usize,
     vertices: u64,
     /// Number of points in the connectivity.
@@ -207,16 +214,16 @@ struct Part {
 
 /// The arrays of cells, at the next partition.
 struct Arrays {
-    ends: Numbers,
-    types: Option<Numbers>,
-    corners: Numbers,
-    flags: Vec<Numbers>,
+    ends: NumberReader,
+    types: Option<NumberReader>,
+    corners: NumberReader,
+    flags: Vec<NumberReader>,
 }
 
 impl Arrays {
     /// Ranges of the points of the next partition that are kept; `None` if all are.
-    fn left(&mut self, part: &Part) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-        let &Part { points, vertices: cells, ids, others } = part;
+    fn left(&mut self, part: &PartitionCounts) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+        let &PartitionCounts { points, vertices: cells, ids, others } = part;
         let mut all_vertices = cells > 0 && others == 0;
         if all_vertices {
             self.ends.each(cells + 1, |index, end| all_vertices &= end == index as i64)?;
@@ -250,9 +257,9 @@ impl Arrays {
 }
 
 /// Reads the numbers of an array sequentially, with one window in memory.
-struct Numbers {
-    array: Array,
-    windows: Windows,
+struct NumberReader {
+    array: H5Array,
+    windows: RowWindows,
     /// The next row.
     at: u64,
     /// Rows in memory, and their numbers.
@@ -260,9 +267,9 @@ struct Numbers {
     numbers: Vec<i64>,
 }
 
-impl Numbers {
+impl NumberReader {
     /// Starts at row `first`.
-    fn new(array: Array, first: u64) -> Result<Self, ReadFault> {
+    fn new(array: H5Array, first: u64) -> Result<Self, ReadFault> {
         let first = first.min(array.rows);
         let rows = array.rows - first;
         let array = array.part(first, rows)?;
@@ -275,7 +282,7 @@ impl Numbers {
 
     /// Passes on `rows` numbers, each with its index.
     fn each(&mut self, rows: u64, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
-        let Array { name, rows: all, .. } = &self.array;
+        let H5Array { name, rows: all, .. } = &self.array;
         let end = self.at.saturating_add(rows);
         if end > *all {
             let left = all.saturating_sub(self.at);

@@ -14,17 +14,17 @@ use crate::io::{ParticleFile, ReadFault, malformed, vtp};
 use crate::particles::Particles;
 use crate::surface::mesh::Mesh;
 
-use super::file::{File, checked};
+use super::file::{H5File, checked};
 
-use frame::{Frame, count, integers, step_count, sub_group, sum};
-use ghosts::Cells;
+use frame::{FrameRows, count, integers, step_count, sub_group, sum};
+use ghosts::CellLayout;
 
 /// Name of the group with all data.
 pub const ROOT: &str = "VTKHDF";
 const POLY_DATA: &str = "PolyData";
 
 /// The group with all data, and the type of its data set.
-fn opened(file: &File) -> Result<(Group, String), ReadFault> {
+fn opened(file: &H5File) -> Result<(Group, String), ReadFault> {
     let root = file.group(ROOT)?;
     let kind = checked(root.attribute("Type").and_then(|kind| kind.read_string()))?;
     match kind.as_str() {
@@ -37,7 +37,7 @@ fn opened(file: &File) -> Result<(Group, String), ReadFault> {
 }
 
 /// The numbers of the steps; empty for a file with a single frame.
-pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
+pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     let (root, _) = opened(file)?;
     let steps = step_count(&root)?.unwrap_or(0);
     if steps.saturating_mul(8) > file.limit {
@@ -51,7 +51,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
 /// Reads the points as particles, if there are no faces. Points whose vertices are all flagged as
 /// copies or as hidden are left out.
 pub fn read_particles(
-    file: File,
+    file: H5File,
     step: Option<u64>,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
@@ -60,12 +60,12 @@ pub fn read_particles(
     if faces > 0 {
         return Err(ReadFault::Mesh { faces });
     }
-    let frame = Frame::of(&file, &root, step)?;
+    let frame = FrameRows::of(&file, &root, step)?;
     let time = frame.time(&file, &root)?;
     let table = frame.table(&file, &root)?;
     let (cells, format) = match kind == POLY_DATA {
-        true => (Cells::ByKind, "VTKHDF PolyData"),
-        false => (Cells::Typed, "VTKHDF UnstructuredGrid"),
+        true => (CellLayout::ByKind, "VTKHDF PolyData"),
+        false => (CellLayout::Typed, "VTKHDF UnstructuredGrid"),
     };
     let left = ghosts::left(&file, &root, &frame, cells)?;
     drop(root);
@@ -73,7 +73,7 @@ pub fn read_particles(
 }
 
 /// Number of polygons and strips of all partitions and steps.
-fn faces(file: &File, root: &Group) -> Result<u64, ReadFault> {
+fn faces(file: &H5File, root: &Group) -> Result<u64, ReadFault> {
     let mut faces = 0;
     for cells in ["Polygons", "Strips"] {
         let Some(group) = sub_group(root, cells)? else { continue };
@@ -85,7 +85,7 @@ fn faces(file: &File, root: &Group) -> Result<u64, ReadFault> {
 }
 
 /// Whether there are polygons or strips, or no data at all.
-pub fn has_faces(file: &File) -> Result<bool, ReadFault> {
+pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
     let (root, kind) = opened(file)?;
     if kind != POLY_DATA {
         return Ok(false);
@@ -97,12 +97,12 @@ pub fn has_faces(file: &File) -> Result<bool, ReadFault> {
 }
 
 /// Reads the polygons of all partitions.
-pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
+pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
     let (root, kind) = opened(&file)?;
     if kind != POLY_DATA {
         return Err(ReadFault::Unsupported(format!("an {kind}; meshes must be {POLY_DATA}")));
     }
-    let frame = Frame::of(&file, &root, None)?;
+    let frame = FrameRows::of(&file, &root, None)?;
     if frame.step.is_some() {
         return Err(ReadFault::Unsupported(
             "several time steps; a mesh must be a single frame".to_owned(),
@@ -130,8 +130,8 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
 
 /// Adds the polygons of all partitions. In each, corners are numbered from its first point.
 fn add_polygons(
-    file: &File,
-    frame: &Frame,
+    file: &H5File,
+    frame: &FrameRows,
     polygons: &Group,
     points: &[u64],
     triangles: &mut Triangles,

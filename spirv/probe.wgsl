@@ -1,38 +1,38 @@
 //! with block
-// What can be seen of the wide cells around each region: whether any are inside and any are not, and the box around those near which
+// Probes the wide cells around each region: whether any is inside, whether any is outside, and the box around the cells near which
 // particles stand out.
 
-struct Look {
-    // The lowest of its wide cells, and the number of the block that they lie in.
+struct RegionProbe {
+    // The region's lowest wide cell, and the number of the block that contains its cells.
     lo: vec3<i32>,
     block: u32,
-    // How many there are along each axis.
+    // The number of wide cells along each axis.
     size: vec3<u32>,
     spare: u32,
 }
 
-struct Seen {
-    // Whether any sample is above the threshold, and any not.
+struct ProbeResult {
+    // Whether any sample is above the threshold, and whether any is not.
     above: u32,
     below: u32,
-    // From the lowest wide cell of the region on; `lo` is greater than `hi` where there is none.
+    // Relative to the region's lowest wide cell; `lo` is greater than `hi` if no particle stands out.
     lo: array<u32, 3>,
     hi: array<u32, 3>,
 }
 
-struct LookPush {
-    // Of the field, above which is the inside.
+struct ProbePush {
+    // Samples of the field above this threshold are inside.
     threshold: u32,
-    // From which sample on particles stand out.
+    // Particles stand out where the outlying sample exceeds this.
     begin: u32,
 }
 
-var<immediate> push: LookPush;
+var<immediate> push: ProbePush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
-@group(0) @binding(1) var<storage, read> looks: array<Look>;
+@group(0) @binding(1) var<storage, read> probes: array<RegionProbe>;
 @group(0) @binding(2) var<storage, read> bulk: array<u32>;
 @group(0) @binding(3) var<storage, read> outlying: array<u32>;
-@group(0) @binding(4) var<storage, read_write> seen: array<Seen>;
+@group(0) @binding(4) var<storage, read_write> results: array<ProbeResult>;
 
 var<workgroup> above: atomic<u32>;
 var<workgroup> below: atomic<u32>;
@@ -40,7 +40,7 @@ var<workgroup> lowest: array<atomic<u32>, 3>;
 var<workgroup> highest: array<atomic<u32>, 3>;
 
 @compute @workgroup_size(256)
-fn look(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+fn probe(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
     if local.x < 3u {
         atomicStore(&lowest[local.x], 0xffffffffu);
         atomicStore(&highest[local.x], 0u);
@@ -50,12 +50,12 @@ fn look(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) l
         atomicStore(&below, 0u);
     }
     workgroupBarrier();
-    let region = looks[group.y];
+    let region = probes[group.y];
     let block = blocks[region.block];
     let first = vec3<u32>(region.lo - block.lo);
     var any_above = false;
     var any_below = false;
-    // A row along x at a time.
+    // One row along x per iteration.
     for (var row = local.x; row < region.size.y * region.size.z; row += 256u) {
         let at = vec3(0u, row % region.size.y, row / region.size.y);
         let begin = word_of(block, vec3(0u, first.yz + at.yz));
@@ -81,11 +81,11 @@ fn look(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) l
     }
     workgroupBarrier();
     if local.x == 0u {
-        seen[group.y].above = atomicLoad(&above);
-        seen[group.y].below = atomicLoad(&below);
+        results[group.y].above = atomicLoad(&above);
+        results[group.y].below = atomicLoad(&below);
     }
     if local.x < 3u {
-        seen[group.y].lo[local.x] = atomicLoad(&lowest[local.x]);
-        seen[group.y].hi[local.x] = atomicLoad(&highest[local.x]);
+        results[group.y].lo[local.x] = atomicLoad(&lowest[local.x]);
+        results[group.y].hi[local.x] = atomicLoad(&highest[local.x]);
     }
 }

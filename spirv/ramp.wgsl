@@ -1,0 +1,13 @@
+// The ramp at a value: from 0 to 4096, as 3 x^2 - 2 x^3 rises from 0 to 1.
+
+struct Ramp {
+    begin: u32,
+    range: u32,
+    // 2^28 over the range, rounded up.
+    slope: u32,
+}
+
+fn ramp_at(value: u32, ramp: Ramp) -> u32 {
+    let x = (min(max(value, ramp.begin) - ramp.begin, ramp.range) * ramp.slope) >> 16u;
+    return (((x * x) >> 8u) * (12288u - 2u * x)) >> 16u;
+}
