@@ -3,7 +3,7 @@
 use glam::IVec3;
 
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles, WithImages};
-use crate::frame::estimate::{BLOCKS_A_THREAD, MemoryEstimate, OverBudget, SMALLEST_BUDGET};
+use crate::frame::estimate::{MemoryEstimate, OverBudget, SMALLEST_BUDGET};
 use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{BLOCK, CellBox, Grid, MortonKey};
 use crate::particles::{MeteredParticles, Particles};
@@ -204,17 +204,16 @@ impl Sampling {
     }
 }
 
-/// Refuses attributes of which the blocks that are meshed at once take more than the budget, even if
-/// the surface passes through each of them as a plane.
+/// Refuses attributes that exceed the budget even for a single block through which the surface
+/// passes as a plane: its values, and their copy on the way to a scratch file.
 fn refuse_wide_attributes(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
 ) -> Result<(), FrameError> {
     let attributes = particles.attributes();
     let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
-    let blocks = BLOCKS_A_THREAD * rayon::current_num_threads();
-    let vertices = blocks as u64 * (BLOCK as u64).pow(2);
-    let needed = vertices.saturating_mul(components as u64 * size_of::<f32>() as u64);
+    let values = 2 * (BLOCK as u64).pow(2);
+    let needed = values.saturating_mul(components as u64 * size_of::<f32>() as u64);
     let budget = sampling.resources.budget.max(SMALLEST_BUDGET).0;
     if needed > budget {
         return Err(FrameError::WideAttributes { components, needed, budget });

@@ -24,6 +24,8 @@ const PROGRAM: u64 = 8 << 20;
 const THREAD: u64 = 3 << 18;
 /// Blocks that each thread meshes before their surfaces go to the others, at the least.
 pub const BLOCKS_A_THREAD: usize = 2;
+/// Bytes of the blocks to which wide attributes are carried at once, unless one block takes more.
+pub const CARRIED_BYTES: u64 = 8 << 20;
 
 /// The smallest budget that is worth a try.
 pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
@@ -145,8 +147,13 @@ impl Drawing {
         let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
         let carrying = cells(self.carried_halo) * carried.max().unwrap_or(0);
         let blocks = threads * BLOCKS_A_THREAD as u64;
+        let meshed = |blocks, vertex_bytes| blocks_bytes(blocks, vertices_of(blocks), vertex_bytes);
+        let whole = meshed(blocks, self.vertex_bytes());
+        let in_groups = meshed(blocks, vertex_bytes(self.normals, &[]))
+            + 2 * meshed(1, self.vertex_bytes()).max(CARRIED_BYTES);
+        let is_wide = self.components.iter().sum::<usize>() > attribute::AT_ONCE;
         let meshing = threads * carrying.max(self.block_bytes)
-            + blocks_bytes(blocks, vertices_of(blocks), self.vertex_bytes());
+            + if is_wide { in_groups.min(whole) } else { whole };
         meshing.max(writing_bytes(threads, vertices_of(threads)))
     }
 }

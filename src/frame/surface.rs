@@ -13,11 +13,11 @@ use crate::field::blur::Smoothing;
 use crate::field::calibration::{CALIBRATING, MeasuredCalibration};
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
-use crate::frame::estimate::BLOCKS_A_THREAD;
+use crate::frame::estimate::{BLOCKS_A_THREAD, CARRIED_BYTES};
 use crate::grid::stretch::Stretch;
 use crate::grid::{BLOCK, CellBox, Domain, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
-use crate::surface::attribute::{nearest_values, vertex_values};
+use crate::surface::attribute::{self, nearest_values, vertex_values};
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, blocks_bytes};
@@ -177,6 +177,10 @@ impl<'a> CalibratedFrame<'a> {
     /// that; there is always room for some a thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
+        // Wide attributes dwarf the mesh, so that only some of the blocks meshed together carry
+        // theirs together.
+        let wide = spool.components().iter().sum::<usize>() > attribute::AT_ONCE;
+        let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
         // Any of them may be full of spray.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
@@ -188,7 +192,10 @@ impl<'a> CalibratedFrame<'a> {
             let left = share.saturating_sub(spool.bytes_in_memory());
             let fitting = usize::try_from(left / block).unwrap_or(usize::MAX);
             let (batch, later) = regions.split_at(fitting.max(least).min(regions.len()));
-            (self.drawn.contour)(batch, &meter, &|block| self.carry(block), &mut |blocks| {
+            (self.drawn.contour)(batch, &meter, &finish, &mut |blocks| {
+                if wide {
+                    return self.carry_in_groups(blocks, spool);
+                }
                 blocks.into_iter().try_for_each(|block| spool.push(block))
             })
             .map_err(&in_scratch)?;
@@ -197,6 +204,26 @@ impl<'a> CalibratedFrame<'a> {
                 spool.move_to_file(&self.resources.scratch).map_err(&in_scratch)?;
             }
             regions = later;
+        }
+        Ok(())
+    }
+
+    /// Carries the attributes of as many blocks at a time as fit into [`CARRIED_BYTES`], and adds
+    /// them to `spool`, which moves to a scratch file once it exceeds its share of memory.
+    fn carry_in_groups(&self, mut blocks: Vec<BlockMesh>, spool: &mut Spool) -> io::Result<()> {
+        while !blocks.is_empty() {
+            let mut bytes = 0;
+            let fitting = blocks.iter().take_while(|block| {
+                bytes += block.ends.len() as u64 * spool.vertex_bytes();
+                bytes <= CARRIED_BYTES
+            });
+            let later = blocks.split_off(fitting.count().max(1));
+            blocks.par_iter_mut().try_for_each(|block| self.carry(block))?;
+            blocks.into_iter().try_for_each(|block| spool.push(block))?;
+            if spool.bytes_in_memory() > self.surface_share {
+                spool.move_to_file(&self.resources.scratch)?;
+            }
+            blocks = later;
         }
         Ok(())
     }

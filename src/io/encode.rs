@@ -8,6 +8,9 @@ use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::CoordinateWidth;
 
+/// Components of all attributes of a vertex together, above which its piece is large.
+const WIDE: usize = 64;
+
 /// Writes the output of `encode` for pieces 0 to `pieces`, in order.
 ///
 /// While this thread writes one batch of pieces, the pool encodes the next. Each batch has at most
@@ -20,7 +23,22 @@ pub fn write_pieces(
     pieces: usize,
     encode: impl Fn(usize, &mut Vec<u8>) -> io::Result<()> + Sync,
 ) -> io::Result<()> {
-    in_order(pieces, encode, |bytes| out.write_all(bytes))
+    write_batches(out, pieces, pieces_at_once(), encode)
+}
+
+/// Like [`write_pieces`], with at most `batch` pieces in a batch.
+fn write_batches(
+    out: &mut dyn Write,
+    pieces: usize,
+    batch: usize,
+    encode: impl Fn(usize, &mut Vec<u8>) -> io::Result<()> + Sync,
+) -> io::Result<()> {
+    in_batches(pieces, batch, encode, |bytes| out.write_all(bytes))
+}
+
+/// Pieces in a batch: enough to keep all threads busy.
+fn pieces_at_once() -> usize {
+    2 * rayon::current_num_threads()
 }
 
 /// Like [`write_pieces`], for any type that `make` appends to a buffer and `take` consumes in
@@ -28,9 +46,18 @@ pub fn write_pieces(
 pub(super) fn in_order<T: Send>(
     pieces: usize,
     make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
+    take: impl FnMut(&[T]) -> io::Result<()>,
+) -> io::Result<()> {
+    in_batches(pieces, pieces_at_once(), make, take)
+}
+
+fn in_batches<T: Send>(
+    pieces: usize,
+    batch: usize,
+    make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
     mut take: impl FnMut(&[T]) -> io::Result<()>,
 ) -> io::Result<()> {
-    let batch = (2 * rayon::current_num_threads()).min(pieces);
+    let batch = batch.min(pieces);
     let buffers = || -> Vec<_> { (0..batch).map(|_| (Vec::new(), Ok(()))).collect() };
     let (mut ready, mut next) = (buffers(), buffers());
     let mut made = 0;
@@ -87,8 +114,11 @@ pub(super) fn write_vertices(
     encode: impl Fn(&Vertices, &mut Vec<u8>) + Sync,
 ) -> io::Result<()> {
     let attributes = mesh.attributes();
+    let components: usize = attributes.iter().map(|info| info.components).sum();
+    // A piece with wide attributes is large, so that only one is encoded at a time.
+    let batch = if components > WIDE { 1 } else { pieces_at_once() };
     let count = AtomicU64::new(0);
-    write_pieces(out, mesh.pieces(), |piece, out| {
+    write_batches(out, mesh.pieces(), batch, |piece, out| {
         let vertices = mesh.vertices(piece)?;
         let len = vertices.positions.len();
         let normals = if mesh.has_normals() { len } else { 0 };
@@ -132,7 +162,9 @@ pub(super) fn write_floats(
     values: impl for<'a> Fn(&'a Vertices) -> &'a [f32] + Sync,
 ) -> io::Result<()> {
     write_vertices(out, mesh, |vertices, out| {
-        values(vertices).iter().for_each(|value| out.extend(value.to_le_bytes()));
+        let values = values(vertices);
+        out.reserve_exact(size_of_val(values));
+        values.iter().for_each(|value| out.extend(value.to_le_bytes()));
     })
 }
 

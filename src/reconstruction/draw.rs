@@ -2,7 +2,7 @@
 //! warnings.
 
 use crate::error::Error;
-use crate::field::calibration::Calibration;
+use crate::field::calibration::{Calibration, MeasuredCalibration};
 use crate::frame::{Engine, FrameError, Normals, Shortfall};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
@@ -22,6 +22,17 @@ pub(crate) struct DrawnSurface {
     pub(crate) mesh: DrawnMesh,
     pub(crate) precision: SinglePrecision,
     pub(crate) report: Report,
+}
+
+/// Measurements on a whole surface and its frame.
+pub(crate) struct Findings {
+    /// The calibration of the surface, given or measured.
+    pub(crate) calibration: Option<Calibration>,
+    /// The measurements behind the calibration; `None` if it was given.
+    pub(crate) measured: Option<MeasuredCalibration>,
+    /// Lower bound of the number of particles that are missing from the surface.
+    pub(crate) lost: u64,
+    pub(crate) shortfall: Option<Shortfall>,
 }
 
 /// A mesh in memory, or in scratch files if it exceeds its share of the memory.
@@ -129,32 +140,35 @@ impl CheckedRequest {
             let calibrated = engine.calibrate_for(&self.surfacing, known, control, timings)?;
             let measured = calibrated.measured();
             let surface = calibrated.surface(timings)?;
+            let found = Findings {
+                calibration: known.copied().or(measured.map(|measured| measured.calibration)),
+                measured,
+                lost: engine.lost(&surface)?,
+                shortfall: engine.shortfall(&surface)?,
+            };
             let mut report = Report::of(engine, &self.surfacing);
-            report.measured = measured;
-            let by = known.copied().or(measured.map(|measured| measured.calibration));
-            report.calibration = by.filter(|_| report.indicator.is_some());
             report.on_device = engine.on_device();
-            report.lost = engine.lost(&surface)?;
-            self.judge(&mut report, &surface, engine.shortfall(&surface)?);
+            self.add_findings(&mut report, &surface, found);
             Ok((surface, report))
         })
     }
 
-    /// Adds warnings about a surface to its report, which already has the number of missing
-    /// particles.
-    pub(super) fn judge(
+    /// Adds the findings about a surface to its report, with the warnings that follow from them.
+    pub(super) fn add_findings(
         &self,
         report: &mut Report,
         surface: &StitchedSurface,
-        shortfall: Option<Shortfall>,
+        found: Findings,
     ) {
-        let bubbles =
-            report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
+        let Findings { calibration, measured, lost, shortfall } = found;
+        report.calibration = calibration.filter(|_| report.indicator.is_some());
+        (report.measured, report.lost) = (measured, lost);
+        let bubbles = measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
         report.warnings.extend(bubbles);
         report.warnings.extend(self.solid_warnings(&report.facts));
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
-        report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));
+        report.warnings.extend(lost_warning(lost, report.facts.census.binned, smoothed));
         let warning = |shortfall| Warning::Shortfall { shortfall, clouds, calibration_frame: None };
         report.warnings.extend(shortfall.map(warning));
         report.whole_triangles = surface.triangle_count();

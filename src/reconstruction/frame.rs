@@ -1,6 +1,5 @@
 //! A sampled frame, which can be packed, and meshed repeatedly with different settings.
 
-use std::mem::take;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -163,10 +162,8 @@ impl Frame {
             None => error,
         })?;
         let report = &mut drawn.report;
-        (report.cells, report.moved, report.timings) =
-            (self.sampled.cells.clone(), self.sampled.moved, timings);
-        report.warnings = with_spacing_warnings(report.cells.as_ref(), take(&mut report.warnings));
-        report.threads = threads.current_num_threads();
+        report.add_cells(self.sampled.cells.clone(), self.sampled.moved);
+        (report.timings, report.threads) = (timings, threads.current_num_threads());
         Ok(Surface::new(drawn, checked, threads, self.up))
     }
 

@@ -1,5 +1,7 @@
 //! A report on a surface: how it was sampled, measured and reduced.
 
+use std::mem::take;
+
 use crate::backend::Work;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibration, MeasuredCalibration};
@@ -9,7 +11,7 @@ use crate::surface::simplify::TooSmall;
 use crate::system::timings::Timings;
 
 use super::Cells;
-use super::warning::{Warning, of_frame};
+use super::warning::{Warning, of_frame, with_spacing_warnings};
 
 /// A report on a surface: how it was sampled, measured and reduced.
 #[derive(Debug, Clone)]
@@ -94,6 +96,12 @@ impl Report {
             timings: Timings::default(),
             facts,
         }
+    }
+
+    /// Adds the chosen cells, with the warnings about their spacing.
+    pub(crate) fn add_cells(&mut self, cells: Option<Cells>, moved: bool) {
+        self.warnings = with_spacing_warnings(cells.as_ref(), take(&mut self.warnings));
+        (self.cells, self.moved) = (cells, moved);
     }
 
     /// Whether clouds make the field.

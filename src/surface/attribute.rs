@@ -24,7 +24,7 @@ use crate::surface::mesh::BlockMesh;
 
 /// Number of components that are smoothed together: enough for common attributes, and few enough
 /// for the memory of a thread.
-const AT_ONCE: usize = 16;
+pub const AT_ONCE: usize = 16;
 
 /// Bytes per cell while an attribute with `components` is smoothed: sums of several components and
 /// of the particles, in two fields.

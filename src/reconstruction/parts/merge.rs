@@ -5,10 +5,10 @@ use crate::error::{Error, PartsError};
 use crate::frame::{FrameError, OccupiedTiles, Sampling, Shortfall, simplified};
 use crate::grid::units::Isovalue;
 use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
-use crate::reconstruction::draw::DrawnSurface;
+use crate::reconstruction::draw::{DrawnSurface, Findings};
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
-use crate::reconstruction::warning::{of_particles, with_spacing_warnings};
+use crate::reconstruction::warning::of_particles;
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
 use crate::surface::stitch::StitchedSurface;
@@ -123,17 +123,12 @@ fn drawn(
     let in_scratch =
         |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
 
-    report.cells = Some(plan.cells.clone());
-    report.moved = plan.moved;
-    report.calibration = plan.calibration;
-    report.measured = plan.calibrated();
     let crowding = report.facts.spacing_cells().map(|spacing| occupied.crowding(spacing));
     let lacking = plan.attributes.iter().zip(lacking).filter(|&(_, without)| without > 0);
     let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
-    let warnings =
+    report.warnings =
         of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
-    report.warnings = with_spacing_warnings(report.cells.as_ref(), warnings);
-    report.lost = occupied.lost(&surface).map_err(in_scratch)?;
+    let lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();
     let shortfall = spacing
@@ -141,7 +136,14 @@ fn drawn(
             Shortfall::of(&surface, own, census.binned, plan.coincident.as_ref(), spacing)
         })
         .transpose();
-    checked.judge(&mut report, &surface, shortfall.map_err(in_scratch)?.flatten());
+    let found = Findings {
+        calibration: plan.calibration,
+        measured: plan.calibrated(),
+        lost,
+        shortfall: shortfall.map_err(in_scratch)?.flatten(),
+    };
+    checked.add_findings(&mut report, &surface, found);
+    report.add_cells(Some(plan.cells.clone()), plan.moved);
     timings.done("merge");
 
     let facts = report.facts;

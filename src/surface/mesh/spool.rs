@@ -234,6 +234,11 @@ impl Spool {
         self.index.last().map_or(0, |e| e.first_triangle + u64::from(e.triangles))
     }
 
+    /// Components of each vertex attribute.
+    pub fn components(&self) -> &[usize] {
+        &self.components
+    }
+
     /// Whether vertices have normals.
     pub fn has_normals(&self) -> bool {
         self.normals
