@@ -535,7 +535,7 @@ mod tests {
     }
 
     #[test]
-    fn places_that_are_kept_or_given_up_on_the_way_are_those_that_a_second_reading_finds() {
+    fn kept_places_equal_those_of_a_second_reading() {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };

@@ -258,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_coarser_grid_has_a_particle_in_the_same_place() {
+    fn a_coarsened_record_keeps_the_position() {
         for octaves in 0..7 {
             for (bin, cell, offset) in [
                 (IVec3::ZERO, [0, 7, 15], [8191, 0, 5]),

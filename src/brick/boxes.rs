@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn every_chunk_s_box_is_around_the_bins_of_its_particles_and_no_wider() {
+    fn the_box_of_a_chunk_is_tight_around_the_bins_of_its_particles() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
         let walls =
             Domain::new(&grid, DVec3::splat(-100.1), DVec3::new(90.0, 120.0, 111.3)).unwrap();

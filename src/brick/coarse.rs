@@ -202,11 +202,11 @@ impl DifField {
         let bins: Vec<IVec3> = bins.filter(|&bin| !halved_from(bin, walls).is_empty()).collect();
         let factor = Factor::new(factor);
         if let Some((infos, pages)) =
-            self.elsewhere().and_then(|pages| pages.halved(&bins, walls, factor))
+            self.remote().and_then(|pages| pages.halved(&bins, walls, factor))
         {
             let bins = infos.iter().map(|info| info.key.coord()).collect();
             let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
-            return Self::elsewhere_paged(HALVED, infos, pages, Box::new(halving));
+            return Self::from_remote(HALVED, infos, pages, Box::new(halving));
         }
         let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_cells_hold_what_the_formula_says_with_walls_and_without() {
+    fn wide_cells_match_the_formula_with_and_without_walls() {
         let odd = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
         for (among, walls, factor) in [
             (3, None, 1.0),
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_beyond_memory_are_made_once_where_there_is_scratch_and_are_those_in_memory() {
+    fn pages_beyond_memory_are_made_once_with_scratch_and_equal_those_in_memory() {
         let fine = noise(3);
         let folder = tempfile::tempdir().unwrap();
         let cells = CellBox { lo: IVec3::splat(-10), hi: IVec3::splat(40) };

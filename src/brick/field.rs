@@ -58,14 +58,14 @@ impl DifField {
 
     /// Makes a field of pages, sorted by key, whose samples are in another memory and are fetched
     /// on demand. If that fails, `otherwise` makes them.
-    pub fn elsewhere_paged(
+    pub fn from_remote(
         shape: PageShape,
         infos: Vec<PageInfo>,
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
     ) -> Self {
         debug_assert_eq!(infos.len(), pages.count(), "pages are those of the infos");
-        Self::new(shape, infos, PageStore::elsewhere(pages, otherwise))
+        Self::new(shape, infos, PageStore::remote(pages, otherwise))
     }
 
     fn new(shape: PageShape, infos: Vec<PageInfo>, store: PageStore) -> Self {
@@ -86,9 +86,9 @@ impl DifField {
     }
 
     /// Returns the samples in another memory than the host's, such as a device's, if there are any.
-    pub fn elsewhere(&self) -> Option<&dyn RemotePages> {
+    pub fn remote(&self) -> Option<&dyn RemotePages> {
         match &self.store {
-            PageStore::Elsewhere { pages, .. } => Some(&**pages),
+            PageStore::Remote { pages, .. } => Some(&**pages),
             PageStore::Memory(_) | PageStore::Paged { .. } => None,
         }
     }

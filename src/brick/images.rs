@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn images_follow_the_particles_and_are_the_same_whatever_is_read_at_once() {
+    fn images_follow_the_particles_and_do_not_depend_on_the_ranges_of_reads() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, Some([0.0, 1.0])], 3).unwrap();
         let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_that_move_between_two_readings_fill_what_is_asked_for_and_no_more() {
+    fn moved_particles_never_overflow_the_requested_range_of_images() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
         let restless = UnstableParticles(0.into());

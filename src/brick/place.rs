@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_are_left_out_whose_bins_are_not_wanted_in_whatever_order_bins_are_asked_for() {
+    fn particles_in_unwanted_bins_are_skipped_in_any_order_of_lookups() {
         let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let stretch = Stretch {
             first: MortonKey::of(IVec3::splat(-9)),
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_is_placed_as_its_particles_one_by_one() {
+    fn a_chunk_is_placed_like_its_single_particles() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
         let walls = Domain::new(&grid, DVec3::splat(-3.1), DVec3::new(40.0, 50.0, 60.7)).unwrap();
         // Multiples of a step, and their neighbours on both sides.

@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn few_samples_are_kept_by_their_places_and_come_back_where_they_were() {
+    fn sparse_samples_round_trip_with_their_places() {
         for (shape, samples) in scenes() {
             let nonzero = samples.iter().filter(|&&sample| sample > 0).count();
             let kept = PageSamples::new(Cow::Borrowed(&samples), shape);
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_around_cells_is_taken_once_though_they_are_near_and_nothing_is_left() {
+    fn samples_around_near_cells_are_taken_once_and_leave_zeros() {
         let shape = PageShape { side: BrickSide::Sixteen, ghost_layer: 1 };
         let cells = [[0, 0, 0], [15, 15, 15], [15, 14, 15], [3, 9, 7], [3, 9, 7]];
         let edge = shape.edge() as usize;

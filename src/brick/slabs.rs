@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_share_has_room_for_many_slabs_which_are_pages_at_the_least_and_huge_ones_at_the_most() {
+    fn slabs_are_small_relative_to_their_share_and_between_a_page_and_a_huge_page() {
         for (share, bytes) in
             [(0, 1 << 14), (1 << 20, 1 << 16), ((1 << 21) - 1, 1 << 16), (u64::MAX, 1 << 21)]
         {
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn words_come_back_wherever_slabs_begin_and_slabs_go_with_the_last_of_their_words() {
+    fn words_round_trip_across_slabs_and_empty_slabs_are_freed() {
         let slab = Slabs::slab_bytes(0) / size_of::<u64>();
         let (mut slabs, mut all) = (Slabs::new(Slabs::slab_bytes(0)), Vec::new());
         let lengths = [1, slab - 1, 700, 3 * slab, 0, slab + 3];

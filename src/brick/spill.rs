@@ -532,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_visitor_keeps_moves_runs_to_the_file_that_have_no_room_beside_it() {
+    fn memory_that_a_visitor_keeps_moves_runs_to_the_file() {
         let (expected, _) = visited(0, 0);
         // At the end the kept memory takes the whole budget.
         let (_, in_memory) = visited(u64::MAX, 0);

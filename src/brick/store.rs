@@ -52,7 +52,7 @@ pub(super) enum PageStore {
     },
     /// Pages outside of the host's memory; the host also keeps those that it needed, [`TOGETHER`]
     /// at a time.
-    Elsewhere {
+    Remote {
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
         here: Vec<OnceLock<Vec<PageSamples>>>,
@@ -75,16 +75,16 @@ impl PageStore {
     }
 
     /// Pages in another memory; if fetching fails, `otherwise` makes them.
-    pub(super) fn elsewhere(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
+    pub(super) fn remote(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
         let here =
             std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
-        Self::Elsewhere { pages, otherwise, here }
+        Self::Remote { pages, otherwise, here }
     }
 
     /// Bytes of pages that may be in memory; `None` for no limit.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         match self {
-            Self::Memory(_) | Self::Elsewhere { .. } => None,
+            Self::Memory(_) | Self::Remote { .. } => None,
             Self::Paged { cache, .. } => Some(cache.capacity()),
         }
     }
@@ -105,7 +105,7 @@ impl PageStore {
                 let Ok(samples) = cache.get_or_insert_with(&page, read);
                 CachedPage::Shared(samples)
             }
-            Self::Elsewhere { .. } => CachedPage::Own(self.fetched(page as usize, shape)),
+            Self::Remote { .. } => CachedPage::Own(self.fetched(page as usize, shape)),
         }
     }
 
@@ -114,7 +114,7 @@ impl PageStore {
         match self {
             Self::Memory(pages) => pages[page].dense(shape),
             Self::Paged { source, .. } => source.samples(page).into(),
-            Self::Elsewhere { .. } => self.fetched(page, shape).dense(shape),
+            Self::Remote { .. } => self.fetched(page, shape).dense(shape),
         }
     }
 
@@ -123,8 +123,8 @@ impl PageStore {
     /// # Panics
     /// If all pages are in memory or in a cache.
     fn fetched(&self, page: usize, shape: PageShape) -> &PageSamples {
-        let Self::Elsewhere { pages, otherwise, here } = self else {
-            unreachable!("pages are elsewhere")
+        let Self::Remote { pages, otherwise, here } = self else {
+            unreachable!("the pages are remote")
         };
         let (group, first) = (&here[page / TOGETHER], page / TOGETHER * TOGETHER);
         let fetched = group.get().unwrap_or_else(|| {

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn coincident_records_are_counted_whether_few_or_many_are_in_their_bin() {
+    fn coincident_records_are_counted_in_sparse_and_crowded_bins() {
         for all in [100_u64, 2000, 10_000] {
             let mut records: Vec<u64> = (0..all).map(|i| i * 7_919_317 % (1 << 51)).collect();
             assert_eq!(CoincidentCounts::among(IVec3::ONE, &records).particles, 0, "{all}");
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clump_is_alone_where_nothing_else_is_in_the_bins_around() {
+    fn a_clump_is_alone_if_the_surrounding_bins_are_empty() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
         // Cell (1, 0, 0) of its bin, in the middle.
         let record = (1 << 13) | (1 << 12) | (1 << 12) << 17 | (1 << 12) << 34;

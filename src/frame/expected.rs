@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_cube_has_the_vertices_of_its_faces_and_none_within() {
+    fn a_full_cube_has_vertices_only_on_its_faces() {
         let cube: Vec<_> = (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) })
             .cubes(1)
             .map(|bin| (bin, 4096))
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_far_from_others_have_surfaces_of_their_own_and_those_beside_a_full_bin_do_not() {
+    fn isolated_particles_have_their_own_surfaces_unless_a_full_bin_is_near() {
         let lone = vertices_of(&[(IVec3::ZERO, 4)]);
         let alone = 4.0 * vertices_alone(1.0);
         assert!(lone as f64 > 0.9 * alone, "{lone} of {alone}");
@@ -147,14 +147,14 @@ mod tests {
     }
 
     #[test]
-    fn bins_that_are_not_meshed_have_none_and_still_lie_beside_the_others() {
+    fn unmeshed_bins_have_no_vertices_but_count_as_neighbours() {
         let bins = [IVec3::ZERO, IVec3::X].map(|bin| (MortonKey::of(bin), 4096));
         let first = surface(bins.into_iter(), 4096.0, 14.0, |bin| bin == IVec3::ZERO);
         assert_eq!(first.vertices, (5.0 * FACE) as u64);
     }
 
     #[test]
-    fn a_vertex_lies_in_a_block_of_as_many_as_most_vertices_do() {
+    fn the_mean_block_is_weighted_by_vertices() {
         // A single drop changes little if eight bins of one block are full.
         let full =
             (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_hold_neither_more_than_the_most_each_nor_much_more_than_the_whole_surface() {
+    fn vertices_of_blocks_are_limited_per_block_and_by_the_whole_surface() {
         let expected = ExpectedVertices { vertices: 50_000, in_its_block: 1_000 };
         assert_eq!(expected.vertices_of(1, 20_000), 20_000);
         assert_eq!(expected.vertices_of(8, 20_000), 20_000 + 16_000);

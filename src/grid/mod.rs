@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_position_is_its_cell_and_offset_rounded_down() {
+    fn a_position_is_rounded_down_to_its_cell_and_offset() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
         let steps = grid.place([-0.125, 0.5, 0.749_999_9]).unwrap();
         assert_eq!(steps, [-8192 + 6144, 8192, 8192 + 4095]);

@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn the_upper_face_is_the_lower_one_also_where_single_precision_rounds() {
+    fn the_upper_face_maps_to_the_lower_one_despite_single_precision() {
         let grid = Grid::new(DVec3::ZERO, 0.037).unwrap();
         let periodic = unit_box(&grid);
         assert_eq!(periodic.inside([1.1, 5.0, 1.0]), Ok([0.0, 5.0, -2.0]));
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn particles_and_their_images_are_in_the_boxes_around_the_bins_that_they_are_given_in() {
+    fn boxes_with_images_contain_the_particles_and_all_their_images() {
         let (x, z) = ([0.7, 24.8], [-21.7, 1.3]);
         // Bins of the second grid begin on a face that is rounded down in single precision.
         for origin in [DVec3::new(0.3, -7.0, 1e-3), DVec3::new(0.7, 0.0, 1.3)] {

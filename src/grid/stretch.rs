@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bin_is_wanted_exactly_where_it_overlaps_the_cells_that_a_block_of_the_stretch_sees() {
+    fn a_bin_is_wanted_exactly_if_it_overlaps_the_deciding_cells_of_a_block() {
         for (below, above) in [(0, 0), (1, 1), (16, 17), (17, 16), (22, 54), (40, 3)] {
             let cube = CellBox::cube(IVec3::ZERO, BLOCK);
             let sight = DecidingCells::new(cube.grown(below, above));
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_of_bins_is_touched_exactly_where_one_of_its_bins_is_wanted() {
+    fn a_box_of_bins_is_touched_exactly_if_one_of_its_bins_is_wanted() {
         let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let all = CellBox { lo: IVec3::splat(-6), hi: IVec3::splat(6) };
         let boxes = all.cubes(3).flat_map(|corner| {
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn bins_of_a_block_are_where_the_block_is() {
+    fn the_bins_of_a_block_lie_within_the_block() {
         let stretch = Stretch { first: MortonKey::of(IVec3::ZERO), end: MortonKey(u64::MAX) };
         assert!(stretch.holds_bin(IVec3::ZERO) && stretch.holds_bin(IVec3::ONE));
         assert!(!stretch.holds_bin(IVec3::NEG_ONE) && Stretch::ALL.holds_bin(IVec3::NEG_ONE));

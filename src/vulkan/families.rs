@@ -23,7 +23,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shaders_run_apart_from_graphics_and_copies_where_nothing_else_is_done() {
+    fn shaders_avoid_the_graphics_family_and_copies_use_a_dedicated_family() {
         let [all, shaders, copies, videos, graphics] = [
             vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
             vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,

@@ -53,7 +53,7 @@ pub(super) fn parts(
     (pays && bytes <= most_bytes).then_some(parts)
 }
 
-/// The drops in some [parts](parts).
+/// The drops in some [parts].
 pub(super) fn drops(recipe: &Recipe, sampled: &SampledDif, parts: &[CellBox]) -> Vec<DropField> {
     let Filters::Distances(distances) = &recipe.filters else { return Vec::new() };
     let least_share = distances.drops.least_share();

@@ -15,7 +15,7 @@ use crate::system::control::Meter;
 use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::frame::{DeviceFrame, DeviceState};
-use super::lane::{BufferLayout, Lane, fly, part};
+use super::lane::{BufferLayout, Lane, part, run_batches};
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
@@ -86,7 +86,7 @@ impl DeviceFrame {
     /// Makes the pages of all bins, which stay on the device, and returns the data that the host
     /// needs about each; `None` if the host reads device memory as cheaply, if the pages do not
     /// fit, or if a bin is too large for a batch.
-    pub(super) fn indicate_there(
+    pub(super) fn indicate_on_device(
         &self,
         state: &mut DeviceState,
         bins: &Bins,
@@ -126,7 +126,7 @@ impl DeviceFrame {
         let room = state.batch_bytes;
         self.make_lanes(state)?;
         let mut next = range.start;
-        fly(
+        run_batches(
             &mut state.lanes,
             |lane| {
                 let batch = bin_batch(bins, next..range.end, making.rule.shape(), room);
@@ -199,14 +199,14 @@ impl DeviceFrame {
         indicate(&mut lane.compute, &pipelines.indicate, count, rule, views)?;
         let read = match read {
             ReadBack::Pages => lane.buffer(device, "pages read", BufferKind::Download, bytes)?,
-            ReadBack::FullCells => self.tell_full_cells(lane, &pages, bins.len(), shape)?,
+            ReadBack::FullCells => self.find_full_cells(lane, &pages, bins.len(), shape)?,
         };
         lane.compute.submit(lane.upload.last())?;
         Ok(BinBatch { bins, pages, read })
     }
 
     /// Records and submits the search for the full cells of pages, and their download.
-    pub(super) fn tell_full_cells(
+    pub(super) fn find_full_cells(
         &self,
         lane: &mut Lane,
         pages: &View,
@@ -249,7 +249,7 @@ impl DeviceFrame {
                 .map(move |part| (part, run.start, records))
         });
         let (mut pages, mut infos) = (Pages::new(), Vec::new());
-        fly(
+        run_batches(
             &mut state.lanes,
             |lane| {
                 let Some((range, run, records)) = batches.next() else { return Ok(None) };
@@ -281,9 +281,9 @@ impl DeviceFrame {
             },
         )?;
         Ok(if read == ReadBack::Pages {
-            PlacedPages::Here(pages)
+            PlacedPages::Host(pages)
         } else {
-            PlacedPages::There(infos)
+            PlacedPages::Device(infos)
         })
     }
 }
@@ -291,9 +291,9 @@ impl DeviceFrame {
 /// Pages on the host or on the device.
 pub(super) enum PlacedPages {
     /// On the host.
-    Here(Pages),
+    Host(Pages),
     /// On the device.
-    There(Vec<PageInfo>),
+    Device(Vec<PageInfo>),
 }
 
 /// Waits for the data about the pages of a batch.

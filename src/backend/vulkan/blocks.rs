@@ -19,7 +19,7 @@ use super::contouring::{BatchField, BlockBatch, Contouring};
 use super::fields::PaddedBlocks;
 use super::frame::{DeviceFrame, DeviceState};
 use super::grids::LevelBlocks;
-use super::lane::{BufferLayout, Lane, fly};
+use super::lane::{BufferLayout, Lane, run_batches};
 use super::pipelines::page_bytes;
 
 impl DeviceFrame {
@@ -91,7 +91,7 @@ impl DeviceFrame {
         let residents = self.residents().clone();
         let work = Contouring { frame: self, surfaces, constants, residents, bytes: *batch_bytes };
         let mut next = 0;
-        fly(
+        run_batches(
             lanes,
             |lane| {
                 if goes_on() { Ok(work.start_next(lane, regions, &mut next)?) } else { Ok(None) }

@@ -169,8 +169,9 @@ impl<'a> Contouring<'a> {
     pub(super) fn samples(&self, level: u32) -> SampleSource<'_> {
         let dif = self.surfaces.sampled.wide(level);
         let resident = self.residents.get(level as usize);
-        resident
-            .map_or(SampleSource::Sent(dif), |resident| SampleSource::There(resident, dif.shape()))
+        resident.map_or(SampleSource::Sent(dif), |resident| {
+            SampleSource::Resident(resident, dif.shape())
+        })
     }
 
     /// All cell widths in which a region has fields.

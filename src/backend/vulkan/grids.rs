@@ -24,7 +24,7 @@ pub(super) const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO 
 #[derive(Clone, Copy)]
 pub(super) enum SampleSource<'a> {
     /// Samples of pages that are on the device.
-    There(&'a ResidentPages, PageShape),
+    Resident(&'a ResidentPages, PageShape),
     /// Samples of pages that are uploaded.
     Sent(&'a DifField),
 }
@@ -33,7 +33,7 @@ impl SampleSource<'_> {
     /// The arrangement of samples in pages.
     pub(super) fn shape(&self) -> PageShape {
         match *self {
-            Self::There(_, shape) => shape,
+            Self::Resident(_, shape) => shape,
             Self::Sent(dif) => dif.shape(),
         }
     }
@@ -41,7 +41,7 @@ impl SampleSource<'_> {
     /// Whether the page of a bin must be uploaded.
     pub(super) fn sends(&self, bin: IVec3) -> bool {
         match self {
-            Self::There(..) => false,
+            Self::Resident(..) => false,
             Self::Sent(dif) => dif.has_page(bin),
         }
     }
@@ -112,7 +112,7 @@ impl LevelBlocks {
         }
         tables.extend(block.bins(from.shape().ghost_layer).map(|bin| {
             let number = match from {
-                SampleSource::There(resident, _) => resident.numbers.get(&bin).copied(),
+                SampleSource::Resident(resident, _) => resident.numbers.get(&bin).copied(),
                 SampleSource::Sent(_) => from.sends(bin).then(|| {
                     *numbers.entry(bin).or_insert_with(|| {
                         sent.push(bin);
@@ -180,7 +180,7 @@ impl Places {
         DevicePages {
             tables: part(inputs, &self.tables),
             pages: match from {
-                SampleSource::There(resident, _) => resident.pages.whole(),
+                SampleSource::Resident(resident, _) => resident.pages.whole(),
                 SampleSource::Sent(_) => part(inputs, &self.pages),
             },
             shape: from.shape(),

@@ -123,7 +123,7 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
 /// Keeps all lanes busy: `start` gives the next batch to an idle lane until there are no more,
 /// `go_on` continues a batch after its first part has finished, and `finish` takes the batches in
 /// the order in which they were started.
-pub(super) fn fly<T, E>(
+pub(super) fn run_batches<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,
     mut go_on: impl FnMut(&mut Lane, &mut T) -> Result<(), E>,

@@ -10,12 +10,12 @@ mod bins;
 mod blocks;
 mod constants;
 mod contouring;
-mod elsewhere;
 mod fields;
 mod frame;
 mod grids;
 mod lane;
 mod pipelines;
+mod remote;
 mod resident;
 mod wide;
 
@@ -144,8 +144,8 @@ impl ResidentFrame {
             }
         };
         Ok(match made {
-            PlacedPages::Here(pages) => DifField::in_memory(rule.shape(), pages),
-            PlacedPages::There(infos) => elsewhere::of_resident(&self.0, infos, rule.shape()),
+            PlacedPages::Host(pages) => DifField::in_memory(rule.shape(), pages),
+            PlacedPages::Device(infos) => remote::of_resident(&self.0, infos, rule.shape()),
         })
     }
 
@@ -209,8 +209,8 @@ impl Stages for Arc<DeviceFrame> {
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
         if count as u64 * page_bytes(shape) >= (particles * size_of::<u64>()) as u64 {
             let mut state = self.state();
-            match self.indicate_there(&mut state, bins, rule, meter) {
-                Ok(Some(infos)) => return Ok(elsewhere::of_bins(self, infos, bins, rule)),
+            match self.indicate_on_device(&mut state, bins, rule, meter) {
+                Ok(Some(infos)) => return Ok(remote::of_bins(self, infos, bins, rule)),
                 Ok(None) => {}
                 Err(DeviceFrameError::Host(error)) => return Err(error),
                 Err(DeviceFrameError::Device(error)) => self.recover(&mut state, &error),

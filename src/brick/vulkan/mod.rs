@@ -206,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_page_begins_where_a_part_of_a_buffer_may() {
+    fn pages_are_aligned_for_buffer_views() {
         for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
             for ghost_layer in [0, 1] {
                 let shape = PageShape { side, ghost_layer };

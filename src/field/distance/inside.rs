@@ -156,9 +156,9 @@ impl InsideBricks {
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let margin = PART * (width - 1);
         // The sums are of integers.
-        let elsewhere =
+        let full_bricks =
             |pages: &dyn RemotePages| pages.full_bricks(width as u32, least.ceil() as u32);
-        let full = field.elsewhere().and_then(elsewhere).map(|bits| {
+        let full = field.remote().and_then(full_bricks).map(|bits| {
             let bins = keys.iter().map(|key| key.coord());
             bins.zip(bits).filter(|&(_, bits)| bits != 0).collect()
         });

@@ -18,7 +18,7 @@ use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::frame::{DeviceFrame, DeviceState};
 use super::grids::{LevelBlocks, NO_TILES, SampleSource};
-use super::lane::{BufferLayout, Lane, fly};
+use super::lane::{BufferLayout, Lane, run_batches};
 use super::pipelines::page_bytes;
 use super::resident::ResidentPages;
 
@@ -88,7 +88,7 @@ fn field(
     otherwise: Box<dyn PageSource>,
 ) -> DifField {
     let pages = DeviceField { frame: Arc::clone(frame), level: 0, infos: infos.clone(), shape };
-    DifField::elsewhere_paged(shape, infos, Box::new(pages), otherwise)
+    DifField::from_remote(shape, infos, Box::new(pages), otherwise)
 }
 
 impl DeviceField {
@@ -128,7 +128,7 @@ impl RemotePages for DeviceField {
                 return Ok(None);
             };
             let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
-            let from = SampleSource::There(resident, self.shape);
+            let from = SampleSource::Resident(resident, self.shape);
             let pipeline = &self.frame.pipelines.halve;
             let found: Vec<DeviceFullCells> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
@@ -136,7 +136,7 @@ impl RemotePages for DeviceField {
                     let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
                     lane.compute.stage("halve", cells.bytes() + pages.bytes());
                     halve(&mut lane.compute, pipeline, blocks, (walls, factor), [cells, &pages])?;
-                    self.frame.tell_full_cells(lane, &pages, count, HALVED)
+                    self.frame.find_full_cells(lane, &pages, count, HALVED)
                 })?;
             let infos = bins.iter().zip(found).map(|(&bin, found)| found.info(MortonKey::of(bin)));
             let infos: Vec<PageInfo> = infos.flatten().collect();
@@ -154,7 +154,7 @@ impl RemotePages for DeviceField {
         let boxes = self.infos.iter().map(|info| full_bricks_of(info.key.coord(), width));
         let boxes: Vec<CellBox> = boxes.collect::<Option<_>>()?;
         self.made(|state, resident| {
-            let from = SampleSource::There(resident, self.shape);
+            let from = SampleSource::Resident(resident, self.shape);
             let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
             let full: Vec<[u32; 2]> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
@@ -193,7 +193,7 @@ impl DeviceFrame {
         self.make_lanes(state)?;
         let most = state.batch_bytes.min(self.device.limits().storage_range);
         let (mut next, mut all) = (0, Vec::with_capacity(boxes.len()));
-        fly(
+        run_batches(
             &mut state.lanes,
             |lane| {
                 let begin = next;
