@@ -318,12 +318,12 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
 
 /// The walls that hold in all examined frames, with the help of a scene's walls if they are known.
 ///
-/// With one frame, its planes are the walls. With several frames, at least two and a third of them
-/// must show a wall at the same place, more than end elsewhere, and in no frame may more than some
-/// drops be farther out. The upper side is free unless a scene has a wall there. It is the upper
-/// side of the axis `up` if that is known, otherwise of y if both y and z have a wall. Also returns
-/// whether the scene belongs to these particles.
-#[must_use]
+/// With one frame, its planes are the walls. With several frames, a side has a wall if at least two
+/// frames, and at least a third of all, show one at the same place, if these are more than the
+/// frames that end elsewhere, and if in no frame more than some drops are farther out. The upper
+/// side is free unless a scene has a wall there. It is the upper side of the axis `up` if that is
+/// known, otherwise of y if both y and z have a wall. Also returns whether the scene belongs to
+/// these particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
     let fits = |scene: &&Walls| {
         let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);

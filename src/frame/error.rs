@@ -43,7 +43,7 @@ pub enum FrameError {
     /// The field does not locate the surface precisely enough.
     #[error(transparent)]
     TooFine(#[from] TooFine),
-    /// The field exceeds the isovalue nowhere.
+    /// The field is nowhere above the isovalue.
     #[error(
         "the surface is empty: the field is nowhere above the isovalue {}",
         significant(iso.value(), 4)

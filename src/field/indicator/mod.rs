@@ -4,8 +4,8 @@
 //!
 //! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). For N particles whose offsets in the cell
 //! sum to S in steps of h / F, where each offset stands for the middle of its step, the centroid is
-//! at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with D = |2 S + N
-//! - N F|.
+//! at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with
+//! D = |2 S + N - N F|.
 //!
 //! Both depend only on the particles in the cell, and jump when a particle moves from one cell to
 //! the next: layers of particles along layers of cells move the surface by up to a cell. The theta

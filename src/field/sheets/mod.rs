@@ -18,8 +18,8 @@
 //!    ball (3) with the particles' volume under the Gaussian; this gives its half thickness or
 //!    radius R. The cells need a minimum of `LEAST_CELLS`.
 //! 4. Certainty. There is a sheet if neighbours are no farther apart than requested, according to
-//!    the density at the middle, and if B is nearly a projection: its squared distance from one, |B
-//!    - B^2|^2, is at most 0.06 in sheets, in threads and at their rims, and twice that in spray.
+//!    the density at the middle, and if B is nearly a projection: the squared distance
+//!    |B - B^2|^2 is at most 0.06 in sheets, in threads and at their rims, and twice that in spray.
 //!    Neither a thick body (T < 0.4) nor a drop of a few particles (T > 2.45) is a sheet.
 //! 5. Blended. The certainty is averaged under a Gaussian of 0.36 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. It is the weight with which the shares of drops
