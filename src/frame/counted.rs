@@ -74,7 +74,7 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
         resources.go_on()?;
         given.check()?;
-        refuse_wide_attributes(given, sampling)?;
+        check_attribute_memory(given, sampling)?;
         let particles = particles?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
@@ -121,7 +121,7 @@ impl<'a, P: Particles + ?Sized> CountedFrame<'a, P> {
         surfacing: &Surfacing,
         plan: Option<BinPlan>,
     ) -> Result<Self, FrameError> {
-        sampling.refuse_unfit(surfacing)?;
+        sampling.check_fit(surfacing)?;
         Ok(Self { surfacing: surfacing.clone(), ..Self::planned(particles, sampling, plan)? })
     }
 
@@ -201,9 +201,9 @@ impl Sampling {
     }
 }
 
-/// Refuses attributes that exceed the budget even for a single block through which the surface
-/// passes as a plane: its values, and their copy on the way to a scratch file.
-fn refuse_wide_attributes(
+/// Returns an error for attributes that exceed the budget even for a single block through which the
+/// surface passes as a plane: its values, and their copy on the way to a scratch file.
+fn check_attribute_memory(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
 ) -> Result<(), FrameError> {

@@ -335,7 +335,7 @@ impl Engine {
         timings: &mut Timings,
     ) -> Result<CalibratedFrame<'a>, FrameError> {
         let &Surfacing { normals, periodic_mesh, .. } = surfacing;
-        self.refuse_farther(surfacing)?;
+        self.check_image_reach(surfacing)?;
         let (drawn, measured) = match &self.field {
             SampledField::Dif { sampled, stages } => {
                 let kind = sampled.indicator.kind();
@@ -387,7 +387,7 @@ impl Engine {
     }
 
     /// Checks that the filters reach no farther beyond a periodic face than the images.
-    fn refuse_farther(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
+    fn check_image_reach(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else {
             return Ok(());
         };

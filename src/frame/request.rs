@@ -8,7 +8,7 @@ use crate::baselines::KernelMethod;
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::field::blur::{Filter, Smoothing};
 use crate::field::calibration::{
-    Calibration, MeasuredCalibration, TooFine, calibrate, refuse_too_fine_for,
+    Calibration, MeasuredCalibration, TooFine, calibrate, check_cell_size_for,
 };
 use crate::field::distance::{BULK_GAIN, DistanceFilters, InsideBricks};
 use crate::field::indicator::{IndicatorKind, SampledDif, WideCells};
@@ -67,10 +67,10 @@ pub struct Sampling {
 
 impl Sampling {
     /// Checks the request as far as possible without a field.
-    pub fn refuse_unfit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
+    pub fn check_fit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
         match self.method {
             Method::Indicator { kind, mean } => {
-                Ok(surfacing.refuse_too_fine(kind, mean, self.spacing, &self.grid)?)
+                Ok(surfacing.check_cell_size(kind, mean, self.spacing, &self.grid)?)
             }
             Method::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
         }
@@ -162,7 +162,7 @@ impl Surfacing {
     ///
     /// # Errors
     /// [`TooFine`].
-    pub fn refuse_too_fine(
+    pub fn check_cell_size(
         &self,
         kind: IndicatorKind,
         mean: Option<MeanCount>,
@@ -171,7 +171,7 @@ impl Surfacing {
     ) -> Result<(), TooFine> {
         let Some(known) = spacing else { return Ok(()) };
         let sigma = |cell_size| self.width(spacing, cell_size);
-        refuse_too_fine_for(kind, mean, known, grid.cell_size(), sigma)
+        check_cell_size_for(kind, mean, known, grid.cell_size(), sigma)
     }
 
     /// The Gaussian's width, given or derived from the spacing and the cell size.

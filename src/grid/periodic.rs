@@ -142,7 +142,7 @@ impl Periodic {
     ///
     /// # Errors
     /// [`PeriodicError::Walled`].
-    pub fn refuse_walls(
+    pub fn check_walls(
         faces: [Option<[f64; 2]>; 3],
         walls: [DVec3; 2],
     ) -> Result<(), PeriodicError> {
@@ -172,7 +172,7 @@ impl Periodic {
         self.faces.cells()
     }
 
-    /// The same box on another grid.
+    /// The periodic box on another grid.
     ///
     /// # Errors
     /// The errors of [`new`](Self::new).
@@ -370,8 +370,8 @@ mod tests {
         assert_eq!(new(Some([0.0, 1e9]), 6), Err(PeriodicError::TooFar));
         let walls =
             [DVec3::splat(f64::NEG_INFINITY).with_x(0.0), DVec3::splat(f64::INFINITY).with_x(1.0)];
-        let refused = Periodic::refuse_walls([Some([0.0, 1.0]), None, None], walls);
+        let refused = Periodic::check_walls([Some([0.0, 1.0]), None, None], walls);
         assert_eq!(refused, Err(PeriodicError::Walled { axis: 'x' }));
-        assert_eq!(Periodic::refuse_walls([None, Some([0.0, 1.0]), None], walls), Ok(()));
+        assert_eq!(Periodic::check_walls([None, Some([0.0, 1.0]), None], walls), Ok(()));
     }
 }

@@ -130,7 +130,7 @@ impl SamplingRequest {
         }
         if let Some((faces, _)) = self.periodic {
             Periodic::check(faces)?;
-            self.walls.map_or(Ok(()), |walls| Periodic::refuse_walls(faces, walls))?;
+            self.walls.map_or(Ok(()), |walls| Periodic::check_walls(faces, walls))?;
         }
         Ok(())
     }
@@ -476,7 +476,7 @@ impl SamplingRequest {
             let grid = self.grid(size)?;
             let fits = |estimate: &SpacingEstimate| {
                 let spacing = Some(estimate.spacing);
-                Surfacing::PLAIN.refuse_too_fine(kind, mean, spacing, &grid).is_ok()
+                Surfacing::PLAIN.check_cell_size(kind, mean, spacing, &grid).is_ok()
             };
             if !estimate.as_ref().is_ok_and(fits) {
                 let origin = self.origin_for(middle, size);
@@ -608,7 +608,7 @@ impl SamplingRequest {
         };
         if let Some((faces, surfacing)) = &self.periodic {
             // The reach of the filters is only known for valid cells.
-            sampling.refuse_unfit(surfacing)?;
+            sampling.check_fit(surfacing)?;
             let reach = surfacing.reach(method, spacing, &grid);
             sampling.periodic = Some(Periodic::new(&grid, *faces, reach)?);
         }

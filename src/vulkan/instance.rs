@@ -323,10 +323,10 @@ impl Instance {
         // SAFETY: the device belongs to this instance.
         let known =
             unsafe { self.raw.enumerate_device_extension_properties(physical) }.unwrap_or_default();
-        let tells = names(&known, ext::memory_budget::NAME).is_some();
+        let reports_budget = names(&known, ext::memory_budget::NAME).is_some();
         let mut budgets = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
         let mut memory = vk::PhysicalDeviceMemoryProperties2::default();
-        if tells {
+        if reports_budget {
             memory = memory.push_next(&mut budgets);
         }
         // SAFETY: the device belongs to this instance, and offers the extension whose data is
@@ -340,7 +340,7 @@ impl Instance {
             return (memory, 0, 0);
         };
         let free = budgets.heap_budget[i].saturating_sub(budgets.heap_usage[i]);
-        (memory, heap.size, if tells { free.min(heap.size) } else { heap.size })
+        (memory, heap.size, if reports_budget { free.min(heap.size) } else { heap.size })
     }
 }
 

@@ -81,7 +81,7 @@ fn asked(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
 ) -> Result<(), TooFine> {
-    surfacing.refuse_too_fine(kind, mean, Some(spacing), &sampling().grid)
+    surfacing.check_cell_size(kind, mean, Some(spacing), &sampling().grid)
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
@@ -514,7 +514,7 @@ fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
     for (cell_size, spacing) in [(0.01, 1.0), (1e-9, 3.0), (0.7, 7.1)] {
         let refused = |cell_size: f64| {
             let grid = Grid::new(DVec3::ZERO, cell_size).unwrap();
-            surfacing().refuse_too_fine(CLOUD, None, Some(spacing), &grid)
+            surfacing().check_cell_size(CLOUD, None, Some(spacing), &grid)
         };
         let told = refused(cell_size).unwrap_err().to_string();
         let (_, fitting) = told.split_once("use cells of ").unwrap();
@@ -523,7 +523,7 @@ fn cells_needlessly_fine_for_clouds_are_refused_with_a_size_that_fits() {
         assert!(refused(fitting * 0.97).is_err(), "{told}");
     }
     // Without a spacing there is nothing to check.
-    assert_eq!(surfacing().refuse_too_fine(CLOUD, None, None, &sampling().grid), Ok(()));
+    assert_eq!(surfacing().check_cell_size(CLOUD, None, None, &sampling().grid), Ok(()));
 }
 
 #[test]

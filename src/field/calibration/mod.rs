@@ -15,9 +15,9 @@ mod precision;
 
 pub use mean::{BinnedFrame, Fullness, NoMeanCount, indicate};
 pub use plateau::Plateau;
-pub(crate) use precision::refuse_finest;
+pub(crate) use precision::check_finest;
 pub use precision::{
-    COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for,
+    COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, check_cell_size_for,
 };
 
 use crate::brick::DifField;
@@ -111,19 +111,19 @@ pub fn calibrate(
     match filters {
         Filters::Paper(paper) => {
             let smoothing = &paper.smoothing;
-            precision::refuse_symmetry(
+            precision::check_symmetry(
                 frame.indicator.kind(),
                 facts.spacing_cells(),
                 facts.grid.cell_size(),
             )?;
             let plateau = Plateau::of(frame, smoothing, &meter(&frame.dif));
-            let step_cells = precision::refuse_too_fine(frame, smoothing, plateau)?;
+            let step_cells = precision::check_cell_size(frame, smoothing, plateau)?;
             let iso = iso.unwrap_or(plateau.isovalue());
             let calibration = Calibration::Indicator { mean: frame.indicator.mean(), iso };
             Ok(MeasuredCalibration { calibration, plateau, step_cells })
         }
         Filters::Distances(distances) => {
-            refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
+            check_finest(facts.spacing_cells(), facts.grid.cell_size())?;
             let meter = meter(frame.wide(distances.level));
             let plateau = Plateau::of_clouds(frame, distances, &meter);
             let calibration = Calibration::Clouds { plateau: plateau.value() };

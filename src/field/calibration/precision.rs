@@ -115,7 +115,7 @@ fn step_cells(plateau: f64, width: f64) -> f64 {
 
 /// Checks the cell size against a known spacing before there is a DIF. The Gaussian may depend on
 /// the cell size. [`calibrate`](super::calibrate) makes the checks that need mu0.
-pub fn refuse_too_fine_for(
+pub fn check_cell_size_for(
     kind: IndicatorKind,
     mean: Option<MeanCount>,
     spacing: f64,
@@ -123,7 +123,7 @@ pub fn refuse_too_fine_for(
     sigma: impl Fn(f64) -> Sigma,
 ) -> Result<(), TooFine> {
     let by = match kind {
-        IndicatorKind::Cloud => return refuse_finest(Some(spacing / cell_size), cell_size),
+        IndicatorKind::Cloud => return check_finest(Some(spacing / cell_size), cell_size),
         // With fewer particles in a full cell, each particle contributes more. A full cell has at
         // least one.
         IndicatorKind::Counting => Indicator::Counting(
@@ -131,23 +131,23 @@ pub fn refuse_too_fine_for(
         ),
         IndicatorKind::Symmetry => Indicator::Symmetry,
     };
-    refuse_symmetry(kind, Some(spacing / cell_size), cell_size)?;
+    check_symmetry(kind, Some(spacing / cell_size), cell_size)?;
     let plateau = |size: f64| expected(by, spacing / size, None);
     let width = |size: f64| Smoothing::new(kind, sigma(size)).width();
     let larger =
         |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
-    refuse_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
+    check_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
 }
 
 /// Returns an error if the field of a frame does not locate the surface precisely enough; otherwise
 /// the distance by which one step moves the surface, in cells.
-pub fn refuse_too_fine(
+pub fn check_cell_size(
     frame: &SampledDif,
     smoothing: &Smoothing,
     plateau: Plateau,
 ) -> Result<f64, TooFine> {
     let (kind, cell_size) = (frame.indicator.kind(), frame.facts.grid.cell_size());
-    refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
+    check_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
         if kind == IndicatorKind::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
             let grid = frame.facts.grid;
             return Remedy::Origin((grid.origin() + grid.cell_size() / 2.0).to_array());
@@ -159,7 +159,7 @@ pub fn refuse_too_fine(
 
 /// Returns an error if the steps of a field are too large; otherwise the distance by which one step
 /// moves a flat surface, in cells.
-fn refuse_steps(
+fn check_steps(
     plateau: f64,
     width: f64,
     cell_size: f64,
@@ -174,7 +174,7 @@ fn refuse_steps(
 
 /// Returns an error if the indicator is symmetry and the cells are too small for it. `spacing` is
 /// the particles' spacing in cells.
-pub fn refuse_symmetry(
+pub fn check_symmetry(
     kind: IndicatorKind,
     spacing: Option<f64>,
     cell_size: f64,
@@ -190,7 +190,7 @@ pub fn refuse_symmetry(
 
 /// Returns an error if the cells are smaller than distances from clouds need. `spacing` is the
 /// particles' spacing in cells.
-pub fn refuse_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
+pub fn check_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
     // A quotient of decimals can have a rounding error.
     match spacing.filter(|spacing| spacing * FINEST > 1.0 + 1e-9) {
         Some(spacing) => Err(TooFine::Finest { cell_size, spacing: spacing * cell_size }),

@@ -186,7 +186,7 @@ impl SampleSurvey {
     /// Surveys a sample for a spacing; `None` if it is empty.
     pub fn of(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let place = CoordinateFacts::of_sample(&sample)?;
-        Some(Self { neighbours: Neighbours::that_check(sample, Some(spacing)), place })
+        Some(Self { neighbours: Neighbours::for_check(sample, Some(spacing)), place })
     }
 }
 
@@ -326,7 +326,7 @@ impl SpacingDraft {
                 self.scale /= 8.0;
                 continue;
             }
-            let neighbours = Neighbours::that_check(sample, self.counted());
+            let neighbours = Neighbours::for_check(sample, self.counted());
             match neighbours.suggested() {
                 Some(suggested) if self.counted.is_none() && !self.suits(suggested) => {
                     self.scale = suggested
@@ -342,7 +342,7 @@ impl SpacingDraft {
 
     /// Adds the neighbours in a sample, as far as they are needed to check the count.
     pub fn with_sample(self, sample: NeighbourSample) -> Evidence {
-        let neighbours = Neighbours::that_check(sample, self.counted());
+        let neighbours = Neighbours::for_check(sample, self.counted());
         self.with(neighbours)
     }
 
@@ -434,7 +434,7 @@ impl Evidence {
         let suggested = neighbours.suggested();
         match (counted, neighbours.measured()) {
             _ if self.place.plane.is_some() => sure(neighbours.plane.or(suggested)?),
-            (Some(counted), Some(_)) if neighbours.bear_out(counted) => sure(counted),
+            (Some(counted), Some(_)) if neighbours.confirm(counted) => sure(counted),
             (Some(_), Some((measured, share))) if share >= THIN => unsure(measured),
             (None, Some((measured, share))) if share >= THIN => sure(measured),
             // The cells were too small or too wide to show neighbourhoods.
