@@ -186,7 +186,7 @@ impl BinPlan {
         Self::count_while(particles, grid, domain, invalid, room, |_| ())
     }
 
-    /// Counts `particles`, and calls `look` with batches of the positions, in any order. Each
+    /// Counts `particles`, and calls `visit` with batches of the positions, in any order. Each
     /// particle is passed at most once; not all are passed if there are too many bins.
     pub fn count_while(
         particles: &(impl Particles + ?Sized),
@@ -194,10 +194,10 @@ impl BinPlan {
         domain: Option<&Domain>,
         invalid: InvalidParticles,
         room: CountingRoom,
-        look: impl Fn(&[[f64; 3]]) + Sync,
+        visit: impl Fn(&[[f64; 3]]) + Sync,
     ) -> Result<Self, BinError> {
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
-        Self::of_placed(particles, placer, invalid, room, look)
+        Self::of_placed(particles, placer, invalid, room, visit)
     }
 
     /// Counts only the particles of some bins. Invalid particles were refused or skipped earlier.
@@ -223,13 +223,15 @@ impl BinPlan {
         placer: Placer,
         invalid: InvalidParticles,
         room: CountingRoom,
-        look: impl Fn(&[[f64; 3]]) + Sync,
+        visit: impl Fn(&[[f64; 3]]) + Sync,
     ) -> Result<Self, BinError> {
         let (limit, grid) = (room.bins, placer.grid);
         let ranges = ranges(particles.len());
         let counter = Counter { placer, room, stop: AtomicBool::new(false) };
-        let counts: Vec<RangeCount> =
-            ranges.par_iter().map(|range| counter.count(particles, range.clone(), &look)).collect();
+        let counts: Vec<RangeCount> = ranges
+            .par_iter()
+            .map(|range| counter.count(particles, range.clone(), &visit))
+            .collect();
         if counter.stop.into_inner() {
             return Err(BinError::TooManyBins { limit });
         }
@@ -475,7 +477,7 @@ impl Counter {
         &self,
         particles: &(impl Particles + ?Sized),
         range: Range<usize>,
-        look: impl Fn(&[[f64; 3]]),
+        visit: impl Fn(&[[f64; 3]]),
     ) -> RangeCount {
         let mut table = BinTable::default();
         let mut latest = LatestNumbers::of(particles.len());
@@ -486,7 +488,7 @@ impl Counter {
         let mut placed = Vec::with_capacity(CHUNK);
         // A thread that finds too many bins stops the others, because the counts are useless then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
-            look(positions);
+            visit(positions);
             table.place_all(addresses, &mut latest, &mut placed);
             placed.iter().for_each(|&(rank, _)| table.add(rank));
             if kept {

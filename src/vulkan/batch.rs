@@ -53,8 +53,9 @@ pub struct Batch {
     pipelines: Vec<Arc<ComputePipeline>>,
     /// Each stage with the number of bytes that it moves.
     stages: Vec<(&'static str, u64)>,
-    /// The last submission, which may still be running.
+    /// The last submission.
     last: Option<Ticket>,
+    /// Whether the last submission may still be running.
     pending: bool,
 }
 

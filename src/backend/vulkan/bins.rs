@@ -84,8 +84,8 @@ impl DeviceFrame {
     }
 
     /// Makes the pages of all bins, which stay on the device, and returns the data that the host
-    /// needs about each; `None` if the host reads device memory as cheaply, if the pages do not
-    /// fit, or if a bin is too large for a batch.
+    /// needs about each; `None` if the device shares the host's memory, if the pages do not fit, or
+    /// if a bin is too large for a batch.
     pub(super) fn indicate_on_device(
         &self,
         state: &mut DeviceState,

@@ -202,8 +202,8 @@ impl Executor for Vulkan {
 }
 
 impl Stages for Arc<DeviceFrame> {
-    /// The field stays on the device if it fits, unless the host reads device memory as cheaply, or
-    /// its pages take less memory than the particles, which would be kept to make the pages again.
+    /// The field stays on the device if it fits, unless the device shares the host's memory, or the
+    /// pages take less memory than the particles, which would be kept to make the pages again.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();

@@ -26,7 +26,7 @@ const DENSITY: f64 = 0.3978;
 /// steps are visible in the shading.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The cell size below which symmetry fails, in spacings. At this size seven of eight cells deep in
+/// The largest cell size at which symmetry fails, in spacings. At this size seven of eight cells deep in
 /// the fluid are empty, and the positions of the particles in the others move the surface.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 

@@ -434,7 +434,7 @@ impl Evidence {
         let suggested = neighbours.suggested();
         match (counted, neighbours.measured()) {
             _ if self.place.plane.is_some() => sure(neighbours.plane.or(suggested)?),
-            (Some(counted), Some(_)) if neighbours.confirm(counted) => sure(counted),
+            (Some(counted), Some(_)) if neighbours.confirms(counted) => sure(counted),
             (Some(_), Some((measured, share))) if share >= THIN => unsure(measured),
             (None, Some((measured, share))) if share >= THIN => sure(measured),
             // The cells were too small or too wide to show neighbourhoods.

@@ -105,7 +105,7 @@ impl Neighbours {
     /// needed.
     pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
-        (few.confirm(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
+        (few.confirms(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
     }
 
     /// Searches a few of a sample's cubes, and all of them if the few do not confirm the count.
@@ -240,7 +240,7 @@ impl Neighbours {
     }
 
     /// Whether the neighbours confirm a spacing from counting.
-    pub fn confirm(&self, counted: f64) -> bool {
+    pub fn confirms(&self, counted: f64) -> bool {
         let Some(((measured, _), by_third)) = self.measured().zip(self.by_third()) else {
             return false;
         };
