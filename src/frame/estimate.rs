@@ -149,9 +149,9 @@ impl Drawing {
         let whole = meshed(blocks, self.vertex_bytes());
         let in_groups = meshed(blocks, vertex_bytes(self.normals, &[]))
             + 2 * meshed(1, self.vertex_bytes()).max(CARRIED_BYTES);
-        let is_wide = self.components.iter().sum::<usize>() > attribute::AT_ONCE;
+        let are_wide = attribute::are_wide(self.components.iter().copied());
         let meshing = threads * carrying.max(self.block_bytes)
-            + if is_wide { in_groups.min(whole) } else { whole };
+            + if are_wide { in_groups.min(whole) } else { whole };
         meshing.max(writing_bytes(threads, vertices_of(threads)))
     }
 }

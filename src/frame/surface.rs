@@ -17,7 +17,7 @@ use crate::frame::estimate::{BLOCKS_A_THREAD, CARRIED_BYTES};
 use crate::grid::stretch::Stretch;
 use crate::grid::{BLOCK, CellBox, Domain, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
-use crate::surface::attribute::{self, nearest_values, vertex_values};
+use crate::surface::attribute::{are_wide, nearest_values, vertex_values};
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, blocks_bytes};
@@ -179,7 +179,7 @@ impl<'a> CalibratedFrame<'a> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         // Wide attributes are much larger than the mesh, so only some of the blocks that are meshed
         // together get attributes together.
-        let wide = spool.components().iter().sum::<usize>() > attribute::AT_ONCE;
+        let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
         // Any of these blocks may be full of spray.
@@ -200,9 +200,7 @@ impl<'a> CalibratedFrame<'a> {
             })
             .map_err(&in_scratch)?;
             meter.go_on()?;
-            if spool.bytes_in_memory() > share {
-                spool.move_to_file(&self.resources.scratch).map_err(&in_scratch)?;
-            }
+            self.keep_to_share(spool).map_err(&in_scratch)?;
             regions = later;
         }
         Ok(())
@@ -220,10 +218,16 @@ impl<'a> CalibratedFrame<'a> {
             let later = blocks.split_off(fitting.count().max(1));
             blocks.par_iter_mut().try_for_each(|block| self.carry(block))?;
             blocks.into_iter().try_for_each(|block| spool.push(block))?;
-            if spool.bytes_in_memory() > self.surface_share {
-                spool.move_to_file(&self.resources.scratch)?;
-            }
+            self.keep_to_share(spool)?;
             blocks = later;
+        }
+        Ok(())
+    }
+
+    /// Moves `spool` to a scratch file if it exceeds its share of memory.
+    fn keep_to_share(&self, spool: &mut Spool) -> io::Result<()> {
+        if spool.bytes_in_memory() > self.surface_share {
+            spool.move_to_file(&self.resources.scratch)?;
         }
         Ok(())
     }

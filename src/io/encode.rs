@@ -4,12 +4,10 @@ use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::surface::attribute::are_wide;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::CoordinateWidth;
-
-/// Components of all attributes of a vertex together, above which its piece is large.
-const WIDE: usize = 64;
 
 /// Writes the output of `encode` for pieces 0 to `pieces`, in order.
 ///
@@ -23,17 +21,7 @@ pub fn write_pieces(
     pieces: usize,
     encode: impl Fn(usize, &mut Vec<u8>) -> io::Result<()> + Sync,
 ) -> io::Result<()> {
-    write_batches(out, pieces, pieces_at_once(), encode)
-}
-
-/// Like [`write_pieces`], with at most `batch` pieces in a batch.
-fn write_batches(
-    out: &mut dyn Write,
-    pieces: usize,
-    batch: usize,
-    encode: impl Fn(usize, &mut Vec<u8>) -> io::Result<()> + Sync,
-) -> io::Result<()> {
-    in_batches(pieces, batch, encode, |bytes| out.write_all(bytes))
+    in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
 /// Pieces in a batch: enough to keep all threads busy.
@@ -114,11 +102,11 @@ pub(super) fn write_vertices(
     encode: impl Fn(&Vertices, &mut Vec<u8>) + Sync,
 ) -> io::Result<()> {
     let attributes = mesh.attributes();
-    let components: usize = attributes.iter().map(|info| info.components).sum();
     // A piece with wide attributes is large, so that only one is encoded at a time.
-    let batch = if components > WIDE { 1 } else { pieces_at_once() };
+    let wide = are_wide(attributes.iter().map(|info| info.components));
+    let batch = if wide { 1 } else { pieces_at_once() };
     let count = AtomicU64::new(0);
-    write_batches(out, mesh.pieces(), batch, |piece, out| {
+    let encode = |piece: usize, out: &mut Vec<u8>| {
         let vertices = mesh.vertices(piece)?;
         let len = vertices.positions.len();
         let normals = if mesh.has_normals() { len } else { 0 };
@@ -134,7 +122,8 @@ pub(super) fn write_vertices(
         count.fetch_add(len as u64, Ordering::Relaxed);
         encode(&vertices, out);
         Ok(())
-    })?;
+    };
+    in_batches(mesh.pieces(), batch, encode, |bytes| out.write_all(bytes))?;
     assert_eq!(count.into_inner(), mesh.vertex_count(), "all vertices are in the pieces");
     Ok(())
 }

@@ -24,7 +24,17 @@ use crate::surface::mesh::BlockMesh;
 
 /// Number of components that are smoothed together: enough for common attributes, and few enough
 /// for the memory of a thread.
-pub const AT_ONCE: usize = 16;
+const AT_ONCE: usize = 16;
+
+/// Number of components of all attributes together above which they are wide: a block with them is
+/// much larger than its mesh.
+const WIDE: usize = 64;
+
+/// Whether attributes with these numbers of components are wide together. Wide attributes are
+/// carried to vertices and encoded for few blocks at a time.
+pub fn are_wide(components: impl IntoIterator<Item = usize>) -> bool {
+    components.into_iter().sum::<usize>() > WIDE
+}
 
 /// Bytes per cell while an attribute with `components` is smoothed: sums of several components and
 /// of the particles, in two fields.

@@ -115,7 +115,8 @@ impl ReopenedFile {
     /// The open file.
     ///
     /// # Errors
-    /// [`ReopenedError::Changed`] if the file must be reopened and has changed; errors of the system.
+    /// [`ReopenedError::Changed`] if the file must be reopened and has changed; errors of the
+    /// system.
     pub fn file(&self) -> Result<Arc<File>, ReopenedError> {
         OPEN.get_or_insert_with(&self.number, || {
             let file = File::open(&self.path)?;

@@ -73,7 +73,7 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
 
 #[test]
 fn an_attribute_of_many_components_has_the_values_of_narrow_ones_and_takes_little_more_to_carry() {
-    const WIDE: usize = 50;
+    const WIDE: usize = 100;
     let narrow = |_, position: [f64; 3]| position.map(|c| c as f32);
     let wide = |_, position: [f64; 3]| std::array::from_fn(|i| position[i % 3] as f32);
     let particles = Attributed::new(splashes(32))

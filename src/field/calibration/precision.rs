@@ -26,8 +26,8 @@ const DENSITY: f64 = 0.3978;
 /// steps are visible in the shading.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The largest cell size at which symmetry fails, in spacings. At this size seven of eight cells deep in
-/// the fluid are empty, and the positions of the particles in the others move the surface.
+/// The largest cell size at which symmetry fails, in spacings. At this size seven of eight cells
+/// deep in the fluid are empty, and the positions of the particles in the others move the surface.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
 /// The minimum cell size for distances from clouds, in spacings: the drop of a single particle is

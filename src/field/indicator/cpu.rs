@@ -19,7 +19,9 @@ pub const THETA_PER_DISTANCE: u32 = 37837;
 
 /// Eq. 7 for N particles whose offsets sum to S, both integers; 0 for no particles.
 ///
-/// |D| / N is rounded to a quarter of a step along each axis, and its length to the nearest integer. f64 is exact for every integer here, and a quotient is farther from the next rounding boundary than the rounding error of f64.
+/// |D| / N is rounded to a quarter of a step along each axis, and its length to the nearest
+/// integer. f64 is exact for every integer here, and a quotient is farther from the next rounding
+/// boundary than the rounding error of f64.
 #[inline(always)]
 pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
     let scale = DISTANCE_SCALE as f64;

@@ -15,6 +15,16 @@ use crate::options::{KeywordGroup, Keywords};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
+/// The groups of keywords of a frame from a file.
+const OF_FRAMES: &[KeywordGroup] = &[
+    KeywordGroup::Sampling,
+    KeywordGroup::Where,
+    KeywordGroup::Surface,
+    KeywordGroup::Machine,
+    KeywordGroup::Files,
+    KeywordGroup::Attributes,
+];
+
 /// A sampled frame: its field, and the data of the particles that surfaces need. The particles
 /// themselves are not needed any more.
 ///
@@ -48,19 +58,7 @@ impl Frame {
             Keywords::of(function, Some(keywords), &[KeywordGroup::Surface])?;
             all.update(keywords.as_mapping())?;
         }
-        let request = Keywords::of(
-            function,
-            Some(&all),
-            &[
-                KeywordGroup::Sampling,
-                KeywordGroup::Where,
-                KeywordGroup::Surface,
-                KeywordGroup::Machine,
-                KeywordGroup::Files,
-                KeywordGroup::Attributes,
-            ],
-        )?
-        .request;
+        let request = Keywords::of(function, Some(&all), OF_FRAMES)?.request;
         Ok(match &self.named {
             Some(names) => request.attributes(names),
             None => request,
@@ -158,18 +156,7 @@ impl Frame {
     ) -> PyResult<Self> {
         let files = paths("path", path)?;
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let request = Keywords::of(
-            "load",
-            keywords,
-            &[
-                KeywordGroup::Sampling,
-                KeywordGroup::Where,
-                KeywordGroup::Surface,
-                KeywordGroup::Machine,
-                KeywordGroup::Files,
-                KeywordGroup::Attributes,
-            ],
-        )?;
+        let request = Keywords::of("load", keywords, OF_FRAMES)?;
         let request = request.on_machine(None)?;
         let work = Work::new();
         let request = work.holds(request, progress.is_some());
