@@ -573,9 +573,9 @@ mod tests {
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
         assert!(
-            fault
-                .to_string()
-                .ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl or .bgeo.sc"),
+            fault.to_string().ends_with(
+                "write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl or .bgeo.sc or .vdb"
+            ),
             "{fault}"
         );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -206,3 +206,50 @@ fn gathered(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<(Vec<DVec3>, 
     }
     Ok((positions, all))
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::surface::mesh::Mesh;
+
+    #[test]
+    fn distances_of_an_octahedron_are_those_of_its_nearest_triangle_on_the_side_of_the_voxel() {
+        const RADIUS: f64 = 61.3;
+        let corner = |axis: usize, sign: f64| -> [f64; 3] {
+            std::array::from_fn(|k| if k == axis { sign * RADIUS } else { 0.25 })
+        };
+        let positions: Vec<_> =
+            [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
+        let faces = |[x, y, z]: [u32; 3]| {
+            let odd = (x + y + z) % 2 == 1;
+            if odd { [x, 4 + z, 2 + y] } else { [x, 2 + y, 4 + z] }
+        };
+        let triangles: Vec<_> = (0..8).map(|i| faces([i & 1, i >> 1 & 1, i >> 2])).collect();
+        let mesh = Mesh { positions: positions.clone(), triangles, ..Mesh::default() };
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        let level_set = LevelSet::new(&mesh, lattice).unwrap();
+        let place = |vertex: u32| DVec3::from(positions[vertex as usize]).as_vec3();
+        let all: Vec<_> =
+            (0..8).map(|t| Triangle::new(level_set.corners(t).map(place)).unwrap()).collect();
+        let mut checked = 0;
+        for leaf in level_set.map(|leaves| leaves).into_iter().flatten() {
+            let mut voxels = leaf.voxels.iter();
+            for i in (0..VOXELS).filter(|i| leaf.active[i / 64] >> (i % 64) & 1 == 1) {
+                let i = i as i32;
+                let at = leaf.corner + IVec3::new(i / 64, i / 8 % 8, i % 8);
+                let at: Vec3 = at.as_vec3();
+                let nearest = all.iter().map(|t| t.nearest(at).squared).fold(f32::MAX, f32::min);
+                let inside = all.iter().all(|t| t.height(at) < 0.0);
+                let expected = if inside { -nearest.sqrt() } else { nearest.sqrt() };
+                let found = voxels.next().unwrap().distance;
+                assert!((found - expected).abs() < 1e-3, "{at}: {found}, not {expected}");
+                checked += 1;
+            }
+        }
+        // A band of six voxels around the area.
+        let area = 8.0 * 3f64.sqrt() / 4.0 * (2f64.sqrt() * RADIUS).powi(2);
+        assert!((f64::from(checked) / (6.0 * area) - 1.0).abs() < 0.05, "{checked} of {area}");
+    }
+}
