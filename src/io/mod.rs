@@ -46,6 +46,7 @@ mod text;
 pub mod text_format;
 pub mod up;
 pub mod usd;
+pub mod vdb;
 mod vertices;
 pub mod vtk;
 mod vtkhdf;

@@ -13,7 +13,7 @@ use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
-use super::{glb, houdini, obj, ply, stl, usd, vtk, vtkhdf, vtp};
+use super::{glb, houdini, obj, ply, stl, usd, vdb, vtk, vtkhdf, vtp};
 
 /// The format of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +31,10 @@ pub enum MeshFormat {
     Glb(glb::GlbLayout),
     /// Houdini's, compressed by Blosc.
     BgeoSc,
+    /// A level set of OpenVDB, and whether its values are compressed.
+    Vdb {
+        zip: bool,
+    },
 }
 
 impl fmt::Display for MeshFormat {
@@ -46,13 +50,14 @@ impl fmt::Display for MeshFormat {
             Self::Usdc(_) => ".usdc",
             Self::Glb(_) => ".glb",
             Self::BgeoSc => ".bgeo.sc",
+            Self::Vdb { .. } => ".vdb",
         })
     }
 }
 
 impl MeshFormat {
     /// All formats.
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 11] = [
         Self::Ply,
         Self::Obj,
         Self::Vtk,
@@ -63,11 +68,12 @@ impl MeshFormat {
         Self::Usdc(UpAxis::Y),
         Self::Glb(glb::GlbLayout::PLAIN),
         Self::BgeoSc,
+        Self::Vdb { zip: false },
     ];
 
     /// The extensions, for messages.
     pub const KNOWN: &'static str =
-        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb and .bgeo.sc";
+        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc and .vdb";
 
     /// The format of a file by its extension, in upper or lower case.
     #[must_use]
@@ -82,6 +88,7 @@ impl MeshFormat {
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
             "glb" => Some(Self::Glb(glb::GlbLayout::PLAIN)),
+            "vdb" => Some(Self::Vdb { zip: false }),
             "sc" => {
                 let before = Path::new(path.file_stem()?).extension()?;
                 before.eq_ignore_ascii_case("bgeo").then_some(Self::BgeoSc)
@@ -90,12 +97,16 @@ impl MeshFormat {
         }
     }
 
-    /// Sets the layout of a .glb, and the up axis of a .usdc; other formats are unchanged.
+    /// Sets the layout of a .glb, the up axis of a .usdc, and the compression of a .vdb; other
+    /// formats are unchanged.
     #[must_use]
     pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         match self {
             Self::Glb(_) => Self::Glb(layout),
             Self::Usdc(_) => Self::Usdc(layout.up),
+            Self::Vdb { .. } => {
+                Self::Vdb { zip: layout.compression == glb::GlbCompression::Meshopt }
+            }
             other => other,
         }
     }
@@ -103,13 +114,13 @@ impl MeshFormat {
     /// Whether this library can read it.
     #[must_use]
     pub fn is_read(self) -> bool {
-        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc)
+        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Vdb { .. })
     }
 
     /// Whether it can store normals of vertices.
     #[must_use]
     pub fn holds_normals(self) -> bool {
-        self != Self::Stl
+        !matches!(self, Self::Stl | Self::Vdb { .. })
     }
 
     /// Whether it can store velocities and other attributes of vertices.
@@ -136,6 +147,7 @@ impl MeshFormat {
             }
             Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
             Self::BgeoSc => houdini::attribute_names(attributes, has_normals),
+            Self::Vdb { .. } => vdb::attribute_names(attributes),
             Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
         };
         let both = attributes.iter().zip(names).filter(|(info, name)| info.name != *name);
@@ -147,6 +159,8 @@ impl MeshFormat {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
             Self::Ply | Self::Obj | Self::Stl => 2,
+            // Vertices and triangles once, and the vertices once more for attributes.
+            Self::Vdb { .. } => 3,
             // Each array of the vertices separately, with up to two for a colour, and triangles.
             Self::BgeoSc => arrays + 2,
             // Each array of the vertices separately, and triangles.
@@ -169,7 +183,11 @@ impl MeshFormat {
     pub fn holds_whole_mesh(self) -> bool {
         let compressed =
             |layout: glb::GlbLayout| layout.compression == glb::GlbCompression::Meshopt;
-        self == Self::Stl || matches!(self, Self::Glb(layout) if compressed(layout))
+        match self {
+            Self::Stl | Self::Vdb { .. } => true,
+            Self::Glb(layout) => compressed(layout),
+            _ => false,
+        }
     }
 
     /// Maximum numbers of vertices and triangles.
@@ -186,6 +204,7 @@ impl MeshFormat {
             // The end of the last triangle is three times the number of triangles.
             Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::BgeoSc => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
+            Self::Vdb { .. } => [U32, U32 - 1],
             Self::Usdc(_) => [I32, u64::MAX / 3],
             // 4 GiB: positions of 12 bytes per vertex, and indices of 12 bytes per triangle.
             Self::Glb(_) => [U32 / 12; 2],
@@ -248,6 +267,7 @@ impl MeshFormat {
             Self::Usdc(up) => usd::write_mesh(out, mesh, up),
             Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
             Self::BgeoSc => houdini::write_mesh(out, mesh, width),
+            Self::Vdb { zip } => vdb::write_mesh(out, mesh, zip),
         }
     }
 
@@ -264,7 +284,7 @@ impl MeshFormat {
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc => {
+            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Vdb { .. } => {
                 let what =
                     format!("cannot read {self} meshes; convert the particles to .ply as well");
                 Err(ReadFault::Unsupported(what))
@@ -467,6 +487,7 @@ mod tests {
                 normals: true,
                 attributes: Vec::new(),
                 pieces: 1,
+                lattice: None,
             }
         }
 
@@ -552,9 +573,9 @@ mod tests {
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
         assert!(
-            fault
-                .to_string()
-                .ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl or .bgeo.sc"),
+            fault.to_string().ends_with(
+                "write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl or .bgeo.sc or .vdb"
+            ),
             "{fault}"
         );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

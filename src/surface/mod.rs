@@ -3,6 +3,7 @@
 
 pub mod attribute;
 pub mod dual_mc;
+pub mod level_set;
 pub mod mesh;
 #[cfg(feature = "pictures")]
 pub mod picture;

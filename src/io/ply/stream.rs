@@ -77,6 +77,7 @@ impl StreamedMesh {
             normals: normals.is_some(),
             attributes: others.iter().map(info).collect(),
             pieces: count.max(triangles).div_ceil(PIECE),
+            lattice: None,
         };
         Ok(Some(Self { vertices, normals, others, faces: again.into(), at, outline }))
     }

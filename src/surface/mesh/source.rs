@@ -38,6 +38,17 @@ pub struct Outline {
     pub attributes: Vec<AttributeInfo>,
     /// Number of pieces.
     pub pieces: usize,
+    /// The lattice of the samples that the mesh was made from, if they are known.
+    pub lattice: Option<Lattice>,
+}
+
+/// A lattice of places: `origin` plus `step` times integer coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lattice {
+    /// The place with the coordinates (0, 0, 0), in the mesh's unit of length.
+    pub origin: [f64; 3],
+    /// The distance of neighbours, in the mesh's unit of length.
+    pub step: f64,
 }
 
 /// The positions of all vertices, and all triangles as indices into them.
@@ -61,6 +72,14 @@ pub trait MeshSource: Sync {
     /// # Errors
     /// If the pieces are in a file that cannot be read.
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
+
+    /// Reports whether long work on the mesh, after it was read, is to continue.
+    ///
+    /// # Errors
+    /// If it was cancelled.
+    fn go_on(&self) -> io::Result<()> {
+        Ok(())
+    }
 
     /// The axis that points up: y, unless it is known to be z.
     fn up(&self) -> UpAxis {
@@ -123,6 +142,7 @@ impl MeshSource for Mesh {
             normals: self.normals.is_some(),
             attributes: self.attributes.iter().map(VertexAttribute::info).collect(),
             pieces: self.positions.len().max(self.triangles.len()).div_ceil(PIECE),
+            lattice: None,
         }
     }
 
@@ -204,6 +224,10 @@ impl MeshSource for MeteredMesh<'_> {
         self.meter.go_on()?;
         self.meter.add(1);
         self.mesh.triangles(piece)
+    }
+
+    fn go_on(&self) -> io::Result<()> {
+        Ok(self.meter.go_on()?)
     }
 
     fn up(&self) -> UpAxis {

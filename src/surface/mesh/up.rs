@@ -7,7 +7,7 @@ use std::ops::Sub;
 
 use serde::{Deserialize, Serialize};
 
-use super::source::{MeshSource, Outline, Vertices};
+use super::source::{Lattice, MeshSource, Outline, Vertices};
 use crate::particles::AttributeInfo;
 use crate::particles::kind::is_colour_name;
 
@@ -80,7 +80,16 @@ impl<'a> TurnedMesh<'a> {
 
 impl MeshSource for TurnedMesh<'_> {
     fn outline(&self) -> Outline {
-        self.mesh.outline()
+        let outline = self.mesh.outline();
+        let turned = |lattice: Lattice| Lattice {
+            origin: self.from.turned(self.to, lattice.origin),
+            ..lattice
+        };
+        Outline { lattice: outline.lattice.map(turned), ..outline }
+    }
+
+    fn go_on(&self) -> io::Result<()> {
+        self.mesh.go_on()
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {

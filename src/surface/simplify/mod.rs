@@ -542,6 +542,7 @@ impl MeshSource for SimplifiedSurface {
             normals: self.whole.has_normals(),
             attributes: self.whole.attributes(),
             pieces: self.chunks.len(),
+            lattice: self.whole.outline().lattice,
         }
     }
 

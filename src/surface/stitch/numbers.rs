@@ -9,7 +9,7 @@ use multiversion::multiversion;
 
 use crate::grid::BLOCK;
 use crate::surface::dual_mc::cases::{CellEdge, TABLE};
-use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
+use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline, Vertices};
 use crate::surface::mesh::{Tile, bits, cell_of_bit};
 
 use super::StitchedSurface;
@@ -111,6 +111,10 @@ impl MeshSource for StitchedSurface {
             normals: self.spool.has_normals(),
             attributes: self.attributes.clone(),
             pieces: self.spool.len(),
+            lattice: Some(Lattice {
+                origin: (self.grid.origin() + self.grid.cell_size() / 2.0).to_array(),
+                step: self.grid.cell_size(),
+            }),
         }
     }
 

@@ -1,0 +1,132 @@
+//! The tree of a grid: a root with nodes of 32³ nodes of 16³ leaves of 8³ voxels.
+//!
+//! Where a node has no child, a tile says whether its voxels are inside or outside. Tiles are found
+//! as in a leaf: between neighbours of which one is a tile there is no surface.
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use crate::surface::level_set::{LEAF, VOXELS};
+
+use super::values::{Kind, put_sides};
+
+/// Children along the edge of each kind of inner node, from the leaves up, as powers of two.
+const LOG2: [u32; 2] = [4, 5];
+
+/// A leaf of the tree without its values.
+#[derive(Debug, Clone)]
+pub struct TreeLeaf {
+    /// The coordinates of the first voxel.
+    pub corner: IVec3,
+    /// Bits of the active voxels.
+    pub active: [u64; VOXELS / 64],
+    /// Whether the first and the last voxel are inside.
+    pub inside: [bool; 2],
+}
+
+/// A node above the leaves: its bytes, and whether its first and last voxels are inside.
+struct Node {
+    corner: IVec3,
+    bytes: Vec<u8>,
+    inside: [bool; 2],
+}
+
+/// The bytes of the tree without the values of its leaves, which are in the order of [`sorted`].
+pub fn topology(leaves: &[TreeLeaf], kind: Kind, background: f32, zip: bool) -> Vec<u8> {
+    let leaf = |leaf: &TreeLeaf| Node {
+        corner: leaf.corner,
+        bytes: leaf.active.iter().flat_map(|word| word.to_le_bytes()).collect(),
+        inside: leaf.inside,
+    };
+    let leaves: Vec<_> = leaves.par_iter().map(leaf).collect();
+    let lower = above(leaves, LEAF, LOG2[0], kind, zip);
+    let upper = above(lower, LEAF << LOG2[0], LOG2[1], kind, zip);
+    let tiles = root_tiles(&upper);
+
+    let mut out = 1i32.to_le_bytes().to_vec();
+    out.extend(kind.value(background));
+    out.extend((tiles.len() as u32).to_le_bytes());
+    out.extend((upper.len() as u32).to_le_bytes());
+    for corner in tiles {
+        out.extend(corner.to_array().map(i32::to_le_bytes).as_flattened());
+        out.extend(kind.value(-background));
+        out.push(0);
+    }
+    for node in upper {
+        out.extend(node.corner.to_array().map(i32::to_le_bytes).as_flattened());
+        out.extend(node.bytes);
+    }
+    out
+}
+
+/// Brings leaves into the order in which the tree has them: by node of the root, by node below
+/// that, and by place in that node, with z fastest.
+pub fn sort_key(corner: &IVec3) -> [[i32; 3]; 3] {
+    [LEAF << (LOG2[0] + LOG2[1]), LEAF << LOG2[0], LEAF]
+        .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
+}
+
+/// The nodes above `children`, which are in order and `edge` voxels wide.
+fn above(children: Vec<Node>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<Node> {
+    let parent = |child: &Node| child.corner.div_euclid(IVec3::splat(edge << log2));
+    let groups: Vec<&[Node]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();
+    groups
+        .into_par_iter()
+        .map(|children| {
+            node(parent(&children[0]) * (edge << log2), children, edge, log2, kind, zip)
+        })
+        .collect()
+}
+
+fn node(corner: IVec3, children: &[Node], edge: i32, log2: u32, kind: Kind, zip: bool) -> Node {
+    let side = 1usize << log2;
+    let slots = side.pow(3);
+    let number = |child: &Node| {
+        let at = (child.corner - corner) / edge;
+        (((at.x as usize) << log2 | at.y as usize) << log2) | at.z as usize
+    };
+    let mut of_child = vec![None; slots];
+    children.iter().for_each(|child| of_child[number(child)] = Some(child));
+
+    let mut child_mask = vec![0u64; slots / 64];
+    let mut outside = vec![0u64; slots / 64];
+    // Whether the last voxel of each slot is inside.
+    let mut last = vec![false; slots];
+    let (mut tiles, mut tiles_inside) = (0, 0);
+    for slot in 0..slots {
+        if let Some(child) = of_child[slot] {
+            child_mask[slot / 64] |= 1 << (slot % 64);
+            last[slot] = child.inside[1];
+            continue;
+        }
+        let before =
+            [(slot % side, 1), (slot / side % side, side), (slot / side.pow(2), side.pow(2))]
+                .into_iter()
+                .find(|&(along, _)| along > 0);
+        last[slot] = before.map_or(children[0].inside[0], |(_, step)| last[slot - step]);
+        tiles += 1;
+        tiles_inside += usize::from(last[slot]);
+        outside[slot / 64] |= u64::from(!last[slot]) << (slot % 64);
+    }
+    let mut bytes = Vec::new();
+    bytes.extend(child_mask.iter().flat_map(|word| word.to_le_bytes()));
+    // No tile is active.
+    bytes.resize(bytes.len() + slots / 8, 0);
+    put_sides(&mut bytes, kind, [tiles_inside, tiles], &outside);
+    kind.put_none(&mut bytes, zip);
+    children.iter().for_each(|child| bytes.extend(&child.bytes));
+    let first = of_child[0].map_or(last[0], |child| child.inside[0]);
+    Node { corner, bytes, inside: [first, last[slots - 1]] }
+}
+
+/// The corners of the root's tiles: those between two nodes of a column, inside the surface.
+fn root_tiles(nodes: &[Node]) -> Vec<IVec3> {
+    let edge = LEAF << (LOG2[0] + LOG2[1]);
+    let between = nodes.windows(2).flat_map(|pair| {
+        let [low, high] = [pair[0].corner, pair[1].corner];
+        let is_column = low.truncate() == high.truncate() && pair[0].inside[1];
+        let count = if is_column { (high.z - low.z) / edge - 1 } else { 0 };
+        (1..=count).map(move |i| low + IVec3::Z * (i * edge))
+    });
+    between.collect()
+}
