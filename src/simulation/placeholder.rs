@@ -63,8 +63,8 @@ fn braces(text: &str) -> Found {
     let (name, format) = inside.split_once(':').unwrap_or((inside, ""));
     let digits = format.trim_end_matches('d');
     let placeholder = match (name, digits.strip_prefix('0').and_then(width)) {
-        ("piece", _) if format.is_empty() => Placeholder::Piece,
-        ("time", _) if format.is_empty() => Placeholder::Time,
+        _ if inside == "piece" => Placeholder::Piece,
+        _ if inside == "time" => Placeholder::Time,
         ("" | "frame", None) if digits.is_empty() => Placeholder::Number(None),
         ("" | "frame", Some(width)) => Placeholder::Number(Some(width)),
         _ => unknown(width(digits)),
