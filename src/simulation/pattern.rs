@@ -331,6 +331,7 @@ mod tests {
             "a_{}/x_{}.ply",
             "x_{piece}.ply",
             "x_{}{piece}.ply",
+            "x_{}_{piece:}.ply",
         ] {
             Pattern::parse(Path::new(wrong)).unwrap_err();
         }

@@ -63,8 +63,8 @@ fn braces(text: &str) -> Found {
     let (name, format) = inside.split_once(':').unwrap_or((inside, ""));
     let digits = format.trim_end_matches('d');
     let placeholder = match (name, digits.strip_prefix('0').and_then(width)) {
-        ("piece", _) if format.is_empty() => Placeholder::Piece,
-        ("time", _) if format.is_empty() => Placeholder::Time,
+        _ if inside == "piece" => Placeholder::Piece,
+        _ if inside == "time" => Placeholder::Time,
         ("" | "frame", None) if digits.is_empty() => Placeholder::Number(None),
         ("" | "frame", Some(width)) => Placeholder::Number(Some(width)),
         _ => unknown(width(digits)),
@@ -87,9 +87,13 @@ fn printf(text: &str) -> Found {
     ends.then_some((digits.len() + 2, placeholder))
 }
 
-/// `####` or `@@@@`, one character per digit. A single `#` stands for any number of digits, and
-/// must be separated from letters and digits.
+/// `####` or `@@@@`, one character per digit, up to 20. A single `#` stands for any number of
+/// digits, and must be separated from letters and digits.
 fn marks(text: &str, sign: char, before: Option<char>) -> Found {
+    if before == Some(sign) {
+        // The end of a run that is too long.
+        return None;
+    }
     let count = text.len() - text.trim_start_matches(sign).len();
     let is_apart = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
     match count {
@@ -180,6 +184,9 @@ mod tests {
             ["my%20data.npy", "100%done.ply", "C#.ply", "sim.h5part#12", "a@b.xyz", "a$b", "$"]
         {
             assert_eq!(number(name), None, "{name}");
+        }
+        for sign in ["#", "@"] {
+            assert_eq!(number(&sign.repeat(21)), None);
         }
     }
 }

@@ -15,6 +15,8 @@ pub fn targets() -> Vec<Target> {
         "{}",
         "{:04}",
         "{:0",
+        "{piece}",
+        "{time}",
         "}",
         "_0001",
         ".bgeo",
@@ -59,8 +61,12 @@ fn patterns(data: &[u8]) {
     if let Ok(Some(pattern)) = Pattern::parse(Path::new(text)) {
         let paths = [0, 7, 1234, i64::MAX].map(|number| pattern.path(number, &number.to_string()));
         assert!((1..4).all(|i| !paths[..i].contains(&paths[i])), "{paths:?}");
+        // Only an input has pieces. Digits between `%` and `d`, or in `<f>`, are another program's
+        // notation, unless there is a file with this name.
+        let filled = paths[0].to_str().unwrap().replace("{piece}", "0");
         assert!(
-            Pattern::parse(&paths[0]).is_ok_and(|again| again.is_none()),
+            text.contains(['%', '<'])
+                || Pattern::parse(Path::new(&filled)).is_ok_and(|again| again.is_none()),
             "{text:?} is a pattern when it is filled"
         );
     }

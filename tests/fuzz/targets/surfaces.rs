@@ -67,8 +67,8 @@ fn run(data: &[u8]) {
     {
         let [a, b] = [&whole, &mesh].map(measure);
         assert_eq!((a.components, a.genus), (b.components, b.genus), "another shape");
-        let distance = compare(&whole, &mesh).unwrap().hausdorff;
-        assert!(distance <= tolerance, "{distance} is beyond {tolerance}");
+        let found = compare(&whole, &mesh).unwrap();
+        assert!(found.hausdorff <= tolerance, "farther than {tolerance}: {found:?}");
     }
 }
 
