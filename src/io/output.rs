@@ -13,7 +13,7 @@ use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
-use super::{glb, houdini, obj, ply, stl, usd, vtk, vtkhdf, vtp};
+use super::{alembic, glb, houdini, obj, ply, stl, usd, vtk, vtkhdf, vtp};
 
 /// The format of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +31,8 @@ pub enum MeshFormat {
     Glb(glb::GlbLayout),
     /// Houdini's, compressed by Blosc.
     BgeoSc,
+    /// Alembic's, with one sample at this time.
+    Abc(alembic::SampleTime),
 }
 
 impl fmt::Display for MeshFormat {
@@ -46,13 +48,14 @@ impl fmt::Display for MeshFormat {
             Self::Usdc(_) => ".usdc",
             Self::Glb(_) => ".glb",
             Self::BgeoSc => ".bgeo.sc",
+            Self::Abc(_) => ".abc",
         })
     }
 }
 
 impl MeshFormat {
     /// All formats.
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 11] = [
         Self::Ply,
         Self::Obj,
         Self::Vtk,
@@ -63,11 +66,12 @@ impl MeshFormat {
         Self::Usdc(UpAxis::Y),
         Self::Glb(glb::GlbLayout::PLAIN),
         Self::BgeoSc,
+        Self::Abc(alembic::SampleTime::ZERO),
     ];
 
     /// The extensions, for messages.
     pub const KNOWN: &'static str =
-        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb and .bgeo.sc";
+        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc and .abc";
 
     /// The format of a file by its extension, in upper or lower case.
     #[must_use]
@@ -82,6 +86,7 @@ impl MeshFormat {
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
             "glb" => Some(Self::Glb(glb::GlbLayout::PLAIN)),
+            "abc" => Some(Self::Abc(alembic::SampleTime::ZERO)),
             "sc" => {
                 let before = Path::new(path.file_stem()?).extension()?;
                 before.eq_ignore_ascii_case("bgeo").then_some(Self::BgeoSc)
@@ -100,10 +105,19 @@ impl MeshFormat {
         }
     }
 
+    /// Sets the time of the mesh in seconds, in formats that store it.
+    #[must_use]
+    pub fn at(self, seconds: f64) -> Self {
+        match self {
+            Self::Abc(_) => Self::Abc(alembic::SampleTime::of(seconds)),
+            other => other,
+        }
+    }
+
     /// Whether this library can read it.
     #[must_use]
     pub fn is_read(self) -> bool {
-        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc)
+        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_))
     }
 
     /// Whether it can store normals of vertices.
@@ -136,6 +150,7 @@ impl MeshFormat {
             }
             Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
             Self::BgeoSc => houdini::attribute_names(attributes, has_normals),
+            Self::Abc(_) => alembic::attribute_names(attributes, has_normals),
             Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
         };
         let both = attributes.iter().zip(names).filter(|(info, name)| info.name != *name);
@@ -153,13 +168,15 @@ impl MeshFormat {
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::Usdc(_) => arrays + 1,
             // Additionally vertices and triangles once for their order.
             Self::Glb(_) => 2 + arrays + 1,
+            // Each array of the vertices separately, and triangles, twice.
+            Self::Abc(_) => 2 * (arrays + 1),
         }
     }
 
     /// Whether it can store coordinates in f64.
     #[must_use]
     pub fn holds_f64(self) -> bool {
-        !matches!(self, Self::Stl | Self::Usdc(_))
+        !matches!(self, Self::Stl | Self::Usdc(_) | Self::Abc(_))
     }
 
     /// Whether its writer keeps much of a mesh in memory: the positions of all vertices, 24 bytes
@@ -187,6 +204,8 @@ impl MeshFormat {
             Self::Vtp | Self::Pvtp | Self::VtkHdf | Self::BgeoSc => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Usdc(_) => [I32, u64::MAX / 3],
+            // Bytes are counted in 63 bits, and a triangle has 16.
+            Self::Abc(_) => [I32, I64 / 32],
             // 4 GiB: positions of 12 bytes per vertex, and indices of 12 bytes per triangle.
             Self::Glb(_) => [U32 / 12; 2],
         }
@@ -248,6 +267,7 @@ impl MeshFormat {
             Self::Usdc(up) => usd::write_mesh(out, mesh, up),
             Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
             Self::BgeoSc => houdini::write_mesh(out, mesh, width),
+            Self::Abc(time) => alembic::write_mesh(out, mesh, time),
         }
     }
 
@@ -264,7 +284,7 @@ impl MeshFormat {
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc => {
+            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_) => {
                 let what =
                     format!("cannot read {self} meshes; convert the particles to .ply as well");
                 Err(ReadFault::Unsupported(what))
@@ -381,6 +401,11 @@ impl MeshOutput {
     /// Changes the format by [`MeshFormat::with_layout`].
     pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }
+    }
+
+    /// Changes the format by [`MeshFormat::at`].
+    pub fn at(self, seconds: f64) -> Self {
+        Self { format: self.format.at(seconds), ..self }
     }
 
     /// The temporary file and the created folders, which an interrupt must remove.

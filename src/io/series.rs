@@ -125,7 +125,9 @@ impl Series {
             MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => {
                 vec![list, self.appended(".series")]
             }
-            MeshFormat::Obj | MeshFormat::Glb(_) | MeshFormat::BgeoSc => vec![list],
+            MeshFormat::Obj | MeshFormat::Glb(_) | MeshFormat::BgeoSc | MeshFormat::Abc(_) => {
+                vec![list]
+            }
             // Files are written before the stage that refers to them.
             MeshFormat::Usdc(_) => vec![list, self.clips(), self.simulation.with_extension("usda")],
         }

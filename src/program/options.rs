@@ -33,7 +33,7 @@ pub struct ReconstructOptions {
     pub together: bool,
     #[command(flatten)]
     pub settings: Settings,
-    /// Mesh file: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb or .bgeo.sc.
+    /// Mesh file: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc or .abc.
     ///
     /// For a simulation: a pattern with {} or {:04} for the frame number, or a folder.
     #[arg(short, long, help_heading = "Output")]

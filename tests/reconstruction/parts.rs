@@ -100,6 +100,7 @@ fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
             &[2],
             &["--smooth", "3", "--cell", "0.9", "--origin", "0.01,0.02,0.03"],
         ),
+        ("dam.bgeo", "abc", &[3], &["--normals", "--particles-up", "z"]),
         ("dam.bgeo", "ply", &[4], &["--cell", "0.2", "--memory", "24MiB", "--threads", "1"]),
         ("spray.xyz", "ply", &[3, 20], &["--spacing", "1", "--normals"]),
         ("drop.xyz", "ply", &[1, 9], &["--spacing", "1"]),
