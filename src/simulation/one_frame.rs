@@ -18,7 +18,7 @@ use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
 use crate::io::input::file_and_step;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::io::series::SeriesFrame;
+use crate::io::series::{FRAMES_A_SECOND, SeriesFrame};
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::kind::known_of;
@@ -178,7 +178,7 @@ impl Conversion<'_> {
         let bounded = BoundedMesh::new(&turned);
         let number = frame.number as f64;
         let shown = time.or(simulation.fps.map(|fps| number / fps));
-        let output = output.at(shown.unwrap_or(number));
+        let output = output.at(shown.unwrap_or(number / FRAMES_A_SECOND));
         let (file, held) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if frame.stamp().ok() != Some(input) {

@@ -2,14 +2,21 @@
 //! and nothing else is in the file.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
 
 use meniscus::internals::io::CoordinateWidth;
 use meniscus::internals::io::alembic::SampleTime;
 use meniscus::internals::io::alembic::content_hash::ContentHasher;
+use meniscus::internals::io::alembic::frame_archive::FrameArchive;
 use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::io::series::SeriesFrame;
 use meniscus::internals::particles::AttributeKind;
+use meniscus::internals::surface::mesh::source::MeshSource;
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
+use meniscus::{Reconstruction, Simulation};
 
+use crate::common::files::names;
 use crate::common::shapes::{dressed, moved, sphere};
 
 /// An archive whose bytes are all read.
@@ -367,4 +374,186 @@ fn metadata_and_names_of_any_length_are_read_back() {
         assert!(values.metadata.starts_with(&format!("arrayExtent={components};")));
         assert_eq!(values.floats(0).len(), components * vertices);
     }
+}
+
+/// Writes a mesh into a file of its own in the folder of an archive's frames.
+fn frame_file(folder: &Path, number: i64, mesh: &Mesh) -> SeriesFrame {
+    let (file, bytes) = (format!("wave_{number}.abc"), written(mesh, number as f64));
+    fs::create_dir_all(folder).unwrap();
+    fs::write(folder.join(&file), &bytes).unwrap();
+    SeriesFrame {
+        frame: number,
+        time: None,
+        file,
+        bytes: bytes.len() as u64,
+        particles: 1,
+        vertices: mesh.vertex_count(),
+        triangles: mesh.triangle_count(),
+        bounds: None,
+        normals: mesh.has_normals(),
+        attributes: mesh.attributes(),
+    }
+}
+
+fn numbers(frames: &[SeriesFrame]) -> Vec<f64> {
+    frames.iter().map(|frame| frame.frame as f64).collect()
+}
+
+/// An archive in a folder, and the folder of its frames.
+fn archive_in(folder: &Path) -> (FrameArchive, std::path::PathBuf) {
+    let frames = folder.join("wave.abc.frames");
+    (FrameArchive::new(folder.join("wave.abc"), frames.clone()), frames)
+}
+
+#[test]
+fn an_archive_of_frames_has_the_values_of_each_and_is_complete_after_each() {
+    let folder = tempfile::tempdir().unwrap();
+    let (archive, frames) = archive_in(folder.path());
+    // The second frame has no attributes, the fourth is empty, and the third comes last.
+    let meshes = [
+        (1, dressed(sphere(1.0, 2))),
+        (2, sphere(1.5, 1)),
+        (4, Mesh::default()),
+        (5, dressed(moved(&sphere(0.5, 2), [0.0, 1.0, 0.0]))),
+        (3, dressed(sphere(2.0, 1))),
+    ];
+    let mut expected: BTreeMap<i64, &Mesh> = BTreeMap::new();
+    for (number, mesh) in &meshes {
+        let listed = frame_file(&frames, *number, mesh);
+        archive.add(&listed, 7, numbers).unwrap();
+        assert!(archive.frames().holds(&listed));
+        expected.insert(*number, mesh);
+        assert_eq!(names(&frames), ["archive.json"], "the file of the frame is removed");
+        let (found, _) = read(&fs::read(archive.path()).unwrap());
+        let (first, count) = (*expected.keys().next().unwrap() as f64, expected.len() as u32);
+        let (per_cycle, times, samples) = &found.samplings[1];
+        let is_uniform = times.len() == 1;
+        assert_eq!((times[0], *samples), (first, count));
+        assert_eq!(is_uniform, expected.keys().copied().eq(1..=i64::from(count)));
+        assert_eq!(*per_cycle, if is_uniform { 1.0 } else { f64::MAX / 32.0 });
+        let of = |name: &str| &found.values[&format!("{SHAPE}/{name}")];
+        for (sample, mesh) in expected.values().enumerate() {
+            assert_eq!(of("P").floats(sample), narrow(mesh));
+            assert_eq!(of(".faceCounts").words(sample), vec![3; mesh.triangles.len()]);
+            let velocity = mesh.attributes.iter().find(|info| info.name == "velocity");
+            let velocity = velocity.map_or(&[][..], |velocity| &velocity.values);
+            assert_eq!(of(".velocities").floats(sample), velocity);
+            assert_eq!(of(".selfBnds").samples[sample].len(), 48);
+        }
+    }
+    // Another state begins anew.
+    let listed = frame_file(&frames, 9, &meshes[1].1);
+    archive.add(&listed, 8, numbers).unwrap();
+    let (found, unused) = read(&fs::read(archive.path()).unwrap());
+    assert_eq!(found.values[&format!("{SHAPE}/P")].samples.len(), 1);
+    assert_eq!(unused, 16 + (listed.bytes - end_of_arrays(&meshes[1].1)) as usize);
+}
+
+/// The end of the arrays in the file of a mesh.
+fn end_of_arrays(mesh: &Mesh) -> u64 {
+    let arrays =
+        [12 * mesh.vertex_count(), 48, 12 * mesh.triangle_count(), 4 * mesh.triangle_count()];
+    16 + arrays.into_iter().map(|bytes| 24 + bytes).sum::<u64>()
+}
+
+#[test]
+fn an_addition_that_was_interrupted_at_any_point_is_made_again_to_the_same_bytes() {
+    let meshes = [1, 2, 3].map(|number| dressed(sphere(f64::from(number), 1)));
+    let add = |archive: &FrameArchive, frames: &Path, number: usize| {
+        let listed = frame_file(frames, number as i64, &meshes[number - 1]);
+        archive.add(&listed, 7, numbers).unwrap();
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let (archive, frames) = archive_in(folder.path());
+    let table = frames.join("archive.json");
+    add(&archive, &frames, 1);
+    add(&archive, &frames, 2);
+    let before = [archive.path(), &table].map(|path| fs::read(path).unwrap());
+    add(&archive, &frames, 3);
+    let whole = fs::read(archive.path()).unwrap();
+    assert_eq!(whole[16..before[0].len()], before[0][16..], "additions change only the header");
+    let resume = |bytes: &[u8], table_bytes: &[u8]| {
+        fs::write(archive.path(), bytes).unwrap();
+        fs::write(&table, table_bytes).unwrap();
+        let known = archive.frames();
+        assert_eq!(known.crc(1), Some(crc32fast::hash(&written(&meshes[0], 1.0))));
+        let (found, _) = read(&bytes[..before[0].len()]);
+        assert_eq!(found.values[&format!("{SHAPE}/P")].samples.len(), 2);
+        add(&archive, &frames, 3);
+        assert!(fs::read(archive.path()).unwrap() == whole);
+        assert_eq!(names(&frames), ["archive.json"]);
+    };
+    // While the frame and the groups were written.
+    for kept in [0, 1, 100, whole.len() - before[0].len()] {
+        let bytes = [&before[0][..], &whole[before[0].len()..][..kept]].concat();
+        resume(&bytes, &before[1]);
+    }
+    // After the header was written, and before the table was.
+    fs::write(archive.path(), &whole).unwrap();
+    fs::write(&table, &before[1]).unwrap();
+    add(&archive, &frames, 3);
+    assert!(fs::read(archive.path()).unwrap() == whole);
+    // Before the file of the frame was removed.
+    add(&archive, &frames, 3);
+    assert!(fs::read(archive.path()).unwrap() == whole);
+    // Without the table, or with an archive that was cut, nothing is known.
+    fs::write(archive.path(), &whole[..whole.len() - 1]).unwrap();
+    assert_eq!(archive.frames().crc(1), None);
+}
+
+#[test]
+fn one_archive_of_a_simulation_is_the_same_on_any_threads_and_after_a_resume() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir(at("in")).unwrap();
+    let write = |number: i32| {
+        let mut text = String::new();
+        for cell in 0..4_i32.pow(3) * number {
+            let place = [cell % 4, cell / 4 % 4, cell / 16];
+            text += &format!("{} {} {}\n", place[0], place[1], place[2]);
+        }
+        fs::write(at(&format!("in/f_{number}.xyz")), text).unwrap();
+    };
+    (1..=5).for_each(write);
+    let request = |threads| Reconstruction::new().spacing(1.0).threads(threads);
+    let simulation = |output: &str, threads| {
+        let inputs = folder.path().join("in/f_{}.xyz");
+        Simulation::new(inputs, at(output)).reconstruction(request(threads)).fps(25.0)
+    };
+    let run = |simulation: Simulation| simulation.run(|_| {}).unwrap();
+    let summaries = run(simulation("one/wave.abc", 1));
+    assert_eq!((summaries[0].made, &*summaries[0].folder), (5, &*at("one")));
+    run(simulation("three/wave.abc", 3));
+    let bytes = fs::read(at("one/wave.abc")).unwrap();
+    assert!(bytes == fs::read(at("three/wave.abc")).unwrap());
+    let (found, _) = read(&bytes);
+    let (per_cycle, first, samples) = &found.samplings[1];
+    assert!((per_cycle - 0.04).abs() < 1e-12, "{per_cycle}");
+    assert_eq!((&first[..], *samples), (&[0.04][..], 5));
+
+    run(simulation("each/wave_{}.abc", 2));
+    for (sample, number) in (1..=5).enumerate() {
+        let bytes = fs::read(at(&format!("each/wave_{number}.abc"))).unwrap();
+        let (single, _) = read(&bytes);
+        assert_eq!(single.samplings[1].1, [f64::from(number) / 25.0]);
+        for (name, values) in single.values.iter().filter(|(name, _)| name.contains(".geom")) {
+            assert!(found.values[name].samples[sample] == values.samples[0], "{name}");
+        }
+    }
+    assert!(!at("each/wave.abc").exists(), "a pattern makes no archive");
+
+    run(simulation("later/wave.abc", 2).end(3));
+    let refused = simulation("later/wave.abc", 2).run(|_| {}).unwrap_err();
+    assert!(refused.to_string().contains("wave.abc"), "{refused}");
+    let summaries = run(simulation("later/wave.abc", 2).resume());
+    assert_eq!(summaries[0].made, 2);
+    assert!(bytes == fs::read(at("later/wave.abc")).unwrap());
+    // A frame that changed is replaced, and takes more room.
+    fs::write(at("in/f_4.xyz"), fs::read(at("in/f_2.xyz")).unwrap()).unwrap();
+    assert_eq!(run(simulation("later/wave.abc", 2).resume())[0].made, 1);
+    let (changed, _) = read(&fs::read(at("later/wave.abc")).unwrap());
+    let points = &changed.values[&format!("{SHAPE}/P")].samples;
+    assert!(points.len() == 5 && points[3] == points[1]);
+    run(simulation("later/wave.abc", 2).overwrite());
+    assert!(fs::metadata(at("later/wave.abc")).unwrap().len() < bytes.len() as u64);
 }

@@ -80,7 +80,7 @@ fn said(text: &str, about: &str) -> Vec<String> {
 fn the_bytes_are_those_of_a_single_run_whatever_the_parts_and_the_options() {
     let folder = scenes();
     let folder = folder.path();
-    let cases: [(&str, &str, &[usize], &[&str]); 13] = [
+    let cases: [(&str, &str, &[usize], &[&str]); 14] = [
         ("dam.bgeo", "ply", &[1, 2, 3, 8, 64], &[]),
         ("dam.bgeo", "glb", &[3], &["--normals", "--compress"]),
         (

@@ -9,7 +9,7 @@
 //! are several. The block of a sample is its digest and its values.
 
 use super::content_hash::{ContentHasher, Digest};
-use super::ogawa::{Blocks, Child};
+use super::ogawa::{OgawaBlocks, OgawaChild};
 
 /// The version of the library whose files these are: 1.8.0.
 const LIBRARY_VERSION: i32 = 1_08_00;
@@ -20,7 +20,7 @@ const NOT_LISTED: usize = 255;
 
 /// A type of numbers, with Alembic's number of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Pod {
+pub enum AbcPod {
     Bool = 0,
     U32 = 5,
     I32 = 6,
@@ -28,7 +28,7 @@ pub enum Pod {
     F64 = 11,
 }
 
-impl Pod {
+impl AbcPod {
     pub fn name(self) -> &'static str {
         match self {
             Self::Bool => "bool_t",
@@ -42,37 +42,37 @@ impl Pod {
 
 /// The name and type of a property with values.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ValueHeader {
+pub struct AbcHeader {
     pub name: String,
     pub metadata: String,
     /// Whether a sample is one element, not an array.
     pub scalar: bool,
-    pub pod: Pod,
+    pub pod: AbcPod,
     /// Numbers in an element.
     pub extent: u8,
 }
 
 /// The values of a property at one time.
 #[derive(Debug, Clone, Copy)]
-pub struct Sample {
-    pub block: Child,
+pub struct AbcSample {
+    pub block: OgawaChild,
     pub digest: Digest,
     /// Number of elements.
     pub elements: u64,
 }
 
-impl Sample {
+impl AbcSample {
     /// An array of no elements.
     pub fn empty() -> Self {
-        Self { block: Child::NO_DATA, digest: ContentHasher::of(&[]), elements: 0 }
+        Self { block: OgawaChild::NO_DATA, digest: ContentHasher::of(&[]), elements: 0 }
     }
 }
 
 /// A property of an object.
-pub enum Property {
+pub enum AbcProperty {
     Values {
-        header: ValueHeader,
-        samples: Vec<Sample>,
+        header: AbcHeader,
+        samples: Vec<AbcSample>,
         /// The number of its time sampling.
         sampling: u32,
     },
@@ -84,10 +84,10 @@ pub enum Property {
 }
 
 /// An object of the tree.
-pub struct Object {
+pub struct AbcObject {
     pub name: &'static str,
     pub metadata: String,
-    pub properties: Vec<Property>,
+    pub properties: Vec<AbcProperty>,
     pub children: Vec<Self>,
 }
 
@@ -137,18 +137,18 @@ impl TimeSampling {
 /// sampling as number 1; number 0 is for constants.
 pub fn archive(
     at: u64,
-    metadata: &str,
     sampling: &TimeSampling,
-    objects: impl FnOnce(&mut Blocks) -> Vec<Object>,
-) -> (Vec<u8>, Child) {
-    let mut blocks = Blocks::new(at);
+    objects: impl FnOnce(&mut OgawaBlocks) -> Vec<AbcObject>,
+) -> (Vec<u8>, OgawaChild) {
+    let mut blocks = OgawaBlocks::new(at);
     let children = objects(&mut blocks);
-    let top = Object { name: "ABC", metadata: String::new(), properties: Vec::new(), children };
+    let top = AbcObject { name: "ABC", metadata: String::new(), properties: Vec::new(), children };
     let mut metadata_list = MetadataList::default();
     let version = blocks.data(&0_i32.to_le_bytes());
     let library = blocks.data(&LIBRARY_VERSION.to_le_bytes());
     let (top, _) = top.put(&mut blocks, &mut metadata_list);
-    let metadata = blocks.data(metadata.as_bytes());
+    const WRITER: &str = concat!("_ai_Application=meniscus ", env!("CARGO_PKG_VERSION"));
+    let metadata = blocks.data(WRITER.as_bytes());
     let mut samplings = Vec::new();
     TimeSampling::of_constants().put(&mut samplings);
     sampling.put(&mut samplings);
@@ -158,9 +158,9 @@ pub fn archive(
     (blocks.finish(), root)
 }
 
-impl Object {
+impl AbcObject {
     /// Appends the object. Returns its group, and a hash of everything in it.
-    fn put(&self, blocks: &mut Blocks, list: &mut MetadataList) -> (Child, Digest) {
+    fn put(&self, blocks: &mut OgawaBlocks, list: &mut MetadataList) -> (OgawaChild, Digest) {
         let (compound, of_properties) = put_compound(&self.properties, blocks, list);
         let mut group = vec![compound];
         let (mut headers, mut of_children) = (Vec::new(), ContentHasher::default());
@@ -190,21 +190,21 @@ impl Object {
 /// Appends the properties of an object or a compound. Returns their group, and a hash of all
 /// headers and samples.
 fn put_compound(
-    properties: &[Property],
-    blocks: &mut Blocks,
+    properties: &[AbcProperty],
+    blocks: &mut OgawaBlocks,
     list: &mut MetadataList,
-) -> (Child, Digest) {
+) -> (OgawaChild, Digest) {
     let (mut group, mut headers, mut hash) = (Vec::new(), Vec::new(), ContentHasher::default());
     for property in properties {
         match property {
-            Property::Values { header, samples, sampling } => {
-                let dimensions = (!header.scalar).then_some(Child::NO_DATA);
+            AbcProperty::Values { header, samples, sampling } => {
+                let dimensions = (!header.scalar).then_some(OgawaChild::NO_DATA);
                 let children = samples.iter().flat_map(|sample| [Some(sample.block), dimensions]);
                 group.push(blocks.group(&children.flatten().collect::<Vec<_>>()));
                 samples.iter().for_each(|sample| hash.update(&sample.digest));
                 put_value_header(&mut headers, header, samples, *sampling, list);
             }
-            Property::Compound { name, metadata, properties } => {
+            AbcProperty::Compound { name, metadata, properties } => {
                 let (compound, own) = put_compound(properties, blocks, list);
                 group.push(compound);
                 hash.update(&own);
@@ -221,8 +221,8 @@ fn put_compound(
 
 fn put_value_header(
     out: &mut Vec<u8>,
-    header: &ValueHeader,
-    samples: &[Sample],
+    header: &AbcHeader,
+    samples: &[AbcSample],
     sampling: u32,
     list: &mut MetadataList,
 ) {
@@ -293,5 +293,28 @@ impl MetadataList {
     fn bytes(&self) -> Vec<u8> {
         let sized = |text: &String| [&[text.len() as u8], text.as_bytes()].concat();
         self.0.iter().flat_map(sized).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(times: &[f64]) -> (f64, Vec<f64>) {
+        let sampling = TimeSampling::at(times);
+        assert_eq!(sampling.samples as usize, times.len());
+        (sampling.per_cycle, sampling.times)
+    }
+
+    #[test]
+    fn times_at_equal_distances_are_a_start_and_a_distance_and_others_are_listed() {
+        assert_eq!(at(&[0.5, 0.75, 1.0, 1.25]), (0.25, vec![0.5]));
+        let rounded: Vec<f64> = (1..=250).map(|frame| f64::from(frame) / 24.0).collect();
+        let (per_cycle, first) = at(&rounded);
+        assert!((per_cycle - 1.0 / 24.0).abs() < 1e-12 && first == [1.0 / 24.0]);
+        assert_eq!(at(&[2.0]), (1.0, vec![2.0]));
+        assert_eq!(at(&[0.0, 0.1, 0.3]), (ACYCLIC, vec![0.0, 0.1, 0.3]));
+        // Not uniform, although the difference is below the tolerance of Alembic.
+        assert_eq!(at(&[0.0, 1e-6, 3e-6]), (ACYCLIC, vec![0.0, 1e-6, 3e-6]));
     }
 }

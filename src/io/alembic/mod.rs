@@ -12,6 +12,7 @@
 
 mod archive;
 pub mod content_hash;
+pub mod frame_archive;
 mod geometry;
 mod ogawa;
 mod write;

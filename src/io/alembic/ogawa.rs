@@ -11,11 +11,16 @@ const IS_DATA: u64 = 1 << 63;
 
 /// A child of a group: the position of a group or data block, or nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Child(u64);
+pub struct OgawaChild(u64);
 
-impl Child {
+impl OgawaChild {
     /// Data of no bytes.
     pub const NO_DATA: Self = Self(IS_DATA);
+
+    /// The position of a group.
+    pub fn position(self) -> u64 {
+        self.0
+    }
 
     /// The data block at a position.
     pub fn data(at: u64) -> Self {
@@ -24,43 +29,43 @@ impl Child {
 }
 
 /// The header of a complete file of version 1.
-pub fn header(root: Child) -> Vec<u8> {
+pub fn header(root: OgawaChild) -> Vec<u8> {
     let mut header = b"Ogawa\xff\0\x01".to_vec();
     header.extend(root.0.to_le_bytes());
     header
 }
 
 /// Groups and small data blocks, one after the other.
-pub struct Blocks {
+pub struct OgawaBlocks {
     /// The position of the first one.
     at: u64,
     bytes: Vec<u8>,
 }
 
-impl Blocks {
+impl OgawaBlocks {
     pub fn new(at: u64) -> Self {
         Self { at, bytes: Vec::new() }
     }
 
-    pub fn data(&mut self, content: &[u8]) -> Child {
+    pub fn data(&mut self, content: &[u8]) -> OgawaChild {
         if content.is_empty() {
-            return Child::NO_DATA;
+            return OgawaChild::NO_DATA;
         }
         let at = self.end();
         self.bytes.extend((content.len() as u64).to_le_bytes());
         self.bytes.extend(content);
-        Child::data(at)
+        OgawaChild::data(at)
     }
 
-    pub fn group(&mut self, children: &[Child]) -> Child {
+    pub fn group(&mut self, children: &[OgawaChild]) -> OgawaChild {
         // A group without children has no position.
         if children.is_empty() {
-            return Child(0);
+            return OgawaChild(0);
         }
         let at = self.end();
         self.bytes.extend((children.len() as u64).to_le_bytes());
         self.bytes.extend(children.iter().flat_map(|child| child.0.to_le_bytes()));
-        Child(at)
+        OgawaChild(at)
     }
 
     fn end(&self) -> u64 {

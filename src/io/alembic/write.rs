@@ -8,10 +8,10 @@ use crate::io::encode::{write_floats, write_pieces, write_triangles, write_verti
 use crate::surface::mesh::source::MeshSource;
 
 use super::SampleTime;
-use super::archive::{Sample, TimeSampling, archive};
-use super::content_hash::{ContentHasher, Digest};
-use super::geometry::{ArraySource, MeshArray, arrays, objects};
-use super::ogawa::{Child, HEADER, LENGTH, header};
+use super::archive::{TimeSampling, archive};
+use super::content_hash::ContentHasher;
+use super::geometry::{AbcArray, AbcSource, arrays, objects, positions};
+use super::ogawa::header;
 
 /// Triangles per write of corner counts.
 const COUNTS: u64 = 1 << 12;
@@ -27,43 +27,29 @@ const EMPTY_BOX: [[f64; 3]; 2] = [[f64::MAX; 3], [f64::MIN; 3]];
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, time: SampleTime) -> io::Result<()> {
     let mut bounds = EMPTY_BOX;
-    let mut at = HEADER;
+    let arrays = arrays(&mesh.outline());
+    let (positions, at) = positions(&arrays);
     let mut samples = Vec::new();
-    for array in arrays(&mesh.outline()) {
+    for (array, position) in arrays.into_iter().zip(positions) {
         let mut hasher = ContentHasher::default();
         array.write(&mut hasher, mesh, &mut bounds)?;
-        let (digest, bytes) = (hasher.finish(), array.bytes());
-        let block = if bytes == 0 { Child::NO_DATA } else { Child::data(at) };
-        if bytes > 0 {
-            at += LENGTH + block_length(&array);
-        }
-        let elements = array.elements;
-        samples.push((array, Sample { block, digest, elements }));
+        let sample = array.sample(position, hasher.finish());
+        samples.push((array, sample));
     }
     let sampling = TimeSampling::at(&[time.seconds()]);
     let frames = [samples];
-    let (groups, root) = archive(at, &metadata(), &sampling, |blocks| objects(&frames, blocks));
+    let (groups, root) = archive(at, &sampling, |blocks| objects(&frames, blocks));
     out.write_all(&header(root))?;
     let [samples] = &frames;
     for (array, sample) in samples.iter().filter(|(array, _)| array.bytes() > 0) {
-        out.write_all(&block_length(array).to_le_bytes())?;
+        out.write_all(&array.block_length().to_le_bytes())?;
         out.write_all(&sample.digest)?;
         array.write(out, mesh, &mut bounds)?;
     }
     out.write_all(&groups)
 }
 
-/// Bytes of an array and its digest.
-fn block_length(array: &MeshArray) -> u64 {
-    size_of::<Digest>() as u64 + array.bytes()
-}
-
-/// The metadata of an archive.
-fn metadata() -> String {
-    format!("_ai_Application=meniscus {}", env!("CARGO_PKG_VERSION"))
-}
-
-impl MeshArray {
+impl AbcArray {
     /// Writes the values. Positions set the `bounds`.
     fn write(
         &self,
@@ -72,7 +58,7 @@ impl MeshArray {
         bounds: &mut [[f64; 3]; 2],
     ) -> io::Result<()> {
         match self.source {
-            ArraySource::Positions => {
+            AbcSource::Positions => {
                 let found = Mutex::new(EMPTY_BOX);
                 write_vertices(out, mesh, |vertices, out| {
                     let [mut low, mut high] = EMPTY_BOX;
@@ -92,7 +78,7 @@ impl MeshArray {
                 *bounds = found.into_inner().unwrap_or_else(PoisonError::into_inner);
                 Ok(())
             }
-            ArraySource::Bounds => out.write_all(
+            AbcSource::Bounds => out.write_all(
                 bounds
                     .as_flattened()
                     .iter()
@@ -101,28 +87,28 @@ impl MeshArray {
                     .as_slice(),
             ),
             // Polygons are clockwise as seen from outside.
-            ArraySource::Corners => write_triangles(out, mesh, |triangles, out| {
+            AbcSource::Corners => write_triangles(out, mesh, |triangles, out| {
                 for &[a, b, c] in triangles {
                     out.extend(
                         [a, c, b].map(|corner| (corner as i32).to_le_bytes()).as_flattened(),
                     );
                 }
             }),
-            ArraySource::CornerCounts => {
+            AbcSource::CornerCounts => {
                 write_pieces(out, self.elements.div_ceil(COUNTS) as usize, |piece, out| {
                     let count = COUNTS.min(self.elements - piece as u64 * COUNTS);
                     out.extend(3_i32.to_le_bytes().repeat(count as usize));
                     Ok(())
                 })
             }
-            ArraySource::Normals => {
+            AbcSource::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
             }
             // Integers are stored as their 32 bits.
-            ArraySource::Attribute(index) => {
+            AbcSource::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])
             }
-            ArraySource::Colour(index) => {
+            AbcSource::Colour(index) => {
                 let kind = mesh.attributes()[index].kind;
                 write_vertices(out, mesh, |vertices, out| {
                     let shares = vertices.attributes[index].iter().map(|&share| kind.share(share));
