@@ -114,7 +114,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
     let ball = |more: &[&'static str]| [&["ball.xyz", "-o", "out.ply"], more].concat();
     for (arguments, says) in [
         (vec!["ball.xyz"], "--output"),
-        (vec!["ball.xyz", "-o", "out.abc"], "out.abc"),
+        (vec!["ball.xyz", "-o", "out.fbx"], "out.fbx"),
         (vec!["ball.xyz", "-o", "out"], "out"),
         (vec!["ball.xyz", "-o", "out.stl", "--normals"], "normals"),
         (vec!["ball.xyz", "-o", "out.obj", "--attributes", "velocity"], "attributes"),
