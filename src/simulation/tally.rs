@@ -176,8 +176,9 @@ impl<'a> Tally<'a> {
         let Some(archive) = &conversion.setup.archive else { return Ok(()) };
         let Some(Some(settled)) = conversion.settled.get() else { return Ok(()) };
         let first = awaited.first().copied().unwrap_or(i64::MAX);
-        let due = listed.range(..first).map(|(_, mesh)| mesh);
-        due.map(|mesh| archive.add(mesh, settled.fingerprint, |all| series.times(all))).collect()
+        listed.range(..first).try_for_each(|(_, mesh)| {
+            archive.add(mesh, settled.fingerprint, |all| series.times(all))
+        })
     }
 
     /// Lists all existing frames, merges the records of ended jobs, and makes the summary.
